@@ -20,7 +20,6 @@ UNSURE = 0.6
 """Certainty of a clause that says "maybe"."""
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""
-Result = TypeVar("Result")
 Noun = TypeVar("Noun")
 Builders = Mapping[str, Callable[[list[Any]], Any]]
 """What becomes of the children of each rule of a grammar."""
@@ -126,96 +125,87 @@ def build_with(build: Callable[..., Any], argument: str, rules: str) -> Builders
     return {rule: partial(build, **{argument: rule}) for rule in rules.split()}
 
 
-class IslandParser(Generic[Result]):
-    """Parses by islands (LALR): what the grammar does not expect is left out, or ends an island.
+class IslandParser:
+    """Parser by islands (LALR): chunks that the grammar does not expect are left out, or end an island.
 
     Parameters
     ----------
     grammar, start
-        Of lark; the terminals are types of chunks.
+        Text and first rule of a grammar of lark; the terminals are types of chunks. The first rule
+        becomes a `Clause`.
     build
         Called as soon as a rule is complete; see `Grammar`.
-    kind
-        What the start rule becomes.
     skipped
         Types of chunks that may be left out where the grammar expects something else.
     """
 
-    def __init__(
-        self,
-        grammar: str,
-        start: str,
-        build: Builders,
-        kind: type[Result],
-        skipped: Collection[str],
-    ) -> None:
+    def __init__(self, grammar: str, start: str, build: Builders, skipped: Collection[str]) -> None:
         self._grammar = Grammar(grammar, start, build)
-        self._kind, self._skipped = kind, skipped
+        self._skipped = skipped
 
-    def parse(
-        self, chunks: list[Chunk]
-    ) -> Iterator[tuple[Result | None, list[Chunk], list[Chunk]]]:
+    def parse(self, chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
         """Parse the chunks of one clause.
 
         Yields
         ------
-        clause, used, left_out
-            What could be parsed, in order, the chunks that it took, and those of them that had to
-            be left out. Where nothing could be parsed, None, and all is left out.
+        clause, left_out
+            Each clause, in order, and the chunks that had to be left out of it. A stretch that
+            cannot be parsed is left out, and yields a clause without a verb.
         """
-        rest = chunks
-        while rest:
-            clause, left_out, used = self._island(rest)
-            if clause is not None and used:
-                yield clause, rest[:used], left_out
-            else:
-                yield None, rest[:used], rest[:used]
-            rest = rest[used:]
+        while chunks:
+            clause, left_out, used = self._island(chunks)
+            island, chunks = chunks[:used], chunks[used:]
+            if clause is None:
+                clause, left_out = Clause(""), island
+            parsed = [chunk for chunk in island if chunk not in left_out] or island
+            clause.start, clause.end = min(c.start for c in parsed), max(c.end for c in parsed)
+            yield clause, left_out
 
-    def _island(self, chunks: list[Chunk]) -> tuple[Result | None, list[Chunk], int]:
+    def _island(self, chunks: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
         """Return the longest clause from the first chunk on, chunks left out of it, and how many it took."""
-        parser = self._grammar.parse()
+        parse = self._grammar.parse()
         left_out: list[Chunk] = []
         for i, chunk in enumerate(chunks):
             try:
-                parser.feed(chunk.type, chunk)
+                parse.feed(chunk.type, chunk)
             except UnexpectedTokenError:
                 if chunk.type in self._skipped:
                     left_out.append(chunk)
                     continue
-                clause = self._finish(parser)
+                clause = _finish(parse)
                 if clause is not None and i:
                     return clause, left_out, i
                 return self._shorter(chunks[: i + 1], left_out)
-        clause = self._finish(parser)
+        clause = _finish(parse)
         if clause is not None:
             return clause, left_out, len(chunks)
         return self._shorter(chunks, left_out)
 
     def _shorter(
         self, chunks: list[Chunk], left_out: list[Chunk]
-    ) -> tuple[Result | None, list[Chunk], int]:
-        """Parse a beginning of the chunks that cannot be parsed whole."""
+    ) -> tuple[Clause | None, list[Chunk], int]:
+        """Parse a beginning of chunks that cannot be parsed to their end."""
         used = [chunk for chunk in chunks if chunk not in left_out]
         for n in range(len(used) - 1, max(0, len(used) - 1 - _BACK), -1):
-            parser = self._grammar.parse()
+            parse = self._grammar.parse()
             try:
                 for chunk in used[:n]:
-                    parser.feed(chunk.type, chunk)
+                    parse.feed(chunk.type, chunk)
             except UnexpectedTokenError:
                 continue
-            clause = self._finish(parser)
+            clause = _finish(parse)
             if clause is not None:
                 end = chunks.index(used[n])
                 return clause, [chunk for chunk in left_out if chunk in chunks[:end]], end
         return None, left_out, len(chunks)
 
-    def _finish(self, parser: Parse) -> Result | None:
-        try:
-            clause = parser.feed(END)
-        except UnexpectedTokenError:
-            return None
-        return clause if isinstance(clause, self._kind) else None
+
+def _finish(parse: Parse) -> Clause | None:
+    try:
+        clause = parse.feed(END)
+    except UnexpectedTokenError:
+        return None
+    return clause if isinstance(clause, Clause) else None
 
 
 END = "$END"

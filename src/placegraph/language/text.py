@@ -32,13 +32,13 @@ class Measure(float):
     """A distance as said [m], a block being 100 m."""
 
     blocks: float = 0.0
-    """How many blocks, where it is told in blocks: the map at hand may know their length."""
+    """Number of blocks, of a distance in blocks: a map may know how long these are."""
     unit: float = 1.0
-    """Metres of the unit it was told in."""
+    """Length of the unit [m]."""
     at_most: bool = False
-    """Whether it is that or less: "within 50 m"."""
+    """Whether the distance is an upper bound: "within 50 m"."""
 
-    def again(self, count: float) -> Self:
+    def times(self, count: float) -> Self:
         """Return as many of the same unit: "9 blocks west, then 4 north"."""
         measure = type(self)(self.unit * count)
         measure.unit, measure.blocks = self.unit, count if self.blocks else 0.0
@@ -60,7 +60,7 @@ _NUMBERS = {
     "couple": 2.0, "few": 3.0, "several": 3.0, "quarter": 0.25,
 }  # fmt: skip
 COUNTS = {word: int(n) for word, n in _NUMBERS.items() if n >= 1 and word != "hundred"}
-"""How many, in words: "two", "several"."""
+"""Numbers of things by their words: "two", "several"."""
 
 _NUMBER = r"""(?:
     \d+\s*(?:[-–]|to\b|or\b)\s*\d+ | \d+\s+1/2 | \d+(?:[.,]\d+)?\s*½? | ½
@@ -93,9 +93,11 @@ _LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
 _LETTERS = re.compile(r"[a-z]+")
 
 
-def whole(digits: str, most: int) -> int:
-    """Return the whole number of decimal digits, `most` at most: Python reads no more than 4,300 of them."""
-    return most if len(digits) > 300 else min(int(digits), most)
+def parse_count(word: str, counts: Mapping[str, int] = COUNTS, largest: int = 10**6) -> int | None:
+    """Return the number that a word or digits mean, at most `largest`; None for another word."""
+    if word in counts or not word.isdecimal():
+        return counts.get(word)
+    return largest if len(word) > 300 else min(int(word), largest)  # int() reads 4,300 digits
 
 
 def may_measure(text: str) -> bool:
@@ -109,7 +111,11 @@ def metres(text: str, number: str | None) -> Measure:
     unit = _LAST_UNIT.findall(re.sub(r"(?<=[\d½])(?=[a-z])", " ", text))[-1]
     half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
     words = _NUMERAL.findall((number or "").lower().replace("1/2", ""))
-    values = [_NUMBERS.get(w) or float(w.replace(",", ".")) for w in words if _is_number(w)]
+    values = [
+        _NUMBERS.get(w) or float(w.replace(",", "."))
+        for w in words
+        if w in _NUMBERS or w[0].isdigit()
+    ]
     if len(values) == 2 and words[-1] == "hundred":
         values = [100.0 * values[0]]
     if not values:  # "a block", "half a mile"
@@ -120,10 +126,6 @@ def metres(text: str, number: str | None) -> Measure:
     measure.unit = _UNITS[unit]
     measure.at_most = text.startswith(_AT_MOST)
     return measure
-
-
-def _is_number(word: str) -> bool:
-    return word in _NUMBERS or word[0].isdigit()
 
 
 LONGEST_TEXT = 20_000
@@ -219,7 +221,7 @@ def scan_text(
     labels: Iterable[tuple[int, int]] = (),
     *,
     shortened: Collection[str] = (),
-    begin: int = 0,
+    offset: int = 0,
 ) -> list[list[Word]]:
     """Cut a text into sentences of words, distances and marks.
 
@@ -231,7 +233,7 @@ def scan_text(
         Words that a full stop may shorten without ending the sentence: "St. Mary's".
     """
     sentences: list[list[Word]] = [[]]
-    at = begin
+    at = offset
     for start, end in (*labels, (len(text), len(text))):
         _scan_between(text, at, start, sentences, shortened)
         if end > start:
@@ -242,10 +244,10 @@ def scan_text(
 
 
 def _scan_between(
-    text: str, begin: int, stop: int, sentences: list[list[Word]], shortened: Collection[str]
+    text: str, start_at: int, stop: int, sentences: list[list[Word]], shortened: Collection[str]
 ) -> None:
-    pattern = _SCAN if may_measure(text[begin:stop]) else _PLAIN
-    for match in pattern.finditer(text, begin, stop):
+    pattern = _SCAN if may_measure(text[start_at:stop]) else _PLAIN
+    for match in pattern.finditer(text, start_at, stop):
         kind, written = match.lastgroup or "", match.group()
         start, end = match.span()
         if kind == "stop":
@@ -283,12 +285,12 @@ class Phrases:
         Terminals of each phrase, by its words in lower case.
     """
 
-    def __init__(self, known: Mapping[tuple[str, ...], tuple[Terminal, ...]]) -> None:
+    def __init__(self, phrases: Mapping[tuple[str, ...], tuple[Terminal, ...]]) -> None:
         first: dict[str, list[tuple[tuple[str, ...], tuple[Terminal, ...]]]] = {}
-        for words in sorted(known, key=len, reverse=True):
-            first.setdefault(words[0], []).append((words, known[words]))
+        for words in sorted(phrases, key=len, reverse=True):
+            first.setdefault(words[0], []).append((words, phrases[words]))
         self.by_word = {word: tuple(entries) for word, entries in first.items()}
-        self._known = known
+        self._known = phrases
         self._lengths = {
             word: sorted({len(words) for words, _ in entries}, reverse=True)
             for word, entries in first.items()

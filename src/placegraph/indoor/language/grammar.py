@@ -23,7 +23,7 @@ from placegraph.language.grammar import (
     build_with,
     negate,
 )
-from placegraph.language.text import COUNTS, Phrases, Terminal, Word, whole
+from placegraph.language.text import Phrases, Terminal, Word, parse_count
 
 VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
 _DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))
@@ -116,9 +116,8 @@ def _take_phrase(
     end = sentence[i + n - 1].end
     if known:
         found.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
-    elif words in COUNTS or words.isdecimal():
+    elif (count := parse_count(words, largest=_MOST)) is not None:
         kind = "SOME" if words in ("few", "several") else "NUM"
-        count = COUNTS.get(words) or whole(words, _MOST)
         found.append(Chunk(kind, word.start, end, words, count))
     else:
         # "KitchenTable" is two words, and so is "kitchen_table"
@@ -299,12 +298,7 @@ _BUILDERS = {
 
 
 @cache
-def _parser() -> IslandParser[Clause]:
+def parser() -> IslandParser:
+    """Return the parser of sentences about places indoors."""
     text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
-    return IslandParser(text, "clause", _BUILDERS, Clause, _SKIPPED)
-
-
-def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause | None, list[Chunk]]]:
-    """Parse the chunks of one clause by islands: what was read, and the chunks that were not."""
-    for clause, _, left_out in _parser().parse(chunks):
-        yield clause, left_out
+    return IslandParser(text, "clause", _BUILDERS, _SKIPPED)

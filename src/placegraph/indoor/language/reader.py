@@ -12,7 +12,7 @@ from placegraph.indoor.language.grammar import (
     Place,
     cut_clauses,
     find_chunks,
-    parse,
+    parser,
 )
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
@@ -76,8 +76,8 @@ def read(text: str) -> Sentence:
     for sentence in scan_text(text):
         reader.begin_sentence()
         for part, certainty in cut_clauses(find_chunks(sentence, text)):
-            for clause, left_out in parse(part):
-                if clause is not None:
+            for clause, left_out in parser().parse(part):
+                if clause.verb:
                     reader.take(clause, certainty)
                 reader.ignore_chunks(left_out)
     reader.finish()

@@ -18,7 +18,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     find_conflicts,
 )
-from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place, cut_clauses, parse
+from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place, cut_clauses, parser
 from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.scan import (
     Stretch,
@@ -124,8 +124,8 @@ def describe(
     references = References(cleaned, main.language, vocabulary)
     places = PlaceReader(references, heading, directive=directive, block_length=block_length)
     builder = GraphBuilder(places)
-    for sentence, own in sentences:
-        _read_sentence(sentence, own, builder)
+    for sentence, spoken in sentences:
+        _read_sentence(sentence, spoken, builder)
     builder.finish()
     statements, ignored = places.statements, [*places.ignored, *references.list_unknown()]
     if not (statements or ignored):
@@ -156,7 +156,7 @@ def _find_sentences(
         return
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
     inflected = InflectedChunker(text, part.language, known.of(part.language), names)
-    for sentence in scan_any(text, part.language, inflected.known, (part.start, part.end)):
+    for sentence in scan_any(text, part.language, inflected.is_word, (part.start, part.end)):
         yield inflected.chunks(sentence)
 
 
@@ -164,7 +164,7 @@ def _read_sentence(sentence: list[Chunk], language: Language, builder: GraphBuil
     """Add what a sentence says."""
     for part in cut_clauses(sentence, language):
         opens = part.opens
-        for clause, left_out in parse(part.chunks):
+        for clause, left_out in parser().parse(part.chunks):
             builder.take(clause, part.certainty, opens=opens)
             opens = False
             for chunk in left_out:

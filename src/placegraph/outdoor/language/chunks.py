@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 from placegraph.language.grammar import Chunk
-from placegraph.language.text import Terminal, Word, whole
+from placegraph.language.text import Terminal, Word, parse_count
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
@@ -99,11 +99,11 @@ class Chunker:
             return self._chunk("NOUN", i, 1, NounMeaning(senses, exact=True))
         return self._chunk("NAME", i, 1, NounMeaning(senses or self.proper.kind(name), name))
 
-    def _take_words(self, i: int, found: list[Chunk]) -> int:
+    def _take_words(self, i: int, chunks: list[Chunk]) -> int:
         """Append what begins at word i, and return how many words it takes."""
         known = self.lexicon.longest(self.lower, i)
         n_known, terminals = known or (0, ())
-        kind, before = terminals[0].type if terminals else "", found[-1].type if found else ""
+        kind, before = terminals[0].type if terminals else "", chunks[-1].type if chunks else ""
         noun = None
         if known is None or kind in _OPEN:
             noun = self.vocabulary.longest_match(self.lower, i)
@@ -111,19 +111,19 @@ class Chunker:
         if n_name:
             written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
             meaning = NounMeaning(self.proper.kind(written), self.proper.as_on_the_map(written))
-            found.append(self._chunk("NAME", i, n_name, meaning))
+            chunks.append(self._chunk("NAME", i, n_name, meaning))
             return n_name
         if noun is None and (known is None or kind in ("PART", "GO", "CROSS")):
             noun = self._find_noun(i, before)
         # a word that may be a verb or a noun is a noun after a determiner
         ties = kind not in ("", "WORD", "ADVERB", "PREP", "PART", "SPOT") and before in _BEFORE_NOUN
         if noun and (noun[0] > n_known or (noun[0] == n_known and ties)):
-            found.append(self._chunk("NOUN", i, noun[0], NounMeaning(noun[1])))
+            chunks.append(self._chunk("NOUN", i, noun[0], NounMeaning(noun[1])))
             return noun[0]
         if known:
-            found.extend([self._chunk(t.type, i, n_known, t.value) for t in terminals])
+            chunks.extend([self._chunk(t.type, i, n_known, t.value) for t in terminals])
             return n_known
-        found.extend(self._take_other(i))
+        chunks.extend(self._take_other(i))
         return 1
 
     def _find_noun(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
@@ -153,8 +153,8 @@ class Chunker:
     def _take_other(self, i: int) -> list[Chunk]:
         """Return the chunks of a number, a possessive, or a word that says nothing by itself."""
         lower = self.lower[i]
-        if lower.isdecimal() or lower in self.lexicon.counts:
-            count = self.lexicon.counts.get(lower) or whole(lower, 10**6)
+        count = parse_count(lower, self.lexicon.counts)
+        if count is not None:
             return [self._chunk("NUM", i, 1, count)]
         owner, apostrophe, _ = lower.partition("'")
         senses = self._senses(owner) if apostrophe else ()
@@ -223,16 +223,16 @@ class ProperNames:
                 return tuple([Sense(s.label, NAMED_KIND * s.weight) for s in senses])
         return ()
 
-    def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
+    def length(self, i: int, entry: Known | None, n_known: int, n_noun: int) -> int:
         """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
         spelt = (
             self._house(i)
-            or self._capitals(i, known, n_noun)
-            or self._small_street(i, known, n_noun)
+            or self._capitals(i, entry, n_noun)
+            or self._small_street(i, entry, n_noun)
         )
         if self.names is None:
             return spelt
-        k, led = self.name_at[i], known is not None and known[1][0].type == "DET"
+        k, led = self.name_at[i], entry is not None and entry[1][0].type == "DET"
         mapped = self.names.longest_name(self.name_words, k)
         if mapped:
             mapped = self.name_ends[k + mapped - 1] - i + 1
@@ -241,14 +241,14 @@ class ProperNames:
         if mapped > 1 and mapped >= max(n_known, n_noun) and self._all_capital(i, mapped):
             return max(mapped, spelt)
         capital = self.words[i].capital and not self.shouting
-        if n_noun == 1 and capital and not known and max(mapped, spelt) == 1:
+        if n_noun == 1 and capital and not entry and max(mapped, spelt) == 1:
             return int(bool(mapped) and (bool(spelt) or self._seldom_common(i)))
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
         if led and not spelt:  # "the bench" is no "The Bench"
             noun = self.vocabulary.longest_match(self.lower, i + 1)
             mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
-        if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
+        if mapped == 1 and (entry or n_noun or len(self.lower[i]) < 3):
             return spelt
         if mapped == 1 and not capital and self.vocabulary.senses(self.lower[i]):
             return spelt  # "a craft shop" is no business called "Craft"
@@ -266,21 +266,21 @@ class ProperNames:
         capitals = all(w.capital or w.lower[0].isdigit() for w in names)
         return bool(names) and not self.shouting and capitals
 
-    def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
+    def _capitals(self, i: int, entry: Known | None, n_noun: int) -> int:
         """Return how many words of a name written with capitals begin at word i."""
         word = self.words[i]
-        if self._is_counted_street(i, known):
-            return self._span(i + (known is not None)) - i
+        if self._is_counted_street(i, entry):
+            return self._span(i + (entry is not None)) - i
         if self.shouting or not (word.capital or self._is_numbered(i)):
             return 0
         following = self.words[i + 1] if i + 1 < len(self.words) else None
         continues = following is not None and following.kind == "word" and following.capital
-        kind = known[1][0].type if known is not None else "WORD"
+        kind = entry[1][0].type if entry is not None else "WORD"
         if kind not in ("DIR", "SHORT", "WORD", "PART") and (
             i == 0 or kind in ("ME", "YOU", "IT", "DET", "AND")
         ):
             return 0
-        if known is not None and not continues:
+        if entry is not None and not continues:
             return 0
         end = self._span(i)
         after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
@@ -291,14 +291,14 @@ class ProperNames:
             return 0  # "Bakery north of me", "the Cathedral"
         return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
 
-    def _is_counted_street(self, i: int, known: Known | None) -> bool:
+    def _is_counted_street(self, i: int, entry: Known | None) -> bool:
         """Tell whether a number counts a street: "W. 38th", "east 34th", "at 5th and 34th"."""
         last = i + 1 >= len(self.words)
         if _ORDINAL.fullmatch(self.lower[i]) and i and self.lower[i - 1] in _BEFORE_STREET:
             following = None if last else self.lexicon.longest(self.lower, i + 1)
             ends = last or self.words[i + 1].kind != "word"
             return ends or (following is not None and following[1][0].type in _AFTER_NAME)
-        led = known is not None and known[0] == 1 and known[1][0].type in ("DIR", "SHORT")
+        led = entry is not None and entry[0] == 1 and entry[1][0].type in ("DIR", "SHORT")
         return led and not last and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
 
     def _house(self, i: int) -> int:
@@ -318,15 +318,15 @@ class ProperNames:
             return self.vocabulary.longest_match(self.lower, i + 1) is not None
         return known[1][0].type in _AFTER_NAME
 
-    def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
+    def _small_street(self, i: int, entry: Known | None, n_noun: int) -> int:
         """Return how many words of a street's name begin at word i, written small: "smallman street"."""
         at, suffixes = i, self.lists["street_suffixes"]
-        if known is not None:
-            if known[1][0].type != "DIR" or known[0] != 1:
+        if entry is not None:
+            if entry[1][0].type != "DIR" or entry[0] != 1:
                 return 0
             at = i + 1  # "east carson street", "west avenue"
         if at + 1 < len(self.words) and self.lower[at] not in suffixes:
-            plain = (known is None and n_noun) or self.lexicon.longest(self.lower, at)
+            plain = (entry is None and n_noun) or self.lexicon.longest(self.lower, at)
             at = len(self.words) if plain else at + 1
         if at >= len(self.words) or self.lower[at] not in suffixes:
             return 0
@@ -370,16 +370,16 @@ class InflectedChunker(Chunker):
         self.dictionary = vocabulary
         self.proper: InflectedNames = InflectedNames(text, language, vocabulary, names)
 
-    def known(self, word: str) -> bool:
+    def is_word(self, word: str) -> bool:
         """Tell whether something is a word: of the grammar, of things, or a name of the map."""
         if word in self.lexicon.words or word in self.lexicon.counts:
             return True
         if len(word) == 1 and "\u3041" <= word <= "\u30ff":
             return False  # a letter of Japanese, not a word
-        if self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word)):
+        if self.dictionary.contains(word) or (len(word) > 1 and self.proper.is_one(word)):
             return True
         for article in self.lists["articles"].intersection(self.lexicon.prefixes):
-            if word.startswith(article) and self.dictionary.known(word.removeprefix(article)):
+            if word.startswith(article) and self.dictionary.contains(word.removeprefix(article)):
                 return False  # "المكتبة" is the library, whatever begins with it
         # of several words only the first may have a prefix
         return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
@@ -428,10 +428,10 @@ class InflectedNames(ProperNames):
         written = self.text[sentence[0].start : sentence[-1].end]
         super().take(sentence, shouting=shouting or (len(sentence) > 2 and written.isupper()))
 
-    def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
+    def length(self, i: int, entry: Known | None, n_known: int, n_noun: int) -> int:
         """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
         n = self._inflected(i) if self.names is not None and self.lexicon.forms else 0
-        found = super().length(i, known, n_known, n_noun)
+        found = super().length(i, entry, n_known, n_noun)
         exact = bool(found) and self.is_one(" ".join(self.lower[i : i + found]))
         if n > max(n_known, n_noun) and n >= found and not exact:
             return n
@@ -472,12 +472,12 @@ class InflectedNames(ProperNames):
             found += [([a.stem, b.stem], b.case) for a in forms[0] for b in forms[1]]
         return found
 
-    def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
+    def _capitals(self, i: int, entry: Known | None, n_noun: int) -> int:
         if self.lexicon.capitals:
-            return super()._capitals(i, known, n_noun)
+            return super()._capitals(i, entry, n_noun)
         word = self.words[i]
         counted = word.lower in self.lexicon.counts
-        if not word.capital or self.shouting or counted or known is not None:
+        if not word.capital or self.shouting or counted or entry is not None:
             return 0
         end = i + 1
         while end < len(self.words) and self.words[end].kind == "word" and self.words[end].capital:
@@ -490,9 +490,9 @@ class InflectedNames(ProperNames):
         article = i == 0 or self.lower[i - 1] in self.lists["articles"]
         return 0 if n_noun or (article and not street) else 1
 
-    def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
+    def _small_street(self, i: int, entry: Known | None, n_noun: int) -> int:
         """Return the words of streets whose kind stands first, too: "rue de la Paix"."""
-        return self._street_after(i) or super()._small_street(i, known, n_noun)
+        return self._street_after(i) or super()._small_street(i, entry, n_noun)
 
     def _is_onto_next(self, i: int) -> bool:
         """Tell whether word i is a prefix that is written onto the word behind it."""

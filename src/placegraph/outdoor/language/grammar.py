@@ -1,10 +1,10 @@
-"""Clauses: chunks with a settled meaning, cut at joints between finite verbs and parsed (Eq. 3)."""
+"""Clauses: unambiguous chunks, cut at joints between finite verbs and parsed (Eq. 3)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -65,7 +65,7 @@ class Part(NamedTuple):
 
 def cut_clauses(sentence: list[Chunk], language: Language) -> list[Part]:
     """Cut the chunks of a sentence into clauses."""
-    chunks = list(settle_chunks(sentence, language))
+    chunks = list(resolve_types(sentence, language))
     verb_ahead, ahead = [False] * len(chunks), False
     for i in range(len(chunks) - 1, -1, -1):  # a verb before the next joint
         verb_ahead[i] = ahead
@@ -133,7 +133,7 @@ class _Cutter:
             self.current.pop()
 
 
-def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
+def resolve_types(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
     """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
     before, hedge, hedged_at = "", "", 0
     measured: Measure | None = None
@@ -148,29 +148,31 @@ def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk
             measured = chunk.value
         counted = chunk.type == "NUM" and measured is not None and chunk.value
         if measured and counted and _is_distance(before, chunks[i + 1 : i + 5]):
-            chunk.type, chunk.value = "DIST", measured.again(chunk.value)
+            chunk.type, chunk.value = "DIST", measured.times(chunk.value)
         ambiguous = chunk.type in _TYPES or chunk.type in _BY_REST
-        for settled in _settle(chunk, before, chunks[i + 1 :], language) if ambiguous else (chunk,):
-            if settled.type == "DIR" and hedge and i - hedged_at <= 2:
-                said: Direction = settled.value
-                settled.value = (
+        for resolved in (
+            _resolve_type(chunk, before, chunks[i + 1 :], language) if ambiguous else (chunk,)
+        ):
+            if resolved.type == "DIR" and hedge and i - hedged_at <= 2:
+                said: Direction = resolved.value
+                resolved.value = (
                     said._replace(sigma=SHARP_SIGMA)
                     if hedge == "sharp"
                     else said._replace(sigma=LOOSE_SIGMA, certainty=LOOSE)
                 )
                 hedge = ""
-            before = settled.type
-            yield settled
+            before = resolved.type
+            yield resolved
 
 
-def _next_types(rest: Sequence[Chunk]) -> list[str]:
+def _next_types(behind: Sequence[Chunk]) -> list[str]:
     """Return the types of at most two next chunks that are no adverbs."""
-    return [chunk.type for chunk in rest[:4] if chunk.type != "ADVERB"][:2]
+    return [chunk.type for chunk in behind[:4] if chunk.type != "ADVERB"][:2]
 
 
-def _is_distance(before: str, rest: Sequence[Chunk]) -> bool:
+def _is_distance(before: str, behind: Sequence[Chunk]) -> bool:
     """Tell whether a number is a distance whose unit was said before: "then 4 north"."""
-    after = _next_types(rest)
+    after = _next_types(behind)
     if before == "DIR":
         return not after or after[0] in JOINTS
     return after[:1] == ["DIR"] and after[1:] not in (["OF"], ["PART"])
@@ -224,14 +226,14 @@ _TYPES: dict[str, Callable[[Chunk, str, str], str | None]] = {
 _BY_REST = frozenset(
     ("WORD", "A", "ANOTHER", "OF", "ON", "IN", "AT", "TO", "WHERE", "NOT", "CALLED", "LETS")
 )
-"""Types of other chunks that are settled by what follows them."""
+"""Types of other chunks that what follows them makes unambiguous."""
 
 
-def _settle(
-    chunk: Chunk, before: str, rest: Sequence[Chunk], language: Language
+def _resolve_type(
+    chunk: Chunk, before: str, behind: Sequence[Chunk], language: Language
 ) -> tuple[Chunk, ...]:
     """Return what a chunk is between the type before and the chunks behind it."""
-    following = _next_types(rest)
+    following = _next_types(behind)
     after = following[0] if following else ""
     if chunk.type == "PREP" and chunk.value == "particle":  # "down the street", "head down south"
         return (replace(chunk, value="along"),) if after in _BEFORE_THING else ()
@@ -243,19 +245,19 @@ def _settle(
         return tuple([replace(chunk, type=kind, value=value) for kind in types.split()])
     match chunk.type:
         case "WORD":
-            return (_settle_word(chunk, before, after, language),)
+            return (_resolve_word(chunk, before, after, language),)
         case "A" | "ANOTHER" | "OF":
-            return _settle_article(chunk, before, following)
+            return _resolve_article(chunk, before, following)
         case "ON" | "IN" | "AT":
-            return (_settle_block(chunk, rest),)
-        case "TO" if rest and rest[0].type in VERBS and before:
+            return (_resolve_block(chunk, behind),)
+        case "TO" if behind and behind[0].type in VERBS and before:
             return (replace(chunk, type="CUT"),)  # "to meet me"
         case "WHERE" | "NOT" | "CALLED" | "LETS":
-            return _settle_by_rest(chunk, rest, after)
+            return _resolve_by_following(chunk, behind, after)
     return (chunk,)
 
 
-def _settle_word(chunk: Chunk, before: str, after: str, language: Language) -> Chunk:
+def _resolve_word(chunk: Chunk, before: str, after: str, language: Language) -> Chunk:
     """Mend a misspelt direction where only one can stand; set aside an unknown verb."""
     if after in ("OF", "PART") or before in _BEFORE_DIRECTION:
         direction = mend_direction(chunk.words, language, certain=after == "OF")
@@ -265,7 +267,7 @@ def _settle_word(chunk: Chunk, before: str, after: str, language: Language) -> C
     return replace(chunk, type="JUNK") if unknown_verb else chunk
 
 
-def _settle_article(chunk: Chunk, before: str, after: list[str]) -> tuple[Chunk, ...]:
+def _resolve_article(chunk: Chunk, before: str, after: list[str]) -> tuple[Chunk, ...]:
     """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
     if chunk.type == "A" and before in _ENDS and after[:1] in (["NOUN"], ["NAME"], ["WORD"]):
         return (replace(chunk, type="EXISTS"), chunk)  # "next to me a bank, to the north a park"
@@ -273,52 +275,52 @@ def _settle_article(chunk: Chunk, before: str, after: list[str]) -> tuple[Chunk,
     return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
 
 
-def _settle_block(chunk: Chunk, rest: Sequence[Chunk]) -> Chunk:
+def _resolve_block(chunk: Chunk, behind: Sequence[Chunk]) -> Chunk:
     """Take "on the next block north" as that far to the north: no map draws a block."""
-    for i, other in enumerate(rest[:-1]):
-        if other.type == "PART" and other.value == "block" and rest[i + 1].type == "DIR":
-            _skip(rest[: i + 1])
+    for i, other in enumerate(behind[:-1]):
+        if other.type == "PART" and other.value == "block" and behind[i + 1].type == "DIR":
+            _skip(behind[: i + 1])
             return replace(chunk, type="DIST", value=NEXT_BLOCK)
         if other.type not in _IN_THING:
             break
     return chunk
 
 
-def _settle_by_rest(chunk: Chunk, rest: Sequence[Chunk], after: str) -> tuple[Chunk, ...]:
+def _resolve_by_following(chunk: Chunk, behind: Sequence[Chunk], after: str) -> tuple[Chunk, ...]:
     """Settle "where", "not", "called" and "let's" by what follows them."""
     if chunk.type == "WHERE":  # "where A meets B" is a place, any other "where" opens a clause
-        kinds = [other.type for other in rest[:6]]
+        kinds = [other.type for other in behind[:6]]
         end = next((i for i, kind in enumerate(kinds) if kind in JOINTS), len(kinds))
         return (chunk,) if "CROSS" in kinds[:end] else (replace(chunk, type="CUT"),)
     if chunk.type == "NOT":  # the verb of "do not see" is negated
-        verb = next((other for other in rest[:3] if other.type != "ADVERB"), None)
+        verb = next((other for other in behind[:3] if other.type != "ADVERB"), None)
         if verb is None or verb.type not in ("SEE", "HAVE"):
             return (chunk,)
         verb.value = "NOT"
         return ()
     if chunk.type == "CALLED":  # "a bar called The Fox": the name follows its noun
-        if [other.type for other in rest[:2]] == ["DET", "NAME"]:
-            _skip(rest[:1])
+        if [other.type for other in behind[:2]] == ["DET", "NAME"]:
+            _skip(behind[:1])
         return ()
-    if not rest or after in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
+    if not behind or after in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
         return ()
-    place = _find_place(rest)
-    if place == len(rest):
+    place = _find_place(behind)
+    if place == len(behind):
         return ()
-    _skip(rest[:place])  # "let's get some paint at the store" is meeting at the store
+    _skip(behind[:place])  # "let's get some paint at the store" is meeting at the store
     return (replace(chunk, type="MEET"),)
 
 
-def _find_place(rest: Sequence[Chunk]) -> int:
+def _find_place(behind: Sequence[Chunk]) -> int:
     """Return where the place of "let's ..." begins; the number of chunks if there is none."""
-    place = len(rest)
-    for i, other in enumerate(rest):
+    place = len(behind)
+    for i, other in enumerate(behind):
         if other.type in JOINTS:
             break
         leads = other.type in ("AT", "IN", "ON", "DET", "THIS")  # "let's visit the museum"
         if leads or (other.type == "PREP" and other.value == "near"):
             return i
-        if other.type in _DETERMINERS and place == len(rest):
+        if other.type in _DETERMINERS and place == len(behind):
             place = i
     return place
 
@@ -383,24 +385,6 @@ _SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
 """Chunks that may be left out where the grammar expects something else."""
 
 
-def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
-    """Parse the chunks of one clause by islands (Eq. 3 of the paper).
-
-    Yields
-    ------
-    clause, left_out
-        What could be parsed, in order, and the chunks that had to be left out of it. Where nothing
-        could be parsed, an empty clause.
-    """
-    for clause, used, left_out in _parser().parse(chunks):
-        if clause is None:
-            yield Clause("", start=used[0].start, end=used[-1].end), left_out
-        else:
-            parsed = [chunk for chunk in used if chunk not in left_out]
-            clause.start, clause.end = min(c.start for c in parsed), max(c.end for c in parsed)
-            yield clause, left_out
-
-
 def _build_conditional(children: list[Any]) -> Clause:
     clause: Clause = children[-1]
     clause.condition = len(children) > 1
@@ -431,34 +415,34 @@ def _build_person(children: list[Any]) -> NounPhrase:
 def _build_thing(children: list[Any]) -> NounPhrase:
     """Build a noun phrase of its determiner, words, nouns, name and part."""
     start, end = min(c.start for c in children), max(c.end for c in children)
-    thing = NounPhrase("thing", start, end)
+    phrase = NounPhrase("thing", start, end)
     nouns = [child for child in children if child.type == "NOUN"]
-    thing.head = " ".join([child.words for child in children if child.type == "WORD"])
+    phrase.head = " ".join([child.words for child in children if child.type == "WORD"])
     for child in children:
         if child.type in _DETERMINERS:
-            thing.determiner = thing.determiner or child.type
-            thing.count = child.value if child.type == "NUM" else None
+            phrase.determiner = phrase.determiner or child.type
+            phrase.count = child.value if child.type == "NUM" else None
         elif child.type == "NAME":
-            thing.name, thing.senses = child.value.name, child.value.senses
+            phrase.name, phrase.senses = child.value.name, child.value.senses
         elif child.type == "PART" and not nouns:
-            thing.part = child.value
+            phrase.part = child.value
     if nouns:
-        _take_nouns(thing, nouns)
-    return thing
+        _take_nouns(phrase, nouns)
+    return phrase
 
 
-def _take_nouns(thing: NounPhrase, nouns: Sequence[Chunk]) -> None:
+def _take_nouns(phrase: NounPhrase, nouns: Sequence[Chunk]) -> None:
     """Set the common noun of a phrase: "alcohol shop" is shop=alcohol, not any shop."""
-    if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
-        thing.name = " ".join([thing.name, *[noun.words for noun in nouns[:-1]]])
+    if phrase.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
+        phrase.name = " ".join([phrase.name, *[noun.words for noun in nouns[:-1]]])
         nouns = nouns[-1:]
     meaning: NounMeaning = nouns[-1].value
-    thing.modifiers = (*thing.head.split(), *[noun.words for noun in nouns[:-1]])
-    thing.senses, thing.head, thing.exact = meaning.senses, nouns[-1].words, meaning.exact
+    phrase.modifiers = (*phrase.head.split(), *[noun.words for noun in nouns[:-1]])
+    phrase.senses, phrase.head, phrase.exact = meaning.senses, nouns[-1].words, meaning.exact
     keys = {s.label.partition("=")[0] for s in meaning.senses if s.label.endswith(("=*", "=yes"))}
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
-        thing.senses = special or thing.senses
+        phrase.senses = special or phrase.senses
 
 
 _BUILDERS = {
@@ -479,7 +463,8 @@ _BUILDERS = {
 }
 
 
-@lru_cache(maxsize=1)
-def _parser() -> IslandParser[Clause]:
+@cache
+def parser() -> IslandParser:
+    """Return the parser of descriptions of places (Eq. 3 of the paper)."""
     text = files(__package__).joinpath("outdoor.lark").read_text("utf-8")
-    return IslandParser(text, "clause", _BUILDERS, Clause, _SKIPPED)
+    return IslandParser(text, "clause", _BUILDERS, _SKIPPED)

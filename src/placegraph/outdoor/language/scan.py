@@ -75,7 +75,7 @@ class _Signs(NamedTuple):
     """Languages of a word."""
     scripts: dict[str, tuple[str, ...]]
     """Languages of a script."""
-    things: dict[str, tuple[str, ...]]
+    nouns: dict[str, tuple[str, ...]]
     """Languages of a word for a thing."""
     letters: dict[str, frozenset[str]]
     """Letters of the words of a language."""
@@ -91,10 +91,10 @@ def _signs(folder: Path | None) -> _Signs:
     texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
     digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
     listed = load_or_make(f"languages-{digest}.json", lambda: _list_signs(texts), json.loads)
-    words, scripts, things, letters = (
+    words, scripts, nouns, letters = (
         {word: tuple(codes) for word, codes in part.items()} for part in listed
     )
-    return _Signs(words, scripts, things, {code: frozenset(own) for code, own in letters.items()})
+    return _Signs(words, scripts, nouns, {code: frozenset(own) for code, own in letters.items()})
 
 
 def _list_signs(texts: Mapping[str, str]) -> bytes:
@@ -119,7 +119,7 @@ def _list_signs(texts: Mapping[str, str]) -> bytes:
 
 
 def find_stretches(
-    text: str, code: str | None, folder: Path | None = None, things: Collection[str] = ()
+    text: str, code: str | None, folder: Path | None = None, nouns: Collection[str] = ()
 ) -> list[Stretch]:
     """Cut a text into parts of one language each.
 
@@ -145,10 +145,10 @@ def find_stretches(
     if not _OTHER.search(text) and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
     signs = _signs(folder)
-    whole = _best(_evidence(text, signs, things, folder), english=True)
+    whole = _best(_evidence(text, signs, nouns, folder), english=True)
     found: list[Stretch] = []
     for start, end in spans:
-        evidence = _evidence(text[start:end], signs, things, folder)
+        evidence = _evidence(text[start:end], signs, nouns, folder)
         best = _best(evidence, english=False, likely=whole) or whole
         tongue = english() if best == NO_CODE else language(best, folder)
         part = Stretch(start, end, tongue, best != NO_CODE)
@@ -175,7 +175,7 @@ class _Evidence(NamedTuple):
     """How many of them are English, whatever else they are."""
 
 
-def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | None) -> _Evidence:
+def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | None) -> _Evidence:
     """Return how much the words of a text speak for each language."""
     scores: dict[str, float] = {}
     count = known = 0
@@ -193,8 +193,8 @@ def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | 
         count += 1
         codes, weight = signs.words.get(word, ()), 1.0
         if not codes:
-            codes, weight = signs.things.get(word, ()), _THING
-            codes = (*codes, "en") if word in things or singular(word) in things else codes
+            codes, weight = signs.nouns.get(word, ()), _THING
+            codes = (*codes, "en") if word in nouns or singular(word) in nouns else codes
         known += "en" in codes
         for code in codes:
             scores[code] = scores.get(code, 0.0) + weight / len(codes)
@@ -316,11 +316,11 @@ def _pattern(language: Language) -> re.Pattern[str]:
 
 
 def scan_any(
-    text: str, language: Language, known: Callable[[str], bool], span: tuple[int, int]
+    text: str, language: Language, is_word: Callable[[str], bool], span: tuple[int, int]
 ) -> list[list[Word]]:
     """Cut a stretch (start, end) of a text into sentences of words, distances and marks.
 
-    `known` tells whether something is a word: of the grammar, of things, or of names.
+    `is_word` tells whether something is a word: of the grammar, of things, or of names.
     """
     sentences: list[list[Word]] = [[]]
     for match in _pattern(language).finditer(text, *span):
@@ -331,7 +331,7 @@ def scan_any(
             if not _shortened(text, end, written, sentences[-1], language):
                 sentences.append([])
         elif kind == "word":
-            sentences[-1] += _words(written, start, language, known)
+            sentences[-1] += _words(written, start, language, is_word)
         elif kind == "quoted":
             sentences[-1].append(Word("quoted", written[1:-1], True, start + 1, end - 1))
         else:
@@ -366,13 +366,13 @@ def _shortened(text: str, end: int, mark: str, sentence: list[Word], language: L
 
 
 def _words(
-    written: str, start: int, language: Language, known: Callable[[str], bool]
+    written: str, start: int, language: Language, is_word: Callable[[str], bool]
 ) -> list[Word]:
     """Return the words of a stretch of letters: cut where there are no spaces, and behind prefixes."""
     if not language.spaces and not written.isascii():
-        parts = _cut(written, known)
+        parts = _cut(written, is_word)
     else:
-        parts = _prefixed(written, language, known)
+        parts = _prefixed(written, language, is_word)
     found, at = [], start
     for part in parts:
         lower = fold_case(part)
@@ -381,22 +381,22 @@ def _words(
     return found
 
 
-def _prefixed(written: str, language: Language, known: Callable[[str], bool]) -> list[str]:
+def _prefixed(written: str, language: Language, is_word: Callable[[str], bool]) -> list[str]:
     """Cut off what is written onto a word: "l'église", "والكنيسة"."""
     lower = fold_case(written)
-    for prefix in () if not language.prefixes or known(lower) else language.prefixes:
+    for prefix in () if not language.prefixes or is_word(lower) else language.prefixes:
         rest = written[len(prefix) :]
         if len(rest) < 2 or not lower.startswith(prefix):
             continue
-        if prefix.endswith("'") or known(fold_case(rest)):
+        if prefix.endswith("'") or is_word(fold_case(rest)):
             return [written[: len(prefix)], rest]
-        inner = _prefixed(rest, language, known)
+        inner = _prefixed(rest, language, is_word)
         if len(inner) > 1:
             return [written[: len(prefix)], *inner]
     return [written]
 
 
-def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
+def _cut(written: str, is_known: Callable[[str], bool]) -> list[str]:
     """Cut letters without spaces into known words, as few as possible; the rest stays together."""
     lower = written.lower()
     n = len(lower)
@@ -412,7 +412,7 @@ def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
             if i in inside and came[i][1] is False:
                 is_word = False  # part of an unknown word of katakana
             else:
-                is_word = not lower[i:j].isdecimal() and known(lower[i:j])
+                is_word = not lower[i:j].isdecimal() and is_known(lower[i:j])
             if not is_word and j not in ends:
                 continue
             cost = price[i] + (1.0 if is_word else _UNKNOWN if j == i + 1 else 2.0 * _UNKNOWN)
@@ -431,10 +431,10 @@ def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
 
 
 def scan_english(
-    text: str, language: Language, labels: Iterable[tuple[int, int]] = (), begin: int = 0
+    text: str, language: Language, labels: Iterable[tuple[int, int]] = (), offset: int = 0
 ) -> list[list[Word]]:
-    """Cut a text from `begin` on into sentences (`scan_text`); "St. Mary's" ends none."""
-    return scan_text(text, labels, shortened=language.lists["shortened"], begin=begin)
+    """Cut a text from `offset` on into sentences (`scan_text`); "St. Mary's" ends none."""
+    return scan_text(text, labels, shortened=language.lists["shortened"], offset=offset)
 
 
 _LABEL = r"(?:[^.!?\n]|[.!?](?!\s|$)){1,100}?"

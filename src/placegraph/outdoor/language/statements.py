@@ -58,25 +58,25 @@ class References:
         self.street: int | None = None
         """The street that was spoken of last."""
 
-    def resolve(self, thing: NounPhrase, *, other_than: Iterable[int] = ()) -> int | None:
+    def resolve(self, noun: NounPhrase, *, other_than: Iterable[int] = ()) -> int | None:
         """Return the node of a thing; None for a part ("the corner") that is no thing itself."""
-        if thing.kind in ("ME", "SPOT", "HERE"):
+        if noun.kind in ("ME", "SPOT", "HERE"):
             return SPEAKER
-        if thing.kind == "YOU":
+        if noun.kind == "YOU":
             return LISTENER
-        if thing.kind == "IT":
+        if noun.kind == "IT":
             return SPEAKER if self.topic is None else self.topic
-        if thing.part and not thing.name:
+        if noun.part and not noun.name:
             return None
-        head, senses = _lemma(thing.head), thing.senses
-        if not senses and not thing.name:
-            head, senses = self._mend(thing.head)
-            if not senses and not thing.determiner:
+        head, senses = _lemma(noun.head), noun.senses
+        if not senses and not noun.name:
+            head, senses = self._guess_senses(noun.head)
+            if not senses and not noun.determiner:
                 return None  # an unknown word, and no sign that it is a noun
-        known = None if thing.determiner in _NEW else self._find(thing, head, senses, other_than)
-        return self._introduce(thing, head, senses) if known is None else known
+        known = None if noun.determiner in _NEW else self._find(noun, head, senses, other_than)
+        return self._introduce(noun, head, senses) if known is None else known
 
-    def _mend(self, words: str) -> tuple[str, tuple[Sense, ...]]:
+    def _guess_senses(self, words: str) -> tuple[str, tuple[Sense, ...]]:
         """Return noun and senses of unknown words: misspelt, or before a noun that says nothing."""
         if len(words) > LONGEST_NOUN:
             return words, ()
@@ -93,20 +93,20 @@ class References:
         return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
 
     def _find(
-        self, thing: NounPhrase, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
+        self, noun: NounPhrase, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
     ) -> int | None:
         """Return the mention that a name or a definite noun speaks of again, or None."""
         skipped = {*other_than, *self.negative}
         nodes = [n for n in range(len(self.mentions) - 1, LISTENER, -1) if n not in skipped]
-        if thing.name:
-            name = name_key(thing.name)
+        if noun.name:
+            name = name_key(noun.name)
             return next((n for n in nodes if name_key(self.mentions[n].name) == name), None)
-        modifiers = frozenset(thing.modifiers) - {"same"}
+        modifiers = frozenset(noun.modifiers) - {"same"}
         for n in nodes:  # "the lot" is the parking lot
-            longer = not thing.exact and self.heads[n].endswith(f" {head}")
+            longer = not noun.exact and self.heads[n].endswith(f" {head}")
             if (longer or self.heads[n] == head) and modifiers <= self.modifiers[n]:
                 return n
-        if thing.exact:
+        if noun.exact:
             return None
         if head in self.lists["roads"]:
             if self.street is not None and self.street not in skipped:
@@ -119,17 +119,17 @@ class References:
                 return n
         return None
 
-    def _introduce(self, thing: NounPhrase, head: str, senses: tuple[Sense, ...]) -> int:
+    def _introduce(self, noun: NounPhrase, head: str, senses: tuple[Sense, ...]) -> int:
         node = len(self.mentions)
-        words = self.text[thing.start : thing.end]
-        definite = thing.determiner in ("DET", "THIS", "MY", "YOUR", "ITS") or bool(thing.name)
-        count = thing.count if thing.count is not None and thing.count >= 2 else None
-        self.mentions.append(Mention(node, words, senses, thing.name, count, definite))
+        words = self.text[noun.start : noun.end]
+        definite = noun.determiner in ("DET", "THIS", "MY", "YOUR", "ITS") or bool(noun.name)
+        count = noun.count if noun.count is not None and noun.count >= 2 else None
+        self.mentions.append(Mention(node, words, senses, noun.name, count, definite))
         self.heads.append(head)
-        self.modifiers.append(frozenset(thing.modifiers) - {"same"})
-        if thing.exact and not thing.name:
+        self.modifiers.append(frozenset(noun.modifiers) - {"same"})
+        if noun.exact and not noun.name:
             self.kinds.add(node)
-        if thing.determiner == "NO":
+        if noun.determiner == "NO":
             self.negative.add(node)
         if self.is_road(node):
             self.street = node
@@ -323,13 +323,13 @@ class StatementBuilder:
         self.reason = NO_TARGET
         return LISTENER if context.travel or self.directive else None
 
-    def _resolve(self, thing: NounPhrase, source: int) -> int | None:
+    def _resolve(self, noun: NounPhrase, source: int) -> int | None:
         """Return the node of a target; None, with a reason, where there is none."""
-        node = self.references.resolve(thing)
-        if node == source and thing.kind == "thing":  # "the bench is north of the bench"
-            node = self.references.resolve(thing, other_than=(source,))
+        node = self.references.resolve(noun)
+        if node == source and noun.kind == "thing":  # "the bench is north of the bench"
+            node = self.references.resolve(noun, other_than=(source,))
         if node is None:
-            self.reason = NO_MAP if thing.part else UNKNOWN
+            self.reason = NO_MAP if noun.part else UNKNOWN
         elif node == source:
             self.reason = TO_ITSELF
             return None

@@ -70,10 +70,10 @@ def order_chunks(chunks: list[Chunk], language: Language) -> list[Chunk]:
 
 def _rewrite(chunks: list[Chunk], rule: Rule, language: Language) -> list[Chunk]:
     """Apply a rule to one chunk after the other."""
-    found: list[Chunk] = []
+    output: list[Chunk] = []
     for i in range(len(chunks)):
-        rule(found, chunks, i, language)
-    return found
+        rule(output, chunks, i, language)
+    return output
 
 
 def _type(chunks: Sequence[Chunk], i: int) -> str:
@@ -81,8 +81,8 @@ def _type(chunks: Sequence[Chunk], i: int) -> str:
     return chunks[i].type if 0 <= i < len(chunks) else ""
 
 
-def _last(found: Sequence[Chunk], back: int = 1) -> str:
-    return _type(found, len(found) - back)
+def _last(output: Sequence[Chunk], back: int = 1) -> str:
+    return _type(output, len(output) - back)
 
 
 def _plain(chunks: Sequence[Chunk], i: int, step: int = 1) -> int:
@@ -92,8 +92,8 @@ def _plain(chunks: Sequence[Chunk], i: int, step: int = 1) -> int:
     return i
 
 
-def _last_plain(found: Sequence[Chunk]) -> str:
-    return _type(found, _plain(found, len(found) - 1, -1))
+def _last_plain(output: Sequence[Chunk]) -> str:
+    return _type(output, _plain(output, len(output) - 1, -1))
 
 
 def _mark(chunk: Chunk, kind: str) -> Chunk:
@@ -137,24 +137,24 @@ def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
 # cases: "nördlich der Kirche", "угол улицы", "brama parku"
 
 
-def _mark_genitive(found: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
+def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche".
 
     None follows a word with an article written onto it: "على اليمين".
     """
     chunk, before, after = chunks[i], _type(chunks, i - 1), _type(chunks, i + 1)
     if chunk.type == "OF" and before in _NOUNS and _joins_between(chunks, i):
-        found.append(replace(chunk, type="AND"))  # "בין בית הספר ל|כנסייה"
+        output.append(replace(chunk, type="AND"))  # "בין בית הספר ל|כנסייה"
         return
     if chunk.type == "NEARBY" and after in (*_DETERMINERS, "OF", *_NOUNS):
-        found.append(replace(chunk, type="PREP", value="near"))  # "in der Nähe der Kirche"
+        output.append(replace(chunk, type="PREP", value="near"))  # "in der Nähe der Kirche"
         return
     if chunk.type == "OF" and before == "NEARBY":
         return
     if chunk.type == "FROM" and before == "PART":
-        found.append(replace(chunk, type="OF"))  # "الجانب الشمالي من الساحة"
+        output.append(replace(chunk, type="OF"))  # "الجانب الشمالي من الساحة"
         return
-    found.append(chunk)
+    output.append(chunk)
     articles = language.lists["articles"].intersection(language.prefixes)
     rest = [other.type for other in chunks[i + 1 : i + 3] if other.type != "ADVERB"]
     led = i > 0 and chunks[i - 1].words in articles
@@ -165,7 +165,7 @@ def _mark_genitive(found: list[Chunk], chunks: list[Chunk], i: int, language: La
         bare = rest[0] in (*_NOUNS, "ME", "YOU", "IT", "WORD") and not owned
         owns = not written_on and (bare or rest[0] in ("DET", "THIS", "MY", "YOUR", "ITS"))
     if owns:
-        found.append(_mark(chunks[i + 1], "OF"))
+        output.append(_mark(chunks[i + 1], "OF"))
 
 
 def _joins_between(chunks: list[Chunk], i: int) -> bool:
@@ -264,141 +264,141 @@ def _say_copulas(chunks: list[Chunk]) -> list[Chunk]:
     return found
 
 
-def _say_copula(found: list[Chunk], chunk: Chunk, joint: int) -> bool:
+def _say_copula(output: list[Chunk], chunk: Chunk, joint: int) -> bool:
     """Append a BE before a thing behind a whole place, and cut at the joint before; tell whether."""
-    at = _plain(found, len(found) - 1, -1)
-    before = _type(found, at)
-    if before == "AND" and found[at].words in ("–", "—", "-"):
-        at = found.index(found[at])
-        found[at] = replace(found[at], type="BE")
+    at = _plain(output, len(output) - 1, -1)
+    before = _type(output, at)
+    if before == "AND" and output[at].words in ("–", "—", "-"):
+        at = output.index(output[at])
+        output[at] = replace(output[at], type="BE")
         return True
     ends = before in _ENDS and before != "THIS"
     if not ends or (before == "NOUN" and chunk.type == "NAME"):
         return False
     if joint >= 0:  # "я на остановке | рядом киоск"
-        found[joint] = replace(found[joint], type="CUT")
-    found.append(_mark(chunk, "BE"))
+        output[joint] = replace(output[joint], type="CUT")
+    output.append(_mark(chunk, "BE"))
     return True
 
 
 # nouns before what is said of them: "côté nord", "à côté de l'église", "plaza grande"
 
 
-def _name_street(found: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
+def _name_street(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Let one be "on" a street that is only named: "je suis rue de la Paix"."""
     chunk = chunks[i]
     if chunk.type == "NAME" and language.is_road(tokens(chunk.value.name)):
-        if _last(found) == "NUM":
-            found.pop()  # the number of a house
-        if _last(found) == "BE":
-            found.append(_mark(chunk, "ON"))
-    found.append(chunk)
+        if _last(output) == "NUM":
+            output.pop()  # the number of a house
+        if _last(output) == "BE":
+            output.append(_mark(chunk, "ON"))
+    output.append(chunk)
 
 
-def _move_direction(found: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
+def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put a direction before its part or noun: "côté nord", "l'entrée nord"."""
     chunk, after = chunks[i], _type(chunks, i + 1)
-    if chunk.type == "DIR" and _last(found) == "NEARBY":
-        side = language.longest([found[-1].words.rpartition(" ")[2]], 0)
+    if chunk.type == "DIR" and _last(output) == "NEARBY":
+        side = language.longest([output[-1].words.rpartition(" ")[2]], 0)
         if side is not None and side[1][0].type == "PART":  # "al lado | norte"
-            part = replace(found[-1], type="PART", value=side[1][0].value)
-            found[-1:] = [_mark(chunk, "ON"), part]
-    led = _last(found) in (*_LEADS, "PREP", "FACE")
+            part = replace(output[-1], type="PART", value=side[1][0].value)
+            output[-1:] = [_mark(chunk, "ON"), part]
+    led = _last(output) in (*_LEADS, "PREP", "FACE")
     bare = after == "DIR" and not led and _type(chunks, i + 2) not in ("PART", "NOUN")
     sides = ("side", "end", "corner")
-    if chunk.type == "DIR" and _last(found) == "PART" and found[-1].value in sides:
-        part = found.pop()
-        lead = len(found) - 1 - (_last(found) in _DETERMINERS)
-        before = _type(found, lead - 1)
-        if _type(found, lead) == "OF" and before not in ("DIR", "PREP", "NEARBY"):
-            found[lead] = replace(found[lead], type="ON")  # "du côté nord de la rue"
-        elif _type(found, lead) not in (*_LEADS, "PREP") and after == "OF":
-            found.insert(lead + 1, _mark(chunk, "ON"))
-        found += [chunk, part]
-    elif chunk.type == "DIR" and _names_entrance(found, chunk, after, language):
-        found.insert(len(found) - 1, chunk)
+    if chunk.type == "DIR" and _last(output) == "PART" and output[-1].value in sides:
+        part = output.pop()
+        lead = len(output) - 1 - (_last(output) in _DETERMINERS)
+        before = _type(output, lead - 1)
+        if _type(output, lead) == "OF" and before not in ("DIR", "PREP", "NEARBY"):
+            output[lead] = replace(output[lead], type="ON")  # "du côté nord de la rue"
+        elif _type(output, lead) not in (*_LEADS, "PREP") and after == "OF":
+            output.insert(lead + 1, _mark(chunk, "ON"))
+        output += [chunk, part]
+    elif chunk.type == "DIR" and _names_entrance(output, chunk, after, language):
+        output.insert(len(output) - 1, chunk)
     elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
-        found.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
+        output.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
     else:
-        found.append(chunk)
+        output.append(chunk)
 
 
 def _names_entrance(
-    found: Sequence[Chunk], direction: Chunk, after: str, language: Language
+    output: Sequence[Chunk], direction: Chunk, after: str, language: Language
 ) -> bool:
     """Tell whether a direction is that of the noun before it: "l'entrée nord"."""
-    if _last(found) != "NOUN" or _last(found, 2) not in ("DET", "A") or after in ("OF", "FROM"):
+    if _last(output) != "NOUN" or _last(output, 2) not in ("DET", "A") or after in ("OF", "FROM"):
         return False
     first = language.longest(direction.words.split(" ")[:1], 0)
     return first is None or first[1][0].type not in (*_LEADS, "DET")  # "un bosque al este"
 
 
-def _move_quality(found: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
+def _move_quality(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put a common adjective before its noun: "plaza grande"; leave the article of "la mia" out."""
-    chunk, after, last = chunks[i], _type(chunks, i + 1), _last(found)
+    chunk, after, last = chunks[i], _type(chunks, i + 1), _last(output)
     placed = after in (*_LEADS, "PREP", "DIR", "NEARBY", "ACROSS", "BETWEEN")
     if chunk.type == "DET" and (after in ("MY", "YOUR", "ITS") or last == "NO"):
         return  # "né la chiesa"
     if chunk.type == "THIS" and last == "NOUN" and placed:
-        found.append(replace(chunk, type="BE"))  # "la farmacia esta al norte", for "está"
+        output.append(replace(chunk, type="BE"))  # "la farmacia esta al norte", for "está"
         return
     if chunk.type == "NO" and last in (*_NOUNS, "DIR"):
-        found.append(_mark(chunk, "AND"))  # "ni église ni mosquée"
+        output.append(_mark(chunk, "AND"))  # "ni église ni mosquée"
     if chunk.type == "NO" and placed:  # "ni al norte"; the verb says no in "no está | ni"
-        denied = _last(found) in _STATED and any(other.type == "NOT" for other in found[-4:])
-        if _last_plain(found) != "NOT" and not denied:
-            found.append(replace(chunk, type="NOT"))
+        denied = _last(output) in _STATED and any(other.type == "NOT" for other in output[-4:])
+        if _last_plain(output) != "NOT" and not denied:
+            output.append(replace(chunk, type="NOT"))
         return
     stems = [form.stem for form in language.forms.of(chunk.words)] if chunk.type == "WORD" else []
     quality = bool(stems) and not language.words.isdisjoint((chunk.words, *stems))
-    found.insert(len(found) - (quality and _last(found) == "NOUN"), chunk)
+    output.insert(len(output) - (quality and _last(output) == "NOUN"), chunk)
 
 
-def _link_corner(found: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _link_corner(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Let a corner be "of A and B": "en la esquina de A con B", "all'angolo tra A e B"."""
     chunk = chunks[i]
     if chunk.type == "PART" and chunk.value in ("corner", "crossing"):
-        if _last(found) in (*_NOUNS, "AND", ""):
-            found.append(_mark(chunk, "AT"))  # "en Alcalá esquina Goya"
-        found.append(chunk)
+        if _last(output) in (*_NOUNS, "AND", ""):
+            output.append(_mark(chunk, "AT"))  # "en Alcalá esquina Goya"
+        output.append(chunk)
         if _type(chunks, i + 1) in _NOUNS:
-            found.append(_mark(chunks[i + 1], "OF"))
+            output.append(_mark(chunks[i + 1], "OF"))
         return
-    if chunk.type == "AT" and _last(found) == "PART" and _leads_thing(chunks, i + 1):
+    if chunk.type == "AT" and _last(output) == "PART" and _leads_thing(chunks, i + 1):
         chunk = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
     elif chunk.type in ("WITH", "BETWEEN"):
         corners = [
             k
-            for k in range(max(0, len(found) - _FAR), len(found))
-            if found[k].type == "PART" and found[k].value in ("corner", "crossing")
+            for k in range(max(0, len(output) - _FAR), len(output))
+            if output[k].type == "PART" and output[k].value in ("corner", "crossing")
         ]
-        if corners and corners[-1] == len(found) - 1:
+        if corners and corners[-1] == len(output) - 1:
             chunk = replace(chunk, type="OF", value=None)
-        elif corners and chunk.type == "WITH" and _last(found) in _NOUNS:
+        elif corners and chunk.type == "WITH" and _last(output) in _NOUNS:
             chunk = replace(chunk, type="AND", value=None)
-    found.append(chunk)
+    output.append(chunk)
 
 
-def _drop_link(found: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _drop_link(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Leave out what joins a preposition of two words to its thing: "à côté | de | l'église"."""
-    chunk, at, after = chunks[i], _plain(found, len(found) - 1, -1), _plain(chunks, i + 1)
-    before = _type(found, at)
+    chunk, at, after = chunks[i], _plain(output, len(output) - 1, -1), _plain(chunks, i + 1)
+    before = _type(output, at)
     facing = before in ("FACE", "TO") and bool(_type(chunks, after))
     joins = chunk.type in _LINKS and before in _LINKED
     if joins and (_leads_thing(chunks, after) or facing):
         if before == "NEARBY":
-            found[at] = replace(found[at], type="PREP", value="near")
+            output[at] = replace(output[at], type="PREP", value="near")
         return
     if chunk.type == "DET" and before == "FACE" and _type(chunks, after) == "DIR":
         return
-    relation = found[at].value if before == "PREP" else ""
+    relation = output[at].value if before == "PREP" else ""
     if relation == "opposite" and chunk.type in _NEW and _type(chunks, i - 1) not in _LINKS:
-        found.append(_mark(chunk, "EXISTS"))  # "y enfrente un banco"
+        output.append(_mark(chunk, "EXISTS"))  # "y enfrente un banco"
     if relation in _BODY and chunk.type not in (*_DETERMINERS, *_THINGS, "PART", "DIR"):
-        found[at] = _as_direction(found[at])
-    found.append(chunk)
+        output[at] = _as_direction(output[at])
+    output.append(chunk)
     if i + 1 == len(chunks) and chunk.type == "PREP" and chunk.value in _BODY:
-        found[-1] = _as_direction(chunk)
+        output[-1] = _as_direction(chunk)
 
 
 def _as_direction(chunk: Chunk) -> Chunk:
@@ -406,17 +406,17 @@ def _as_direction(chunk: Chunk) -> Chunk:
     return replace(chunk, type="DIR", value=Direction(_BODY[str(chunk.value)], facing=True))
 
 
-def _drop_repeated(found: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _drop_repeated(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Leave out an "of" that a list repeats, or that says "some": "de A et de B", "dei negozi"."""
-    chunk, before, after = chunks[i], _last_plain(found), _type(chunks, i + 1)
+    chunk, before, after = chunks[i], _last_plain(output), _type(chunks, i + 1)
     link = ""
-    for k in range(len(found) - 1, -1, -1):
-        if found[k].type in _STATED:
+    for k in range(len(output) - 1, -1, -1):
+        if output[k].type in _STATED:
             break
-        if found[k].type in _LEADS or found[k].type in ("PREP", "NEARBY", "ACROSS"):
-            link = found[k].type
+        if output[k].type in _LEADS or output[k].type in ("PREP", "NEARBY", "ACROSS"):
+            link = output[k].type
             if link not in _LEADS:
-                following = _type(found, k + 1)
+                following = _type(output, k + 1)
                 link = following if following in _LINKS else "OF"
             break
     some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH") or (before == "AND" and not link)
@@ -424,7 +424,7 @@ def _drop_repeated(found: list[Chunk], chunks: list[Chunk], i: int, _language: L
         some = chunks[i + 1].start == chunk.start  # "Des arbres ..."
     listed = before == "AND" and chunk.type == link and after != "PART"
     if not (_leads_thing(chunks, i + 1) and (listed or (chunk.type == "OF" and some))):
-        found.append(chunk)
+        output.append(chunk)
 
 
 _HEAD_FIRST: tuple[Rule, ...] = (
@@ -507,21 +507,21 @@ def _say_gapped_verbs(chunks: list[Chunk]) -> list[Chunk]:
     return found
 
 
-def _say_subject(found: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _say_subject(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Give a verb the subject that it carries: "está al norte", and none to one that has its own."""
-    chunk, before = chunks[i], _last_plain(found)
+    chunk, before = chunks[i], _last_plain(output)
     one = chunk.type == "ME" and _type(chunks, i + 1) == "BE"
     carried = one and chunks[i + 1].start == chunk.start and before in _NOUNS
     if carried or chunk.type == before == "ME":
         return  # "i negozi sono a nord", "io sono"
     relative = any(other.type == "THAT_IS" for other in chunks[: i + 1])
-    aside = before == "AND" and found[-1].words == "," and relative
+    aside = before == "AND" and output[-1].words == "," and relative
     if chunk.type != "BE" or before not in ("", *JOINTS, "THAT_IS") or aside:
-        found.append(chunk)
+        output.append(chunk)
     elif _shows(chunks, i + 1):
-        found.append(replace(chunk, type="EXISTS"))  # "está la iglesia a mi derecha"
+        output.append(replace(chunk, type="EXISTS"))  # "está la iglesia a mi derecha"
     else:
-        found += [_mark(chunk, "IT"), chunk]
+        output += [_mark(chunk, "IT"), chunk]
 
 
 def _shows(chunks: Sequence[Chunk], i: int) -> bool:
@@ -538,11 +538,11 @@ def _shows(chunks: Sequence[Chunk], i: int) -> bool:
     return False
 
 
-def _drop_lead(found: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _drop_lead(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Leave out a lead before another or before a preposition: "在公园里" is "in the park"."""
     leads = _type(chunks, i + 1) in (*_LEADS, "WITH", "PREP", "BETWEEN")
     if not (leads and chunks[i].type in ("IN", "ON", "AT", "TO")):
-        found.append(chunks[i])
+        output.append(chunks[i])
 
 
 # postpositions and final verbs: "kirkon vieressä", "kita ni kyōkai ga aru"
@@ -631,26 +631,26 @@ def _mark_nearby(items: list[_Item], language: Language) -> list[_Item]:
     return items
 
 
-def _relate(found: list[_Item], words: list[_Item], *, marked: bool, shows: bool) -> None:
+def _relate(output: list[_Item], words: list[_Item], *, marked: bool, shows: bool) -> None:
     """Append a relation, and what of the things before it is its own.
 
     `shows`: another thing follows.
     """
-    hedges = [found.pop()] if found and found[-1].kind == "ADVERB" else []
+    hedges = [output.pop()] if output and output[-1].kind == "ADVERB" else []
     relations = [word for word in words if word.kind not in _MEASURED]
     measured = [word for word in words if word.kind in _MEASURED]
-    if not _takes_thing(found, measured_only=not relations, marked=marked, shows=shows):
-        found += [*hedges, *measured, *relations]
+    if not _takes_thing(output, measured_only=not relations, marked=marked, shows=shows):
+        output += [*hedges, *measured, *relations]
         return
-    things = [found.pop()]
-    if found and found[-1].kind == "FROM":
-        found.pop()  # "离我100米", from me 100 m: the grammar has it the other way round
+    things = [output.pop()]
+    if output and output[-1].kind == "FROM":
+        output.pop()  # "离我100米", from me 100 m: the grammar has it the other way round
     if relations and relations[0].kind in ("BETWEEN", "PART"):
-        while len(found) > 1 and found[-1].kind == "AND" and found[-2].kind == "thing":
-            things = [found[-2], found[-1], *things]
-            del found[-2:]
-    while found and found[-1].kind == "DIST" and not measured:
-        measured = [found.pop()]  # "50 metriä kirkosta pohjoiseen"
+        while len(output) > 1 and output[-1].kind == "AND" and output[-2].kind == "thing":
+            things = [output[-2], output[-1], *things]
+            del output[-2:]
+    while output and output[-1].kind == "DIST" and not measured:
+        measured = [output.pop()]  # "50 metriä kirkosta pohjoiseen"
     target = [chunk for thing in things for chunk in thing.chunks]
     of_thing = target[0].type not in ("ME", "YOU")
     heads: list[Chunk] = []
@@ -663,18 +663,18 @@ def _relate(found: list[_Item], words: list[_Item], *, marked: bool, shows: bool
     kind = heads[-1].type if heads else ""
     lead = [_mark(target[0], "AT")] if kind == "PART" else []
     between = {"DIR": "OF", "SHORT": "OF", "PART": "OF"}.get(kind, "" if relations else "FROM")
-    found += hedges
+    output += hedges
     distance = [chunk for word in measured for chunk in word.chunks]
     joint = [_mark(target[0], between)] if between else []
-    found.append(_Item("place", [*distance, *lead, *heads, *joint, *target]))
+    output.append(_Item("place", [*distance, *lead, *heads, *joint, *target]))
 
 
-def _takes_thing(found: list[_Item], *, measured_only: bool, marked: bool, shows: bool) -> bool:
+def _takes_thing(output: list[_Item], *, measured_only: bool, marked: bool, shows: bool) -> bool:
     """Tell whether the thing before a relation is what it relates to."""
-    if not found or found[-1].kind != "thing" or "DROP" in found[-1].case:
+    if not output or output[-1].kind != "thing" or "DROP" in output[-1].case:
         return False
-    case, before = found[-1].case, found[-2].kind if len(found) > 1 else ""
-    if before in ("SEE", "AND") and not shows and any(item.kind == "SEE" for item in found):
+    case, before = output[-1].case, output[-2].kind if len(output) > 1 else ""
+    if before in ("SEE", "AND") and not shows and any(item.kind == "SEE" for item in output):
         return False  # what is seen, and then where
     if measured_only:
         return "FROM" in case or before == "FROM"

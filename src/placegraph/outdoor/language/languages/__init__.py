@@ -275,9 +275,9 @@ def language(code: str, folder: Path | None = None) -> Language:
         content = tomllib.loads(table.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{table}: is no table of a language ({error}).") from error
-    return Language(
-        code, check_table(content, str(table), None if code == "en" else english().keys)
-    )
+    if (code, folder) != ("en", None):
+        check_table(content, str(table), english().keys)
+    return Language(code, content)
 
 
 def english() -> Language:
@@ -344,26 +344,32 @@ def _terminals(
 # tables
 
 
-def _is_list_of(value: object, fits: Callable[[str], object]) -> bool:
-    return isinstance(value, list) and all(isinstance(word, str) and fits(word) for word in value)
+def _is_list_of(value: object, is_valid: Callable[[str], object]) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(word, str) and is_valid(word) for word in value
+    )
 
 
-_Wanted = tuple[str, Callable[[Any], bool]]
-"""What is wanted of a value, in words, and whether it is so."""
-_WORDS: _Wanted = ('a list of phrases, as ["the"]', lambda value: _is_list_of(value, str.strip))
-_CHANGES: _Wanted = (
+_Requirement = tuple[str, Callable[[Any], bool]]
+"""Description of a valid value, and a test of one."""
+_WORDS: _Requirement = (
+    'a list of phrases, as ["the"]',
+    lambda value: _is_list_of(value, str.strip),
+)
+_CHANGES: _Requirement = (
     'a list of changes, as ["kk>k"]',
     lambda value: _is_list_of(value, lambda change: change.count(">") == 1),
 )
-_FLAG: _Wanted = ("true or false", lambda value: isinstance(value, bool))
-_FIELDS: dict[str, _Wanted] = {
+_FLAG: _Requirement = ("true or false", lambda value: isinstance(value, bool))
+_FIELDS: dict[str, _Requirement] = {
     "name": ("a text", lambda value: isinstance(value, str) and bool(value)),
     "examples": ("a list of tables", lambda value: isinstance(value, list)),
     "spaces": _FLAG, "capitals": _FLAG, "prefixes": _WORDS, "scripts": _WORDS,
     "measures.before": _WORDS, "forms.nominative": _WORDS,
     "forms.changes": _CHANGES, "forms.irregular": _CHANGES,
 }  # fmt: skip
-_NESTED = ("measures.units", "measures.numbers", "forms.endings")
+_NUMBERED = ("measures.units", "measures.numbers")
+_FREE = ("things", "lists", "say")
 
 
 def section_keys(table: Mapping[str, Any]) -> dict[str, frozenset[str]]:
@@ -375,22 +381,21 @@ def section_keys(table: Mapping[str, Any]) -> dict[str, frozenset[str]]:
     terminals = frozenset(_MARKERS).union(*[parts[section] for section in PHRASES])
     return {
         **{section: parts[section] for section in OWN},
-        **dict.fromkeys((*PHRASES, "endings"), terminals),
+        "relations": parts["relations"] | terminals,  # "dahinter", "yanındayım"
+        **dict.fromkeys((*PHRASES, "forms.endings"), terminals),
         "order": frozenset(Order.__dataclass_fields__),
     }
 
 
-def check_table(
-    table: dict[str, Any], where: str, known: Mapping[str, frozenset[str]] | None
-) -> dict[str, Any]:
-    """Return the table of a language.
+def check_table(table: Mapping[str, Any], where: str, keys: Mapping[str, frozenset[str]]) -> None:
+    """Check the table of a language.
 
     Parameters
     ----------
     table, where
         Content of the file, and its path.
-    known
-        Keys by section (`section_keys`); None: any.
+    keys
+        Keys by section (`section_keys`).
 
     Raises
     ------
@@ -400,66 +405,44 @@ def check_table(
     if "name" not in table:
         raise InputError(f"{where}: the field 'name' is missing; give the language's own name.")
     for section, value in table.items():
-        if section in _FIELDS:
-            _demand(value, _FIELDS[section], where, section)
-        elif not isinstance(value, dict):
-            raise InputError(f"{where}: the field {section!r} is no table; {_SEE}.")
-        elif section in ("measures", "forms"):
-            _check_nested(section, value, where, known or {})
-        else:
-            _check_section(section, value, where, known)
-    return table
+        fields = {section: value}
+        if section in ("measures", "forms") and isinstance(value, dict):
+            fields = {f"{section}.{name}": inner for name, inner in value.items()}
+        for field_, content in fields.items():
+            if field_ in _FIELDS:
+                _require(content, _FIELDS[field_], where, field_)
+            elif field_ not in (*keys, *_FREE, *_ANGLED, *_NUMBERED):
+                raise InputError(f"{where}: there is no field {field_!r}; {_SEE}.")
+            elif not isinstance(content, dict):
+                raise InputError(f"{where}: the field {field_!r} is no table; {_SEE}.")
+            else:
+                _check_entries(field_, content, where, keys)
 
 
-def _check_section(
-    section: str, value: dict[str, Any], where: str, known: Mapping[str, frozenset[str]] | None
+def _check_entries(
+    section: str, entries: Mapping[str, Any], where: str, keys: Mapping[str, frozenset[str]]
 ) -> None:
-    free = ("things", "lists", "say", *_ANGLED)
-    if known is not None and section not in known and section not in free:
-        raise InputError(f"{where}: there is no field {section!r}; {_SEE}.")
-    allowed = _ANGLES if section in _ANGLED else None if known is None else known.get(section)
-    for key, inner in value.items():
-        words = key.split()
-        if section in _ANGLED:
-            right = words[:1] != [] and words[0] in _ANGLES
-            part, (of, _, whom) = key.partition(" ")[2], key.partition(" ")[2].partition(" ")
-            if right and known is not None and part not in ("", "OF", "ME BE", *known["parts"]):
-                right = of == "OF" and whom in known["who"]
-        elif known is not None and section in ("relations", "prepositions"):
-            others = known["who"] | {"BE"}  # "dahinter", "yanındayım"
-            right = allowed is None or (allowed | others).issuperset(words)
-        else:
-            right = allowed is None or allowed.issuperset(words)
-        if not key or not right:
-            choice = ", ".join(sorted(allowed or ()))
-            raise InputError(
-                f"{where}: the key {key!r} of {section!r} is not known; choose from {choice}: {_SEE}."
-            )
+    for key, value in entries.items():
+        if not _is_key(section, key, keys):
+            choice = ", ".join(sorted(keys.get(section, _ANGLES if section in _ANGLED else ())))
+            choose = f"choose from {choice}: {_SEE}" if choice else _SEE
+            raise InputError(f"{where}: the key {key!r} of {section!r} is not known; {choose}.")
         if section != "say":
-            wanted = _FLAG if section == "order" else _WORDS
-            _demand(inner, wanted, where, f"{section}.{key}")
+            _require(value, _FLAG if section == "order" else _WORDS, where, f"{section}.{key}")
 
 
-def _check_nested(
-    section: str, value: dict[str, Any], where: str, known: Mapping[str, frozenset[str]]
-) -> None:
-    for key, inner in value.items():
-        path = f"{section}.{key}"
-        if path in _FIELDS:
-            _demand(inner, _FIELDS[path], where, path)
-            continue
-        if path not in _NESTED:
-            raise InputError(f"{where}: there is no field '{path}'; {_SEE}.")
-        if not isinstance(inner, dict):
-            raise InputError(f"{where}: the field '{path}' is no table; {_SEE}.")
-        for name, words in inner.items():
-            _demand(words, _WORDS, where, f"{path}.{name}")
-            number = name.replace(".", "", 1).isdecimal() and float(name) > 0
-            ending = known.get(key, frozenset()).issuperset(name.split())
-            if not (ending if key == "endings" else number):
-                raise InputError(f"{where}: the key {name!r} of '{path}' is not known; {_SEE}.")
+def _is_key(section: str, key: str, keys: Mapping[str, frozenset[str]]) -> bool:
+    if section in _NUMBERED:
+        return key.replace(".", "", 1).isdecimal() and float(key) > 0
+    if section in _ANGLED:
+        angle, _, part = key.partition(" ")
+        of, _, owner = part.partition(" ")
+        whose = of == "OF" and owner in keys["who"]
+        return angle in _ANGLES and (whose or part in ("", "OF", "ME BE", *keys["parts"]))
+    known = section in _FREE or keys[section].issuperset(key.split())
+    return known and (bool(key) or section == "forms.endings")
 
 
-def _demand(value: object, wanted: _Wanted, where: str, name: str) -> None:
-    if not wanted[1](value):
-        raise InputError(f"{where}: the field '{name}' is {value!r}; write {wanted[0]}.")
+def _require(value: object, requirement: _Requirement, where: str, name: str) -> None:
+    if not requirement[1](value):
+        raise InputError(f"{where}: the field '{name}' is {value!r}; write {requirement[0]}.")

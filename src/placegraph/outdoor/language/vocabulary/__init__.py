@@ -118,7 +118,7 @@ class LanguageWords:
         del phrase
         return "unknown word"
 
-    def known(self, word: str) -> bool:
+    def contains(self, word: str) -> bool:
         """Tell whether a word or phrase is one of things, in any form."""
         return self.find(word) is not None
 
