@@ -70,7 +70,7 @@ def test_points_to_earth_and_back_to_a_micrometre(anchor, point):
 
 @given(anchors, points, points)
 def test_shifted_maps_stay_where_they_are(anchor, shift, point):
-    moved = anchor.shifted(shift)
+    moved = anchor.shift_origin(shift)
     here, there = anchor.to_earth(point), moved.to_earth(np.add(point, shift))
     off = ecef_from_geodetic(there) - ecef_from_geodetic(here)
     # an anchor stands upright where its origin is: 1 km away that is a lean of 0.16 mrad

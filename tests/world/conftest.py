@@ -63,7 +63,7 @@ def anchored(scene, city, name, **known):
     middle = scene.bounds.mean(axis=0) * (1, 1, 0)
     covariance = np.diag([0.25, 0.25, 0.25, 0.001])
     there = Anchor(longitude, latitude, 10.0, 0.0, covariance, building=name, level="0", **known)
-    return scene.anchored(there.shifted(middle))
+    return scene.anchored(there.shift_origin(middle))
 
 
 @cache

@@ -114,7 +114,7 @@ def test_a_rough_place_tells_the_turn_and_the_height(scenes, tmp_path):
     scene, corners = scenes[SQUARE], OUTLINES[SQUARE]
     file = extract(tmp_path / "a.osm", corners)
     spread = np.diag([9.0, 9.0, 4.0, 0.12])
-    rough = replace(TRUE.shifted((2.0, -2.0, 0)), heading=TRUE.heading + 0.3, height=31.0)
+    rough = replace(TRUE.shift_origin((2.0, -2.0, 0)), heading=TRUE.heading + 0.3, height=31.0)
     prior = replace(rough, covariance=spread, method="gps")
     (best, *_), _, _ = fit_building(scene, file, "Stadtbibliothek", prior=prior)
     assert best.probability > 0.95
@@ -133,10 +133,10 @@ def test_a_flat_of_a_row_may_stand_between_its_ends(scenes, tmp_path):
     file = extract(tmp_path / "a.osm", row)
     found = fit_building(scene, file, "Stadtbibliothek").anchors
     middle = scene.bounds.mean(axis=0) * (1, 1, 0)
-    true, rows = TRUE.shifted(-middle), np.ix_([0, 1], [0, 1])
+    true, rows = TRUE.shift_origin(-middle), np.ix_([0, 1], [0, 1])
     held = 0.0
     for anchor in found:
-        here = anchor.shifted(-middle)
+        here = anchor.shift_origin(-middle)
         away = true.to_map((here.longitude, here.latitude, 0.0))[:2]
         turned = true.enu_from_map[:2, :2] @ away
         if turned @ np.linalg.solve(here.covariance[rows], turned) < 9:

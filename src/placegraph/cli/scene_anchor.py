@@ -117,7 +117,7 @@ def anchor(
     floor = float(scene.floors.min())
     found = tuple(_told(a, floor, height, level, building) for a in fitted.anchors)
     notes = list(fitted.notes)
-    if any(a.known and a.covariance[2, 2] > UNKNOWN**2 for a in found):
+    if any(a.has_covariance and a.covariance[2, 2] > UNKNOWN**2 for a in found):
         notes.append("Nobody says how high the map stands: it is put at height 0 m; give --height.")
     target = out or map_file
     anchored = scene.anchored(*found)
@@ -172,8 +172,8 @@ def summary(anchor: Anchor) -> dict[str, object]:
         "latitude": round(anchor.latitude, 8),
         "height_m": round(anchor.height, 2) if up < UNKNOWN else None,
         "heading_deg": round(degrees(anchor.heading), 2) % 360,
-        "sd_m": [round(v, 3) for v in (east, north, up)] if anchor.known else None,
-        "sd_deg": round(degrees(turn), 3) if anchor.known else None,
+        "sd_m": [round(v, 3) for v in (east, north, up)] if anchor.has_covariance else None,
+        "sd_deg": round(degrees(turn), 3) if anchor.has_covariance else None,
         "probability": round(anchor.probability, 4),
         "building": anchor.building,
         "osm": anchor.osm,
@@ -191,7 +191,7 @@ def show(anchors: tuple[Anchor, ...]) -> None:
     rows = table("probability", "longitude", "latitude", "heading", "off by", "left", "building")
     for a in anchors:
         east, north, _, turn = (sqrt(v) for v in a.covariance.diagonal())
-        off = f"{sqrt((east**2 + north**2) / 2):.2f} m, {degrees(turn):.1f}°" if a.known else "?"
+        off = f"{sqrt((east**2 + north**2) / 2):.2f} m, {degrees(turn):.1f}°" if a.has_covariance else "?"
         left = (
             f"{sqrt(sum(r * r for r in a.residuals) / len(a.residuals)):.2f} m"
             if a.residuals

@@ -19,7 +19,7 @@ from placegraph.core.pickling import HtmlRepr
 
 @dataclass(frozen=True, slots=True)
 class ObjectRef:
-    """A map object that served, or spoke against, a statement."""
+    """Reference to a map object that supports or contradicts a statement."""
 
     id: str
     """OpenStreetMap's own id, such as ``way/4711``, or the object's id in a scene map."""
@@ -35,21 +35,21 @@ class ObjectRef:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one statement of the query said about one mode."""
+    """Support of one statement of the query for one mode, or its opposition."""
 
     statement: str
-    """The statement as it was understood."""
+    """The statement as it was parsed."""
     verdict: str
     """``for``, ``against`` or ``silent``."""
     weight: float
     """Log-likelihood ratio of the statement at this mode against anywhere [nat]."""
     objects: tuple[ObjectRef, ...] = ()
-    """The map objects that served it best."""
+    """The map objects that fit it best."""
     note: str = ""
-    """What spoke against it, or why it was not used."""
+    """The contradiction, or why the statement was not used."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         plain = _plain(self)
         plain["objects"] = [
             {k: v for k, v in _plain(o).items() if not (isinstance(v, float) and isnan(v))}
@@ -59,56 +59,55 @@ class Evidence:
 
 
 def _plain(given: Evidence | ObjectRef) -> dict[str, Any]:
-    """Fields and values: a tenth of the time of `dataclasses.asdict`, which copies deeply."""
+    """Return fields and values, ten times as fast as `dataclasses.asdict`, which copies deeply."""
     return {field.name: getattr(given, field.name) for field in fields(given)}
 
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """An answer whose evidence is found when it is first asked for.
+    """Answer whose evidence is computed at its first use.
 
-    What finds it holds the map. Sent to another process, the answer takes the evidence along
-    instead.
+    `explain` holds the map; pickled answers carry the evidence instead.
     """
 
     explain: Callable[[], tuple[Evidence, ...]] = field(default=tuple, repr=False, kw_only=True)
-    """Finds the evidence."""
+    """Computes the evidence."""
 
     @cached_property
     def evidence(self) -> tuple[Evidence, ...]:
-        """What speaks for this answer and against it, and which objects; found when first asked for."""
+        """Statements and objects that speak for this answer and against it."""
         return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings; what else an answer says, it adds."""
+        """Return plain numbers and strings; subclasses add their fields."""
         return {"evidence": [e.to_dict() for e in self.evidence]}
 
     def __getstate__(self) -> dict[str, Any]:
-        found = self.evidence
-        return self.__dict__ | {"evidence": found, "explain": partial(tuple, found)}
+        evidence = self.evidence
+        return self.__dict__ | {"evidence": evidence, "explain": partial(tuple, evidence)}
 
 
 class Status(StrEnum):
-    """How far an estimate may be trusted."""
+    """Confidence class of an estimate."""
 
     OK = "OK"
-    """One mode holds most of the probability, and nothing that was named is missing from the map."""
+    """One mode holds most of the probability, and no named object is missing from the map."""
     AMBIGUOUS = "AMBIGUOUS"
-    """Several places fit, or the reason names what stands in the way; ask, or look at all modes."""
+    """Several places fit, or the reason names another doubt; ask a question, or use all modes."""
     LOST = "LOST"
-    """Nothing fits better than being somewhere else, or nothing was understood."""
+    """No place on the map fits better than a place elsewhere, or the query was not understood."""
 
 
 @dataclass(frozen=True, eq=False)
 class Place(Explained):
-    """A mode of an outdoor estimate: a position, how sure it is, and why."""
+    """Mode of an outdoor estimate: a position with its probability, covariance and evidence."""
 
     longitude: float
     latitude: float
     """Degrees, WGS84, as the longitude."""
     probability: float
-    """Probability over the whole city that the place lies within 50 m of this mode; where places
-    are only ranked (`CityEstimate.ranked`) that of the prior."""
+    """Posterior over the whole city that the place lies within 50 m of this mode; the prior where
+    modes are only ranked (`CityEstimate.ranked`)."""
     cell: str
     """Id of the map's cell that holds the mode."""
     covariance: NDArray[np.float64] = field(repr=False)
@@ -116,11 +115,11 @@ class Place(Explained):
 
     @property
     def spread(self) -> float:
-        """Standard deviation in the direction in which the place is least sure [m]."""
+        """Largest standard deviation in any direction [m]."""
         return float(np.linalg.eigvalsh(self.covariance)[-1] ** 0.5)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         return {
             "longitude": self.longitude,
             "latitude": self.latitude,
@@ -133,25 +132,25 @@ class Place(Explained):
 
 @dataclass(frozen=True, eq=False)
 class PoseMode(Explained):
-    """A mode of an indoor estimate: a pose of the last frame, how sure it is, and why."""
+    """Mode of an indoor estimate: a pose of the last frame with covariance, probability and evidence."""
 
     map_from_camera: NDArray[np.float64] = field(repr=False)
     """(4, 4) float64 [m]; camera axes are OpenCV's."""
     pose: NDArray[np.float64]
-    """(4,) float64 x, y, z [m], yaw [rad] of the camera stood upright (`geometry.split_pose`)."""
+    """(4,) float64 x, y, z [m], yaw [rad] of the upright camera (`geometry.split_pose`)."""
     covariance: NDArray[np.float64] = field(repr=False)
-    """(6, 6) float64 of x, y, z [m] and of a small turn about the map's x, y, z axes [rad], which
-    is ROS's order: the true pose is exp(turn) @ rotation at position + shift."""
+    """(6, 6) float64 of x, y, z [m] and of a small turn about the map's x, y, z axes [rad], in ROS's
+    order: the true pose is exp(turn) @ rotation at position + shift."""
     probability: float
     scene: str
-    """Which of the merged scenes of the map it lies in."""
+    """Name of the merged scene of the map that holds the pose."""
     scene_from_camera: NDArray[np.float64] = field(repr=False)
-    """(4, 4) float64, the pose in that scene's own frame; of a plain map the same."""
+    """(4, 4) float64, the pose in that scene's own frame."""
     earth: tuple[EarthPose, ...] = ()
-    """Where on Earth: one a candidate of the map's anchor, best first; none: it is not anchored."""
+    """Poses on Earth, one a candidate anchor of the map, best first; empty without an anchor."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         x, y, z, yaw = (float(v) for v in self.pose)
         return {
             "x": x, "y": y, "z": z, "yaw_deg": float(np.rad2deg(yaw)),
@@ -166,20 +165,20 @@ class PoseMode(Explained):
 
 @dataclass(frozen=True, eq=False)
 class SceneMode(Explained):
-    """A scene of a library, how sure it is, and why."""
+    """Mode over the scenes of a library: a scene with its probability and evidence."""
 
     scene: str
     """Its name."""
     probability: float
-    """Against all other scenes of the library, and against being in none of them."""
+    """Posterior over all scenes of the library and none of them."""
     score: float
     """Log-likelihood ratio of the query in this scene against anywhere [nat]; under the paper's
     sum (Sec. 4) the sum over frames of the mean best cosine."""
     earth: tuple[EarthPose, ...] = ()
-    """Where on Earth, for somebody anywhere in it: as of a `PoseMode`."""
+    """Regions on Earth that the scene covers, one a candidate anchor, best first."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         return {
             "scene": self.scene,
             "probability": self.probability,
@@ -191,21 +190,21 @@ class SceneMode(Explained):
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What became of a coarse pose when it was fitted to images and depth (Sec. 3.6)."""
+    """Refinement of a coarse pose by images and depth (Sec. 3.6), accepted or not."""
 
     accepted: bool
-    """Whether the best mode is the refined pose; if not, it is the coarse one."""
+    """Whether the best mode is the refined pose; otherwise it is the coarse one."""
     reason: str
-    """One sentence: why."""
+    """One sentence that says why."""
     coarse: PoseMode
-    """The best mode before."""
+    """Best mode before the refinement."""
     coarse_trajectory: NDArray[np.float64] = field(repr=False)
-    """(T, 4, 4) map_from_camera of every frame used before."""
+    """(T, 4, 4) map_from_camera of every frame before the refinement."""
     stats: dict[str, Any] = field(default_factory=dict)
-    """Readings and matches used, what they said of both poses, seconds of each stage."""
+    """Readings and matches used, their fit to both poses, seconds of each stage."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         return {
             "accepted": self.accepted,
             "reason": self.reason,
@@ -216,27 +215,26 @@ class Refinement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """How a camera differs from what its capture says of it; pairs are values and their deviations."""
+    """Camera correction: estimated calibration relative to that of the capture.
+
+    Pairs are an estimate and its standard deviation.
+    """
 
     focal_factor: tuple[float, float]
-    """On fx and fy of the colour images."""
+    """Factor on fx and fy of the colour images."""
     depth_focal_factor: tuple[float, float]
-    """The same of the depth images."""
+    """Factor on fx and fy of the depth images."""
     depth_scale: tuple[float, float]
-    """On depth readings."""
+    """Factor on depth readings."""
     camera_from_depth: NDArray[np.float64]
     """(4, 4) pose of the depth camera in the axes of the colour camera [m]."""
     gravity_turn: NDArray[np.float64]
-    """(3,) rotation vector in the axes of the camera that mends gravity [rad]."""
+    """(3,) rotation vector in the camera's axes that corrects gravity [rad]."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers."""
-        pairs = ("focal_factor", "depth_focal_factor", "depth_scale")
-        plain = {name: list(getattr(self, name)) for name in pairs}
-        arrays = {
-            name: getattr(self, name).tolist() for name in ("camera_from_depth", "gravity_turn")
-        }
-        return plain | arrays
+        """Return plain numbers."""
+        values = ((f.name, getattr(self, f.name)) for f in fields(self))
+        return {n: v.tolist() if isinstance(v, np.ndarray) else list(v) for n, v in values}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,9 +242,9 @@ class PassRecord:
     """Particles of one pass of the filter, for pictures."""
 
     stride: float
-    """Pixels between samples."""
+    """Distance between samples of an image [px]."""
     steps: tuple[tuple[int, NDArray[np.float64], NDArray[np.float64]], ...]
-    """For each frame its row in the capture, poses (N, 4) and weights (N,)."""
+    """One a frame: its row in the capture, poses (N, 4) and weights (N,)."""
 
 
 Mode = TypeVar("Mode", bound=Explained)
@@ -258,11 +256,11 @@ class Estimate(GeoExport, HtmlRepr, Generic[Mode]):
 
     status: Status
     modes: tuple[Mode, ...]
-    """Best first. Empty only where nothing on the map could be compared with the query."""
+    """Best first; empty only where nothing on the map could be compared with the query."""
     reason: str
-    """One sentence: why this status."""
+    """One sentence that says why the status is what it is."""
     map: object = field(default=None, compare=False, kw_only=True)
-    """What it was found on, for pictures; None where nobody said, and in another process."""
+    """Map that answered, for pictures; None where it is unknown, and after pickling."""
 
     def __repr__(self) -> str:
         best = f", best of {len(self.modes)}: {self.best}" if self.modes else ""
@@ -282,59 +280,57 @@ class Estimate(GeoExport, HtmlRepr, Generic[Mode]):
         return self.best.evidence if self.best else ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         modes = [m.to_dict() for m in self.modes]
         return {"status": self.status.name, "reason": self.reason, "modes": modes}
 
 
 @dataclass(frozen=True, repr=False)
 class CityEstimate(Estimate[Place]):
-    """Where in a city a description was given."""
+    """Estimate of the place in a city that a description was given at."""
 
     understood: Any = None
-    """`placegraph.outdoor.language.description.Description`: the query as it was parsed, and what was
-    ignored; None where nothing was said."""
+    """Parsed query, with the words that were ignored: `outdoor.language.description.Description`;
+    None without a text."""
     support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
+    """(N, 3) float64: longitude, latitude [deg], probability of the posterior's heaviest points."""
     ranked: bool = False
     """Whether modes were only ranked (by cosines, edits); their probability is then the prior's."""
 
     def next_question(self, city: Any) -> Any:  # noqa: ANN401  # a CityMap, which lies above
-        """Return the question whose answer is expected to tell the modes apart best.
+        """Return the `outdoor.search.ask.Question` whose answer is expected to separate the modes best.
 
-        `city` is the `CityMap` that answered. Returns a `placegraph.outdoor.search.ask.Question`;
-        None where no question would.
+        `city` is the `CityMap` that answered. Returns None where no question helps.
         """
         return city.ask(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         understood = self.understood.to_dict() if self.understood else None
         return super().to_dict() | {"understood": understood}
 
 
 @dataclass(frozen=True, repr=False)
 class PoseEstimate(Estimate[PoseMode]):
-    """Where in a scene map the last frame of a capture was taken, and all others."""
+    """Estimate of the poses of a capture's frames in a scene map; modes are poses of the last frame."""
 
     trajectory: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4, 4)))
     """(T, 4, 4) float64 map_from_camera of every frame used, under the best mode."""
     frames: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """(T,) rows of these frames in the capture."""
     stats: dict[str, Any] = field(default_factory=dict)
-    """What it took: seconds of each stage, particles, rays."""
+    """Effort: seconds of each stage, particles, rays."""
     history: tuple[PassRecord, ...] = ()
-    """Particles of each pass, where `FilterOptions.record` asked for them."""
+    """Particles of each pass, where `FilterOptions.record` is set."""
     refinement: Refinement | None = None
-    """How the pose was refined; None where nobody asked for it or there was nothing to refine."""
+    """Refinement of the pose; None where it was off or impossible."""
     calibration: Calibration | None = None
-    """What was found to be wrong with the camera, and mended for this answer; None: nothing."""
+    """Camera correction that this answer includes; None where the camera needed none."""
     diagnostics: object = field(default=None, compare=False)
-    """Measurements that the status rests on (`placegraph.indoor.status.Diagnostics`), for code; people
-    read `stats`."""
+    """Measurements behind the status (`placegraph.indoor.status.Diagnostics`), for programs."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return super().to_dict() | {
             "frames": self.frames.tolist(),
             "trajectory": self.trajectory.tolist(),
@@ -346,13 +342,13 @@ class PoseEstimate(Estimate[PoseMode]):
 
 @dataclass(frozen=True, repr=False)
 class SceneEstimate(Estimate[SceneMode]):
-    """Which scenes of a library a capture was taken in, or a text describes."""
+    """Estimate of the scene of a library that a capture shows or a text describes."""
 
     elsewhere: float = 0.0
-    """Probability that it is none of them."""
+    """Probability of none of the scenes."""
     stats: dict[str, Any] = field(default_factory=dict)
-    """What it took: seconds of each stage."""
+    """Effort: seconds of each stage."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return super().to_dict() | {"elsewhere": self.elsewhere, "stats": self.stats}

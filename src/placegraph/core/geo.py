@@ -48,7 +48,7 @@ class EarthPose:
     """Id of the building, such as ``way/123``."""
 
     @classmethod
-    def of_place(
+    def from_place(
         cls, longitude: float, latitude: float, covariance: ArrayLike, *, probability: float = 1.0
     ) -> EarthPose:
         """A place with covariance (2, 2) east-north [m^2], of which no height is known, no direction."""
@@ -126,8 +126,8 @@ class EarthPose:
             "latitude": self.latitude,
             "height": self.height if np.isfinite(self.height) else None,
             "heading_deg": float(heading) if np.isfinite(heading) else None,
-            "quaternion": _known(self.quaternion),
-            "covariance": [_known(row) for row in covariance],
+            "quaternion": _nan_to_none(self.quaternion),
+            "covariance": [_nan_to_none(row) for row in covariance],
             "probability": self.probability,
             "level": self.level,
             "room": self.room,
@@ -136,7 +136,7 @@ class EarthPose:
         }
 
 
-def _known(numbers: Floats) -> list[float | None]:
+def _nan_to_none(numbers: Floats) -> list[float | None]:
     """Numbers as JSON takes them."""
     return [value if np.isfinite(value) else None for value in numbers.tolist()]
 
@@ -249,7 +249,7 @@ class Anchor:
         object.__setattr__(self, "covariance", covariance)
 
     @property
-    def known(self) -> bool:
+    def has_covariance(self) -> bool:
         """Whether anybody said how far off it may be; `check` of a map asks."""
         return bool(self.covariance.any())
 
@@ -278,7 +278,7 @@ class Anchor:
         matrix = self.ecef_from_map
         return np.asarray((ecef_from_geodetic(lonlath) - matrix[:3, 3]) @ matrix[:3, :3])
 
-    def shifted(self, shift: ArrayLike, *, scene: str = "") -> Anchor:
+    def shift_origin(self, shift: ArrayLike, *, scene: str = "") -> Anchor:
         """Anchor of the same map once its points were shifted by (3,) [m], as one of merged scenes."""
         back = -np.asarray(shift, np.float64)
         lon, lat, height = self.to_earth(back).tolist()
@@ -334,11 +334,11 @@ class Anchor:
         body = there @ ecef_from_camera[:3, :3] @ CAMERA_FROM_BODY
         return EarthPose(
             lon, lat, height, quaternion_from_rotation(body), total,
-            self.probability * probability, _raised(self.level, storey), room, self.building,
+            self.probability * probability, _raise_level(self.level, storey), room, self.building,
             self.osm,
         )  # fmt: skip
 
-    def somewhere(self, box: ArrayLike, *, probability: float = 1.0) -> EarthPose:
+    def pose_in_box(self, box: ArrayLike, *, probability: float = 1.0) -> EarthPose:
         """Place on Earth of somebody anywhere in a box (2, 3) of the map [m], who looks anywhere."""
         low, high = np.asarray(box, np.float64)
         middle, spread = np.eye(4), np.zeros((6, 6))
@@ -373,7 +373,7 @@ def no_anchor_error(scene: str) -> GeoPoseError:
     )
 
 
-def _raised(level: str, storeys: int) -> str:
+def _raise_level(level: str, storeys: int) -> str:
     """OpenStreetMap's level so many storeys up; as it is where it is no number."""
     try:
         number = float(level)

@@ -1,4 +1,4 @@
-"""GeoJSON (RFC 7946): features, collections, tables of GeoPandas, and estimates on Earth."""
+"""GeoJSON (RFC 7946) of maps and estimates, and tables of GeoPandas."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ if TYPE_CHECKING:
     from placegraph.core.geometry import Floats
 
 DECIMALS = 7
-"""Decimals of a degree: a centimetre."""
+"""Decimals of degrees: a centimetre."""
 
 
 def make_feature(
     geometry: Mapping[str, Any] | None, properties: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """One feature; None: it has no place."""
+    """Return a feature; `geometry` is None where its place is unknown."""
     shape = dict(geometry) if geometry else None
     return {"type": "Feature", "geometry": shape, "properties": dict(properties)}
 
 
 def make_collection(features: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """A FeatureCollection."""
+    """Return a FeatureCollection."""
     return {"type": "FeatureCollection", "features": list(features)}
 
 
 def point_geometry(lonlat: Floats) -> dict[str, Any]:
-    """Geometry of a position (2,) [deg]."""
+    """Return the geometry of a position (2,) [deg]."""
     return {"type": "Point", "coordinates": _rounded(lonlat)}
 
 
 def line_geometry(parts: Sequence[Floats]) -> dict[str, Any]:
-    """Geometry of one line, or of several, each (n, 2) [deg]."""
+    """Return the geometry of one line, or of several, each (n, 2) [deg]."""
     if len(parts) == 1:
         return {"type": "LineString", "coordinates": _rounded(parts[0])}
     return {"type": "MultiLineString", "coordinates": [_rounded(part) for part in parts]}
 
 
 def polygon_geometry(rings: Sequence[Floats]) -> dict[str, Any]:
-    """Geometry of rings, each (n, 2) [deg] and closed, whose insides and holes are told by nesting."""
+    """Return the geometry of closed rings, each (n, 2) [deg]; rings in rings are holes."""
     shapes = [
         [_rounded(orient_ring(rings[k], 1.0 if k == polygon[0] else -1.0)) for k in polygon]
         for polygon in nest_rings(rings)
@@ -59,29 +59,29 @@ def polygon_geometry(rings: Sequence[Floats]) -> dict[str, Any]:
 
 
 def nest_rings(rings: Sequence[Floats]) -> list[list[int]]:
-    """Polygons that closed rings, each (n, 2), make: rows of the outer ring and of its holes."""
-    within = [
+    """Group closed rings, each (n, 2), into polygons: rows of the outer ring and of its holes."""
+    outside = [
         {k for k, other in enumerate(rings) if k != i and is_inside(ring[0], other)}
         for i, ring in enumerate(rings)
     ]
-    polygons = {i: [i] for i, around in enumerate(within) if not len(around) % 2}
-    for i, around in enumerate(within):
-        holders = [k for k in around if k in polygons] if len(around) % 2 else []
-        if holders:  # a hole of the innermost that holds it
-            polygons[max(holders, key=lambda k: len(within[k]))].append(i)
+    polygons = {i: [i] for i, around in enumerate(outside) if not len(around) % 2}
+    for i, around in enumerate(outside):
+        shells = [k for k in around if k in polygons] if len(around) % 2 else []
+        if shells:  # the hole belongs to the innermost
+            polygons[max(shells, key=lambda k: len(outside[k]))].append(i)
     return list(polygons.values())
 
 
 def orient_ring(ring: Floats, sense: float) -> Floats:
-    """A closed ring (n, 2) counter-clockwise (1) or clockwise (-1), as RFC 7946 has rings and holes."""
+    """Return a closed ring (n, 2) counter-clockwise (`sense` 1: shells) or clockwise (-1: holes)."""
     x, y = (np.asarray(ring, np.float64) - ring[0]).T
-    doubled = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
-    return ring if doubled * sense >= 0 else ring[::-1]
+    doubled_area = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
+    return ring if doubled_area * sense >= 0 else ring[::-1]
 
 
-def is_inside(at: NDArray[Any], ring: Floats) -> bool:
-    """Whether a position (2,) lies in a closed ring (n, 2), by the crossings of a ray to the east."""
-    (x, y), (start, end) = at, (ring[:-1], ring[1:])
+def is_inside(point: NDArray[Any], ring: Floats) -> bool:
+    """Return whether a point (2,) lies in a closed ring (n, 2), by crossings of a ray to the east."""
+    (x, y), (start, end) = point, (ring[:-1], ring[1:])
     spans = (start[:, 1] > y) != (end[:, 1] > y)
     a, b = start[spans], end[spans]
     crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
@@ -89,7 +89,7 @@ def is_inside(at: NDArray[Any], ring: Floats) -> bool:
 
 
 def to_geopandas(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
-    """Table of a FeatureCollection, WGS84; `MissingExtraError` without GeoPandas."""
+    """Return the table of a FeatureCollection, WGS84; `MissingExtraError` without GeoPandas."""
     try:
         import geopandas as gpd
     except ImportError as error:
@@ -105,32 +105,32 @@ def _rounded(lonlat: Floats) -> list[Any]:
 
 
 ELLIPSE_PROBABILITY = 0.95
-"""Probability that an ellipse holds, were its mode the right one."""
+"""Probability inside the ellipse of a mode, given the mode."""
 _TURN = np.linspace(0.0, 2.0 * np.pi, 49)
 _CIRCLE = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _SCALE = float(np.sqrt(-2.0 * np.log(1.0 - ELLIPSE_PROBABILITY)))  # of a Gaussian in the plane
 
 
 class GeoExport:
-    """What an estimate says in the words of geography; mixed into `Estimate`."""
+    """Export of estimates as OGC GeoPose and GeoJSON, mixed into `Estimate`."""
 
     status: Any
     modes: Sequence[Any]
     reason: str
 
     def geopose(self) -> dict[str, Any]:
-        """OGC GeoPose 1.0 (Basic-Quaternion) of the best mode, with what it is worth beside it.
+        """Return the OGC GeoPose 1.0 (Basic-Quaternion) of the best mode, with its accuracy.
 
         ``position`` (lat, lon [deg], h above the ellipsoid [m]) and ``quaternion`` (x, y, z, w: the
-        body's axes, x right, y forward, z up, in east, north, up) are the standard's. ``unknown``
-        names what of them nobody knows: of a sentence the height and the orientation, written as 0
-        and as the identity. ``accuracy`` (position [m], orientation [deg]), ``probability``,
-        ``status`` and ``reason`` are this library's.
+        body's axes, x right, y forward, z up, in east, north, up) belong to the standard. This library
+        adds ``accuracy`` (position [m], orientation [deg]), ``probability``, ``status``, ``reason``
+        and ``unknown``, which names ``height`` and ``orientation`` where they are unknown (after a
+        sentence) and written as 0 and the identity.
 
         Raises
         ------
         GeoPoseError
-            Nothing was found, or in a scene map that nobody has placed on Earth.
+            There is no mode, or its scene map has no anchor.
 
         """
         if not self.modes:
@@ -141,17 +141,17 @@ class GeoExport:
         return poses[0].geopose() | {"status": self.status.name, "reason": self.reason}
 
     def geojson(self) -> dict[str, Any]:
-        """FeatureCollection of points, ellipses and evidence, told apart by the property ``kind``.
+        """Return a FeatureCollection whose features have the property ``kind``.
 
-        ``mode``: a point of each mode, and of each candidate of its map's anchor; ``ellipse``: the
-        polygon that holds it with 95 %; ``evidence``: each object that a statement named, a point
-        where its place is known, else without geometry. ``mode`` counts from 1. ``status`` and
-        ``reason`` stand beside the features. Without modes there are none.
+        ``mode``: the point of each mode and candidate anchor; ``ellipse``: its 95 % region;
+        ``evidence``: each object of a statement, without geometry where its place is unknown. The
+        property ``mode`` counts from 1. The collection also has ``status`` and ``reason``. It is empty
+        without modes.
 
         Raises
         ------
         GeoPoseError
-            All was found in scene maps that nobody has placed on Earth.
+            No mode lies in a map with an anchor.
 
         """
         features = list(_mode_features(self.modes))
@@ -161,16 +161,16 @@ class GeoExport:
 
 
 def earth_poses(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
-    """Where a mode is on Earth, the likeliest first; empty where its map is not placed there.
+    """Return the poses of a mode on Earth, the likeliest first; empty where its map has no anchor.
 
-    A mode says so in `earth`, or by its longitude, latitude and covariance (2, 2).
+    They come from `earth`, or from the mode's longitude, latitude and covariance (2, 2).
     """
     earth = getattr(mode, "earth", None)
     if earth:
         return (earth,) if isinstance(earth, EarthPose) else tuple(earth)
     if getattr(mode, "longitude", None) is not None:
         given = mode.longitude, mode.latitude, mode.covariance
-        return (EarthPose.of_place(*given, probability=mode.probability),)
+        return (EarthPose.from_place(*given, probability=mode.probability),)
     return ()
 
 
@@ -203,7 +203,7 @@ def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _ellipse(pose: EarthPose) -> list[list[float]]:
-    """Ring of corners [deg] that holds the pose with `ELLIPSE_PROBABILITY`; empty where it is a point."""
+    """Return the ring [deg] that holds the pose with `ELLIPSE_PROBABILITY`; empty for a point."""
     values, axes = np.linalg.eigh(pose.covariance[:2, :2])
     if not values[-1] > 0:
         return []
@@ -218,11 +218,12 @@ def _ellipse(pose: EarthPose) -> list[list[float]]:
 
 
 def _evidence_features(rank: int, evidence: Sequence[Any]) -> Iterator[dict[str, Any]]:
-    for said in evidence:
-        plain = said.to_dict()
-        known = {"kind": "evidence", "mode": rank}
-        known |= {name: plain[name] for name in ("statement", "verdict", "weight", "note")}
-        for thing in plain["objects"] or [{}]:
-            at = [thing[k] for k in ("longitude", "latitude") if k in thing]
-            names = {name: thing[name] for name in ("id", "label", "name") if name in thing}
-            yield make_feature({"type": "Point", "coordinates": at} if at else None, known | names)
+    for item in evidence:
+        plain = item.to_dict()
+        properties = {"kind": "evidence", "mode": rank}
+        properties |= {name: plain[name] for name in ("statement", "verdict", "weight", "note")}
+        for obj in plain["objects"] or [{}]:
+            lonlat = [obj[k] for k in ("longitude", "latitude") if k in obj]
+            names = {name: obj[name] for name in ("id", "label", "name") if name in obj}
+            point = {"type": "Point", "coordinates": lonlat} if lonlat else None
+            yield make_feature(point, properties | names)

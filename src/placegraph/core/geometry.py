@@ -288,7 +288,7 @@ class Camera:
             )
 
     @property
-    def straight(self) -> bool:
+    def is_rectilinear(self) -> bool:
         """Whether straight lines are straight in its images."""
         return self.model == "opencv" and not any(self.distortion)
 
@@ -374,24 +374,24 @@ def _tangential(rays: Floats, distortion: tuple[float, ...]) -> Floats:
 def _fisheye_places(rays: Floats, distortion: tuple[float, ...]) -> Floats:
     radius = np.linalg.norm(rays, axis=-1)
     angle = np.arctan(radius)
-    ratio = angle * _spread(angle, distortion)[0] / np.maximum(radius, 1e-12)
+    ratio = angle * _fisheye_radius(angle, distortion)[0] / np.maximum(radius, 1e-12)
     ratio = np.where(radius > 1e-12, ratio, 1.0)
-    return rays * np.where(angle <= _reach(distortion), ratio, np.nan)[..., None]
+    return rays * np.where(angle <= _max_angle(distortion), ratio, np.nan)[..., None]
 
 
 def _fisheye_rays(places: Floats, distortion: tuple[float, ...]) -> Floats:
-    reach = _reach(distortion)
+    reach = _max_angle(distortion)
     radius = np.linalg.norm(places, axis=-1)
     angle = np.minimum(radius, reach)
     for _ in range(_NEWTON):
-        share, slope = _spread(angle, distortion)
+        share, slope = _fisheye_radius(angle, distortion)
         angle = np.clip(angle - (angle * share - radius) / np.maximum(slope, 1e-3), 0.0, reach)
     ratio = np.where(radius > 1e-12, np.tan(angle) / np.maximum(radius, 1e-12), 1.0)
-    seen = radius <= reach * _spread(np.asarray(reach), distortion)[0]
+    seen = radius <= reach * _fisheye_radius(np.asarray(reach), distortion)[0]
     return places * np.where(seen, ratio, np.nan)[..., None]
 
 
-def _spread(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Floats]:
+def _fisheye_radius(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Floats]:
     """Radius over angle (...) at which a fisheye shows it, and the radius's derivative by it."""
     k1, k2, k3, k4 = distortion or (0.0,) * 4
     a2 = angle * angle
@@ -401,10 +401,10 @@ def _spread(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Float
 
 
 @lru_cache(maxsize=16)
-def _reach(distortion: tuple[float, ...]) -> float:
+def _max_angle(distortion: tuple[float, ...]) -> float:
     """Angle up to which what is farther off the axis is shown farther out, `MAX_FISHEYE_ANGLE` at most."""
     angles = np.linspace(0.0, MAX_FISHEYE_ANGLE, 500)
-    folded = np.flatnonzero(_spread(angles, distortion)[1] <= 0)
+    folded = np.flatnonzero(_fisheye_radius(angles, distortion)[1] <= 0)
     return float(angles[max(0, folded[0] - 1)]) if len(folded) else MAX_FISHEYE_ANGLE
 
 

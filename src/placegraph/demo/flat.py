@@ -231,7 +231,7 @@ def standing(scene: SceneMap, town: Path, building: str, level: str, heading: fl
         longitude, latitude, STOREY * float(level), heading, PRECISION, building=building,
         osm=outline.osm, level=level, method="pose",
     )  # fmt: skip
-    return scene.anchored(there.shifted(scene.bounds.mean(axis=0) * (1.0, 1.0, 0.0)))
+    return scene.anchored(there.shift_origin(scene.bounds.mean(axis=0) * (1.0, 1.0, 0.0)))
 
 
 def _ask(

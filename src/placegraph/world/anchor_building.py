@@ -372,7 +372,7 @@ def _make_anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[rows] = fit.covariance
     covariance += np.diag([_DRAWN**2, _DRAWN**2, UNKNOWN_HEIGHT**2, 0.0])
-    there = replace(footprint.base, heading=fit.heading).shifted([*(-(turned.T @ fit.shift)), 0.0])
+    there = replace(footprint.base, heading=fit.heading).shift_origin([*(-(turned.T @ fit.shift)), 0.0])
     levels, off = footprint.levels, fit.off[np.isfinite(fit.off)]
     told = level or (level_text(levels[0]) if len(levels) == 1 else "")
     return replace(
@@ -387,9 +387,9 @@ def _apply_prior(
 ) -> tuple[list[Anchor], Floats]:
     """Correct candidates by a prior at the middle (2,) of the map [m]; return them and log densities (N,)."""
     rows, back = np.ix_([0, 1, 3], [0, 1, 3]), np.array([-middle[0], -middle[1], 0.0])
-    there, found, logs, squares, away = prior.shifted(back), [], [], [], []
+    there, found, logs, squares, away = prior.shift_origin(back), [], [], [], []
     for anchor in anchors:
-        here = anchor.shifted(back)
+        here = anchor.shift_origin(back)
         place = there.enu_from_map[:3, :3] @ there.to_map(
             (here.longitude, here.latitude, there.height)
         )
@@ -408,7 +408,7 @@ def _apply_prior(
             here, longitude=lon, latitude=lat, heading=here.heading + turn, covariance=covariance,
             method=f"{anchor.method} and {prior.method}",
         )  # fmt: skip
-        found.append(replace(moved.shifted(-back), height=prior.height))
+        found.append(replace(moved.shift_origin(-back), height=prior.height))
     best = int(np.argmin(squares))
     if squares[best] > _CONTRADICTS:
         metres, turn = np.hypot(*away[best][:2]), np.degrees(abs(away[best][2]))

@@ -119,9 +119,9 @@ def fit_points(
     covariance = np.diag([spread / held.sum()] * 2 + [of_height, spread / (held @ arms)])
     # north is elsewhere at the points' middle than at the first of them
     start = replace(base, height=height, heading=heading)
-    centred = start.shifted(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
+    centred = start.shift_origin(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
-    anchor = replace(centred.shifted([*middle, 0.0]), height=height)
+    anchor = replace(centred.shift_origin([*middle, 0.0]), height=height)
     return Fitted((anchor,), tuple(_find_faults(sources, targets, sigma, weights, off, there)))
 
 

@@ -62,7 +62,7 @@ class AnchorHypothesis:
             (x0, y0, z), (x1, y1, _) = box.tolist()
             corners = [(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]
             found += [
-                cls(a, a.to_earth(corners)[:, :2], a.somewhere(box, probability=share), part)
+                cls(a, a.to_earth(corners)[:, :2], a.pose_in_box(box, probability=share), part)
                 for a in scene.anchors_of(part)
             ]
         return tuple(sorted(found, key=lambda s: -s.anywhere.probability))

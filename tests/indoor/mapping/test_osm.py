@@ -50,7 +50,7 @@ def test_a_level_becomes_a_map(hall, tmp_path):
     assert sorted(tall.round(2).tolist()) == [0.0, 3.2]
     (anchor,) = pg.open_map(tmp_path / "hall.scene").anchors
     assert (anchor.level, anchor.heading) == ("0", 0.0)
-    assert anchor.known
+    assert anchor.has_covariance
     east, north = (np.array((anchor.longitude, anchor.latitude)) - (9.99, 53.5)) / (EAST, NORTH)
     assert (east, north) == pytest.approx((5.0, 6.0), abs=0.05)
 

@@ -258,7 +258,7 @@ def weights(path: Path) -> Callable[[], Any]:
     """Open weights of PyTorch; return a function that sums them."""
     import torch
 
-    from placegraph.core.networks import read_state
+    from placegraph_learn.torch_files import read_state
 
     found = read_state(torch, path, "test")
     return lambda: float(sum(tensor.sum() for tensor in found.values()))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from placegraph.core.geometry import Camera
-from placegraph.core.networks import read_state, select_device
+from placegraph_learn.torch_files import read_state, select_device
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from placegraph.core.networks import check_weights, read_state, select_device
+from placegraph_learn.torch_files import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Matches,

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.networks import check_weights, read_state, select_device
+from placegraph_learn.torch_files import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Features,

@@ -550,7 +550,7 @@ def _check_anchors(scene: Scene) -> Iterator[Finding]:
                 f"{worst:.1f} m at worst.",
                 remedy=f"{_AGAIN}; a pair may be wrong, or the building another.",
             )
-        if not best.known:
+        if not best.has_covariance:
             yield Finding(
                 "note",
                 f"Nobody said how well the place{of} on Earth is known: poses there look exact.",

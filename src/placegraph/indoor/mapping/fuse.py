@@ -74,10 +74,10 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
     if depth is None or depth_camera is None or not (depth > 0).any():
         return None
     image, camera = frame.rgb(), frame.camera
-    if not depth_camera.straight:
+    if not depth_camera.is_rectilinear:
         depth_camera, table = undistort(depth_camera)
         depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
-    if not camera.straight:
+    if not camera.is_rectilinear:
         camera, table = undistort(camera)
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])

@@ -132,7 +132,7 @@ def _shift_scene(name: str, scene: S, shift: NDArray[np.float64]) -> S:
         scenes=tuple(parts),
         scene_from_map=scene.scene_from_map @ back,
         anchors=tuple(
-            anchor.shifted(shift, scene=part)
+            anchor.shift_origin(shift, scene=part)
             for scene_name, part in zip(scene.scenes, parts, strict=True)
             for anchor in scene.anchors_of(scene_name)
         ),

@@ -53,7 +53,7 @@ def whereabouts(scene: Scene) -> tuple[EarthPose, ...]:
     """Where somebody may be who is anywhere in a map: each candidate of its anchor, likeliest first."""
     share = 1.0 / len(scene.scenes)
     found = [
-        anchor.somewhere(box, probability=share)
+        anchor.pose_in_box(box, probability=share)
         for name, box in zip(scene.scenes, scene.scene_bounds, strict=True)
         for anchor in scene.anchors_of(name)
     ]

@@ -131,7 +131,7 @@ def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
     said = ", ".join(x for x in (where, level, place) if x)
     sheet.text((14, 22), said, 14, "ink", room=sheet.width - 28)
     spread = ""
-    if best.known:
+    if best.has_covariance:
         east, north, _, turn = np.sqrt(np.diag(best.covariance))
         spread = f" ±{np.hypot(east, north) / np.sqrt(2):.1f} m, ±{degrees(turn):.1f}°"
     chances = "     ".join(

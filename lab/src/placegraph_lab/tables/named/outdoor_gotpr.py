@@ -17,7 +17,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from placegraph.core.networks import read_state, torch_for
+from placegraph_learn.torch_files import read_state
 from placegraph.errors import InputError
 from placegraph_lab.datasets.pickles import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
@@ -65,10 +65,12 @@ class BigGNN:
     def open(cls, path: Path) -> BigGNN:
         """Read a released checkpoint: a state dict, of which nothing is run.
 
-        Raises `MissingExtraError`: pyTorch is not installed; `InputError`: the file is missing or
+        Raises `InputError`: the file is missing or
         no state dict; a key is missing, unknown or of another shape, or a weight is not a number.
         """
-        state = read_state(torch_for("gotpr", "learn"), path, "GOTPR")
+        import torch
+
+        state = read_state(torch, path, "GOTPR")
         return cls.of({key: np.asarray(t.float().numpy()) for key, t in state.items()}, str(path))
 
     @classmethod

@@ -213,9 +213,9 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
 def judged(home: House, found: Fitted) -> dict[str, Any]:
     middle = home.scene.bounds.mean(axis=0) * (1, 1, 0)
     rows = np.ix_([0, 1, 3], [0, 1, 3])
-    true, candidates = home.stands.shifted(-middle), []
+    true, candidates = home.stands.shift_origin(-middle), []
     for anchor in found.anchors:
-        here = anchor.shifted(-middle)
+        here = anchor.shift_origin(-middle)
         at = true.enu_from_map[:3, :3] @ true.to_map((here.longitude, here.latitude, true.height))
         off = np.array([*at[:2], float(wrap_angle(here.heading - true.heading))])
         told = {

@@ -80,7 +80,7 @@ def quarter(count: int, folder: Path, seed: int) -> tuple[World, list[Visit]]:
         longitude, latitude = PLANE.to_lonlat(spot)
         there = Anchor(longitude, latitude, 0.0, 0.0, np.diag([1.0, 1, 1, 0.01]), level="0")
         scene = scene_of(interior, name=f"house{i}")
-        scene = scene.anchored(there.shifted(scene.bounds.mean(axis=0) * (1, 1, 0)))
+        scene = scene.anchored(there.shift_origin(scene.bounds.mean(axis=0) * (1, 1, 0)))
         scenes[f"house{i}"] = scene
         walk = visit(flat, interior, rng, frames=FRAMES)
         film = record(interior, walk, rng, camera=CAMERA, depth=True, labels=None)

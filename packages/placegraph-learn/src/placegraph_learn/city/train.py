@@ -15,7 +15,8 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from placegraph.core.mapfile import pack_strings, read_map, write_map
-from placegraph.core.networks import hash_weights, select_device
+from placegraph.core.weights import hash_weights
+from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary

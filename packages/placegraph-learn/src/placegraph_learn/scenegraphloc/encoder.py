@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.core.networks import select_device
+from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.core.files import check_regular
-from placegraph.core.networks import select_device
+from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
 from placegraph_learn.features import import_timm, why

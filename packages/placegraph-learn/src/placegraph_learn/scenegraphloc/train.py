@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from placegraph.core.files import write_file
-from placegraph.core.networks import select_device
+from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import POINTS, Room, together

@@ -20,7 +20,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from placegraph.core.files import check_regular, write_file
-from placegraph.core.networks import load_torch_file
+from placegraph_learn.torch_files import load_torch_file
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
 

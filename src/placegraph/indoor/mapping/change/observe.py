@@ -159,7 +159,7 @@ def project(
     local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
     depth = np.asarray(local[..., 2], np.float32)
     uv: NDArray[np.floating[Any]]
-    if not camera.straight:
+    if not camera.is_rectilinear:
         uv = camera.project(local)
     else:  # as `Camera.project`, with half of its bytes
         far = np.where(depth > 0.0, depth, np.float32(np.nan))[..., None]
