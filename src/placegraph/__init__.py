@@ -1,6 +1,6 @@
-"""Where am I? Answered on a map that is a graph of things.
+"""Localization on maps that are graphs of objects, outdoors by text, indoors by images or text.
 
-Nothing heavy happens here: every name below is imported when it is first used.
+Public names are imported when they are first used.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Errors: one root, typed children, one stable exit code each.
 
-Every message is a sentence that names the file or the field and says how to mend it.
+Messages name the file or the field, say what is wrong, and how to mend it.
 """
 
 from typing import ClassVar
@@ -9,14 +9,14 @@ from typing import ClassVar
 class PlacegraphError(Exception):
     """Root of every error placegraph raises on purpose.
 
-    `exit_code` is what the command line exits with; the table stands in `docs/conventions.md`.
+    `exit_code` is the exit code of the command line; `docs/conventions.md` has the table.
     """
 
     exit_code: ClassVar[int] = 1
 
 
 class InputError(PlacegraphError):
-    """An input file is missing, empty, truncated, or not what it claims to be."""
+    """An input file is missing, empty, truncated, or of another format than it claims."""
 
     exit_code = 3
 
@@ -46,7 +46,7 @@ class OptionError(PlacegraphError, ValueError):
 
 
 class MissingExtraError(PlacegraphError, ImportError):
-    """An optional dependency is not installed; the message says which extra brings it."""
+    """An optional dependency is not installed; the message names the extra that installs it."""
 
     exit_code = 8
 
@@ -84,11 +84,11 @@ class RequestError(PlacegraphError):
     ) -> None:
         super().__init__(message)
         self.status = status
-        """Of HTTP."""
+        """HTTP status code."""
         self.code = code
         """Stable word for programs."""
         self.retry_after = retry_after
-        """Seconds after which to ask again, where that may help."""
+        """Seconds to wait before the next request, where that may help."""
 
 
 class GeoPoseError(PlacegraphError):

@@ -1,4 +1,4 @@
-"""Open a map of any kind, and find those of folders."""
+"""Opening maps of any kind, and finding map files in folders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from placegraph.core import mapfile as store
+from placegraph.core.mapfile import read_header
 from placegraph.core.plugins import MAPS, load_plugin
 from placegraph.errors import InputError, MapError, PlacegraphError
 
@@ -21,22 +21,21 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
 KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
-"""Kind of map that a file of each name holds."""
+"""Kind of map by ending of the file name."""
 SHARDS = "usual.shard"
-"""File of a library in shards that is written last."""
+"""File of a sharded library that is written last."""
 WORLD, PARTS = "world.json", frozenset(("world.json", "words.table", "shards", ".build"))
-"""File of a world in shards that is written last; and what is such a world's own in its folder."""
+"""File of a sharded world that is written last; and all files that belong to the world."""
 FOLDERS = {SHARDS: "library-shards", WORLD: "world-shards"}
-"""Entry point of the kind of map that a folder holds, by the file that is written last."""
+"""Entry point of each kind of map in a folder, by the file that is written last."""
 
 
 def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollection:
-    """Open a map file; what it holds is read from its header. A folder of scene maps is a library.
+    """Open a map file of any kind, or a folder of scene maps as a library.
 
-    A folder that `placegraph library shard` wrote is a library whose columns are mapped.
-
-    A scene graph of Hydra, Khronos or Clio (Spark-DSG's JSON) or of ConceptGraphs opens as the scene
-    map that `build_scene` makes of it, each time anew.
+    A folder that `placegraph library shard` wrote is a library with memory-mapped columns. A scene
+    graph of Hydra, Khronos or Clio (Spark-DSG's JSON) or of ConceptGraphs is built by `build_scene`
+    each time.
 
     Raises
     ------
@@ -44,9 +43,9 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollecti
         The file is missing, empty, or may not be read; a folder holds no scene map; a scene graph
         cannot be built without an option, which the message names.
     MapError
-        It is foreign, truncated, damaged, of a newer version, or of a kind not known here.
+        The file is foreign, truncated, damaged, of a newer version, or of an unknown kind.
     MissingExtraError
-        It is a library in shards, and placegraph-scale is not installed.
+        The map is a sharded library, and placegraph-scale is not installed.
 
     """
     if _is_scene_graph(Path(path)):
@@ -60,7 +59,7 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollecti
         from placegraph.indoor.library import SceneLibrary
 
         return SceneLibrary.open(path)
-    kind = store.read_header(path).kind
+    kind = read_header(path).kind
     if kind == "city":
         from placegraph.outdoor.city import CityMap
 
@@ -86,7 +85,7 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollecti
 
 
 def folder_kind(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # what the plugin brings
-    """Return the plugin that opens a library or a world in shards.
+    """Return the plugin that opens a sharded library or world.
 
     Raises `MissingExtraError`, naming the extra, where it is not installed.
     """
@@ -94,17 +93,17 @@ def folder_kind(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # what th
 
 
 def open_folder(path: str | os.PathLike[str], **options: Any) -> Any:  # noqa: ANN401  # of the plugin
-    """Open a library in shards (`encoders`) or a world in shards (`scheduler`) by its plugin."""
+    """Open a sharded library (option `encoders`) or world (option `scheduler`) by its plugin."""
     return folder_kind(path).open(path, **options)
 
 
 def is_shards(path: str | os.PathLike[str]) -> bool:
-    """Return whether a folder is a library in shards, by the name of the file that is written last."""
+    """Return whether a folder is a complete sharded library."""
     return _holds(path, SHARDS)
 
 
 def is_world(path: str | os.PathLike[str]) -> bool:
-    """Return whether a folder is a world in shards, by the name of the file that is written last."""
+    """Return whether a folder is a complete sharded world."""
     return _holds(path, WORLD)
 
 
@@ -116,7 +115,7 @@ def _holds(folder: str | os.PathLike[str], name: str) -> bool:
 
 
 def open_scenes(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
-    """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
+    """Open a scene map or a library; raises as `open_map`, and `MapError` for a city."""
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
 
@@ -124,14 +123,14 @@ def open_scenes(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
         raise MapError(
             f"{path} is a library in shards; ask it by `open_map`, or `placegraph library localize`."
         )
-    found = open_map(path)
-    if not isinstance(found, SceneMap | SceneLibrary):
+    opened = open_map(path)
+    if not isinstance(opened, SceneMap | SceneLibrary):
         raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
-    return found
+    return opened
 
 
 def open_scene(path: str | os.PathLike[str]) -> SceneMap:
-    """Open a scene map, or another program's scene graph as one; errors as of `open_map`."""
+    """Open a scene map, or build one from another program's scene graph; raises as `open_map`."""
     from placegraph.indoor.scene_map import SceneMap
 
     if _is_scene_graph(Path(path)):
@@ -151,84 +150,77 @@ def _is_scene_graph(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class MapFiles:
-    """Files of a world, by name; none was opened."""
+    """Map files and sharded maps of a world."""
 
     paths: dict[str, dict[str, Path]]
-    """Of each kind of map its files by name; folders of `shards` (of scenes), and of each `world`."""
+    """Paths by name, by kind of map; the kinds `shards` (of scenes) and `world` are folders."""
     ignored: tuple[tuple[Path, str], ...]
-    """Files and folders left alone, and why."""
-    twins: tuple[str, ...]
-    """Faults of their names."""
+    """Files and folders that are no maps, each with the reason."""
+    conflicts: tuple[str, ...]
+    """Messages about maps of the same name."""
 
     def check(self) -> None:
-        """Read the head of each; `MapError` where some are no maps, or others than they are called."""
-        bad = list(self.twins)
-        for kind, paths in self.paths.items():
-            for path in paths.values():
-                if kind in ("shards", "world"):
-                    continue
+        """Read all headers; `MapError` where a file is no map, or another than its name says."""
+        faults = list(self.conflicts)
+        for kind in KINDS.values():
+            for path in self.paths[kind].values():
                 try:
-                    held = store.read_header(path).kind
+                    actual = read_header(path).kind
                 except PlacegraphError as error:
-                    bad.append(str(error))
+                    faults.append(str(error))
                     continue
-                if held != kind:
-                    bad.append(f"{path} holds a {held} map; call it {path.stem}.{held}.")
-        if bad:
-            raise MapError(" ".join(bad))
+                if actual != kind:
+                    faults.append(f"{path} holds a {actual} map; call it {path.stem}.{actual}.")
+        if faults:
+            raise MapError(" ".join(faults))
 
 
 def find_map_files(places: Sequence[Path]) -> MapFiles:
-    """Find map files among places and in their folders, by name."""
+    """Find map files among paths and in folders, by their names."""
     paths: dict[str, dict[str, Path]] = {k: {} for k in (*KINDS.values(), "shards", "world")}
-    ignored, twins = [], []
-    for path in itertools.chain.from_iterable(map(_files, places)):
+    ignored, pairs = [], []
+    for path in itertools.chain.from_iterable(map(_list_files, places)):
         kind = "shards" if is_shards(path) else "world" if is_world(path) else None
+        name = path.resolve().name if is_world(path) else path.stem
         if kind is None and path.is_dir():
             ignored.append((path, "a folder"))
         elif (kind := kind or KINDS.get(path.suffix)) is None:
             ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
-        elif realpath(known := paths[kind].setdefault(_name(path), path)) != realpath(path):
-            twins.append(f"{known} and {path} have one name; rename one of them.")
-    towns = paths["world"].keys() & paths["city"].keys()
-    twins += [
-        f"{paths['world'][n]} and {paths['city'][n]} have one name; rename one of them."
-        for n in towns
-    ]
-    return MapFiles(paths, tuple(ignored), tuple(twins))
+        elif realpath(first := paths[kind].setdefault(name, path)) != realpath(path):
+            pairs.append((first, path))
+    both = paths["world"].keys() & paths["city"].keys()
+    pairs += [(paths["world"][name], paths["city"][name]) for name in both]
+    conflicts = (f"{a} and {b} have one name; rename one of them." for a, b in pairs)
+    return MapFiles(paths, tuple(ignored), tuple(conflicts))
 
 
 def check_map_files(places: Sequence[Path]) -> MapFiles:
-    """Find map files as `find_map_files` does, and check the heads of files.
+    """Find map files and check their headers.
 
     Raises
     ------
     InputError
-        A place is missing, or there is no map in any.
+        A path is missing, or there is no map.
     MapError
-        Map files are damaged, or are called what they are not: all of them, each with its mend.
+        Map files are damaged or misnamed; the message lists all, each with its remedy.
 
     """
     for place in places:
         if not place.exists():
             raise InputError(f"{place} does not exist; name a folder with maps, or map files.")
-    found = find_map_files(places)
-    found.check()
-    if not any(found.paths.values()):
-        said = ", ".join(map(str, places)) or "nothing"
+    files = find_map_files(places)
+    files.check()
+    if not any(files.paths.values()):
+        names = ", ".join(map(str, places)) or "nothing"
         raise InputError(
-            f"{said} holds no map ({', '.join(KINDS)}); build some with `placegraph city build` and "
+            f"{names} holds no map ({', '.join(KINDS)}); build some with `placegraph city build` and "
             "`placegraph scene build`."
         )
-    return found
+    return files
 
 
-def _name(path: Path) -> str:
-    return path.resolve().name if is_world(path) else path.stem
-
-
-def _files(place: Path) -> list[Path]:
-    """Return the maps that a place is, or holds: a world in shards, and what lies in its folder, too."""
+def _list_files(place: Path) -> list[Path]:
+    """Return a path, or the paths in a folder; a sharded world counts and so do its other files."""
     if is_shards(place):
         return [place]
     try:
@@ -237,4 +229,4 @@ def _files(place: Path) -> list[Path]:
         return [place]
     if is_world(place):
         return [place, *(path for path in inside if path.name not in PARTS)]
-    return [p for path in inside for p in (_files(path) if is_world(path) else [path])]
+    return [p for path in inside for p in (_list_files(path) if is_world(path) else [path])]

@@ -155,7 +155,7 @@ def test_what_is_not_known_of_map_and_pose_adds_up():
         ({"height": math.inf}, "height is inf"),
         ({"heading": math.nan}, "heading is nan"),
         ({"probability": 0}, "probability is 0"),
-        ({"covariance": np.eye(3)}, r"covariance \(3, 3\)"),
+        ({"covariance": np.eye(3)}, r"covariance is \(3, 3\)"),
         ({"covariance": -np.eye(4)}, "variances is negative"),
         ({"residuals": (math.nan,)}, "residuals"),
     ],

@@ -191,7 +191,11 @@ def show(anchors: tuple[Anchor, ...]) -> None:
     rows = table("probability", "longitude", "latitude", "heading", "off by", "left", "building")
     for a in anchors:
         east, north, _, turn = (sqrt(v) for v in a.covariance.diagonal())
-        off = f"{sqrt((east**2 + north**2) / 2):.2f} m, {degrees(turn):.1f}°" if a.has_covariance else "?"
+        off = (
+            f"{sqrt((east**2 + north**2) / 2):.2f} m, {degrees(turn):.1f}°"
+            if a.has_covariance
+            else "?"
+        )
         left = (
             f"{sqrt(sum(r * r for r in a.residuals) / len(a.residuals)):.2f} m"
             if a.residuals

@@ -1,4 +1,4 @@
-"""Positions on Earth: OGC GeoPose 1.0, anchors of maps, tiles, and estimates as GeoJSON."""
+"""Positions on Earth: OGC GeoPose 1.0, anchors of maps, and tiles of the Mercator grid."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ CAMERA_FROM_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
 
 @dataclass(frozen=True, eq=False)
 class EarthPose:
-    """A pose on Earth. What is not known of it is not a number (NaN), in the covariance too."""
+    """Pose on Earth; unknown numbers are NaN, in the covariance too."""
 
     longitude: float
     latitude: float
     """[deg, WGS84]."""
     height: float
-    """Above the ellipsoid [m]."""
+    """Height above the ellipsoid [m]."""
     quaternion: Floats
     """(4,) x, y, z, w: the body's axes (x right, y forward, z up) in east, north, up."""
     covariance: Floats = field(repr=False)
@@ -51,14 +51,14 @@ class EarthPose:
     def from_place(
         cls, longitude: float, latitude: float, covariance: ArrayLike, *, probability: float = 1.0
     ) -> EarthPose:
-        """A place with covariance (2, 2) east-north [m^2], of which no height is known, no direction."""
-        whole = np.full((6, 6), np.nan)
-        whole[:2, :2] = covariance
-        return cls(longitude, latitude, np.nan, np.full(4, np.nan), whole, probability)
+        """Return a place with covariance (2, 2) east-north [m^2], of unknown height and orientation."""
+        full = np.full((6, 6), np.nan)
+        full[:2, :2] = covariance
+        return cls(longitude, latitude, np.nan, np.full(4, np.nan), full, probability)
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> EarthPose:
-        """Pose of `to_dict`; `KeyError`, `TypeError` or `ValueError` where it is none."""
+        """Undo `to_dict`; `KeyError`, `TypeError` or `ValueError` where it is no pose."""
         numbers = {
             name: float(np.nan if plain[name] is None else plain[name])
             for name in ("longitude", "latitude", "height", "probability")
@@ -72,7 +72,7 @@ class EarthPose:
 
     @property
     def heading(self) -> float:
-        """Where it looks, clockwise from north [rad, 0 to 2 pi), as `geometry.split_pose` has it."""
+        """Heading clockwise from north [rad, 0 to 2 pi), the yaw of `geometry.split_pose`."""
         if not np.isfinite(self.quaternion).all():
             return np.nan
         matrix = np.eye(4)
@@ -83,51 +83,44 @@ class EarthPose:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Which of ``height`` and ``orientation`` are not known."""
+        """Those of ``height`` and ``orientation`` that are unknown."""
         pairs = (("height", self.height), ("orientation", self.quaternion))
         return tuple(name for name, value in pairs if not np.isfinite(value).all())
 
     @property
     def accuracy(self) -> dict[str, float | None]:
-        """Standard deviations: ``position`` a mean axis of what is known [m], ``orientation`` [deg].
-
-        None: not known.
-        """
-        variances = np.diag(self.covariance)
-        height, turned = np.isfinite(self.height), np.isfinite(self.quaternion).all()
-        metres = sqrt(float(variances[: 3 if height else 2].mean()))
-        degrees = float(np.degrees(np.sqrt(variances[3:].mean()))) if turned else None
-        return {"position": metres, "orientation": degrees}
+        """Root mean variances: ``position`` over the known axes [m], ``orientation`` [deg] or None."""
+        variances, unknown = np.diag(self.covariance), self.unknown
+        metres = sqrt(float(variances[: 2 if "height" in unknown else 3].mean()))
+        degrees = float(np.degrees(np.sqrt(variances[3:].mean())))
+        return {"position": metres, "orientation": None if "orientation" in unknown else degrees}
 
     def geopose(self) -> dict[str, Any]:
-        """OGC GeoPose 1.0, Basic-Quaternion, with ``accuracy``, ``probability`` and ``unknown`` beside.
+        """Return OGC GeoPose 1.0, Basic-Quaternion, with ``accuracy``, ``probability``, ``unknown``.
 
         The frame is east, north, up at the position; the body's axes are x right, y forward, z up.
-        What ``unknown`` names (``height``, ``orientation``) is written as 0 and as the identity,
-        since the standard asks for numbers.
+        Since the standard demands numbers, an unknown height is 0, an unknown orientation the identity.
         """
         quaternion = self.quaternion if "orientation" not in self.unknown else np.eye(4)[3]
-        x, y, z, w = (float(v) for v in quaternion)
         height = 0.0 if "height" in self.unknown else self.height
         return {
             "position": {"lat": self.latitude, "lon": self.longitude, "h": height},
-            "quaternion": {"x": x, "y": y, "z": z, "w": w},
+            "quaternion": dict(zip("xyzw", quaternion.tolist(), strict=True)),
             "accuracy": self.accuracy,
             "probability": self.probability,
             "unknown": list(self.unknown),
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings; None where nothing is known."""
+        """Return plain numbers and strings, None for unknown ones."""
         heading = np.degrees(self.heading)
-        covariance = self.covariance
         return {
             "longitude": self.longitude,
             "latitude": self.latitude,
             "height": self.height if np.isfinite(self.height) else None,
             "heading_deg": float(heading) if np.isfinite(heading) else None,
             "quaternion": _nan_to_none(self.quaternion),
-            "covariance": [_nan_to_none(row) for row in covariance],
+            "covariance": [_nan_to_none(row) for row in self.covariance],
             "probability": self.probability,
             "level": self.level,
             "room": self.room,
@@ -137,7 +130,6 @@ class EarthPose:
 
 
 def _nan_to_none(numbers: Floats) -> list[float | None]:
-    """Numbers as JSON takes them."""
     return [value if np.isfinite(value) else None for value in numbers.tolist()]
 
 
@@ -145,7 +137,7 @@ _AXIS = WGS84_A * sqrt(1.0 - WGS84_E2)  # semi-minor axis [m]
 
 
 def ecef_from_geodetic(lonlath: ArrayLike) -> Floats:
-    """Earth-centred points (..., 3) [m] of longitude, latitude [deg] and height [m] (..., 3)."""
+    """Return Earth-centred points (..., 3) [m] of longitude, latitude [deg] and height [m] (..., 3)."""
     lon, lat, height = np.moveaxis(np.asarray(lonlath, np.float64), -1, 0)
     lon, lat = np.radians(lon), np.radians(lat)
     prime_vertical = WGS84_A / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
@@ -155,7 +147,7 @@ def ecef_from_geodetic(lonlath: ArrayLike) -> Floats:
 
 
 def geodetic_from_ecef(points: ArrayLike) -> Floats:
-    """Longitude, latitude [deg] and height [m] (..., 3) of Earth-centred points (..., 3) [m].
+    """Return longitude, latitude [deg] and height [m] (..., 3) of Earth-centred points (..., 3) [m].
 
     Bowring's iteration: to 1e-9 m within 100 km of the ellipsoid. At a pole longitude is 0.
     """
@@ -174,56 +166,56 @@ def geodetic_from_ecef(points: ArrayLike) -> Floats:
 
 
 def ecef_from_enu(longitude: float, latitude: float) -> Floats:
-    """Rotation (3, 3): the axes east, north, up of a place [deg] in the Earth-centred frame."""
+    """Return the rotation (3, 3) from the axes east, north, up at a place [deg] to Earth-centred axes."""
     lon, lat = np.radians(longitude), np.radians(latitude)
     sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
     return np.array([[-sl, -sp * cl, cp * cl], [cl, -sp * sl, cp * sl], [0.0, cp, sp]])
 
 
 MAX_HEIGHT = 1e5
-"""Of a map above or below the ellipsoid [m]."""
+"""Largest height of a map above or below the ellipsoid [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Where a scene map stands on Earth: one candidate, upright as the map is.
+    """Georeference of a scene map: one candidate for its position, height and heading on Earth.
 
     Raises `OptionError` where a number is out of its range.
     """
 
     longitude: float
     latitude: float
-    """Of the map's origin (0, 0, 0) [deg, WGS84]."""
+    """Position of the map's origin (0, 0, 0) [deg, WGS84]."""
     height: float
-    """Of the map's z = 0 above the ellipsoid [m]."""
+    """Height of the map's z = 0 above the ellipsoid [m]."""
     heading: float
-    """Where the map's y axis points, clockwise from north [rad, 0 to 2 pi); 0: x east, y north."""
+    """Direction of the map's y axis, clockwise from north [rad, 0 to 2 pi); 0: x east, y north."""
     covariance: Floats = field(default_factory=lambda: np.zeros((4, 4)), repr=False)
-    """(4, 4) float64 of east, north, up [m] and heading [rad]; all zero: nobody
-    said, and it counts as exact."""
+    """(4, 4) float64 of east, north, up [m] and heading [rad]; all zero where it is unknown, which
+    counts as exact."""
     building: str = ""
     """Name of the building."""
     osm: str = ""
-    """Its id, such as ``way/123``."""
+    """Id of the building, such as ``way/123``."""
     level: str = ""
     """OpenStreetMap's level of the map's floor, such as ``1``."""
     probability: float = 1.0
-    """That the map stands here and not where another candidate says."""
+    """Probability of this candidate."""
     method: str = ""
-    """How it was found."""
+    """Method that found it."""
     residuals: tuple[float, ...] = field(default=(), repr=False)
-    """What is left between each thing that was fitted and where it should be [m]."""
+    """Distance of each fitted point from its target [m]."""
     scene: str = ""
-    """Which of the merged scenes of a map it is of; empty: of the whole map."""
+    """Merged scene that it georeferences; empty: the whole map."""
 
     def __post_init__(self) -> None:
-        for name, most in (("longitude", 180.0), ("latitude", 90.0), ("height", MAX_HEIGHT)):
-            value = float(getattr(self, name))
-            if not abs(value) <= most:
+        values = {}
+        for name, bound in (("longitude", 180.0), ("latitude", 90.0), ("height", MAX_HEIGHT)):
+            values[name] = float(getattr(self, name))
+            if not abs(values[name]) <= bound:
                 raise OptionError(
-                    f"anchor: {name} is {value:g}; it is between {-most:g} and {most:g}."
+                    f"anchor: {name} is {values[name]:g}; it is between {-bound:g} and {bound:g}."
                 )
-            object.__setattr__(self, name, value)
         heading, probability = float(self.heading), float(self.probability)
         if not np.isfinite(heading):
             raise OptionError(f"anchor: heading is {heading}; it is an angle in radians.")
@@ -231,55 +223,54 @@ class Anchor:
             raise OptionError(f"anchor: probability is {probability:g}; it is above 0, at most 1.")
         residuals = tuple(float(r) for r in self.residuals)
         if not all(np.isfinite(r) and r >= 0 for r in residuals):
-            raise OptionError("anchor: residuals are lengths in metres; some are none.")
+            raise OptionError("anchor: residuals must be finite lengths in metres, 0 or more.")
         covariance = np.array(self.covariance, np.float64)
         if covariance.shape != (4, 4) or not np.isfinite(covariance).all():
             raise OptionError(
-                f"anchor: covariance {covariance.shape}; (4, 4) finite numbers belong."
+                f"anchor: covariance is {covariance.shape}; it must be (4, 4) finite numbers."
             )
         covariance = (covariance + covariance.T) / 2.0
-        values = np.linalg.eigvalsh(covariance)
-        if values[0] < -1e-9 * max(1.0, float(values[-1])):
-            raise OptionError("anchor: covariance is none; one of its variances is negative.")
+        eigenvalues = np.linalg.eigvalsh(covariance)
+        if eigenvalues[0] < -1e-9 * max(1.0, float(eigenvalues[-1])):
+            raise OptionError("anchor: covariance is invalid; one of its variances is negative.")
         covariance.flags.writeable = False
         heading %= 2.0 * np.pi
-        object.__setattr__(self, "heading", heading if heading < 2.0 * np.pi else 0.0)
-        object.__setattr__(self, "probability", probability)
-        object.__setattr__(self, "residuals", residuals)
-        object.__setattr__(self, "covariance", covariance)
+        values |= {"heading": heading if heading < 2.0 * np.pi else 0.0, "probability": probability}
+        for name, value in {**values, "residuals": residuals, "covariance": covariance}.items():
+            object.__setattr__(self, name, value)
 
     @property
     def has_covariance(self) -> bool:
-        """Whether anybody said how far off it may be; `check` of a map asks."""
+        """Whether the covariance is known."""
         return bool(self.covariance.any())
 
     @property
     def enu_from_map(self) -> Floats:
-        """(4, 4): the map in the axes east, north, up at its origin [m]."""
+        """Transform (4, 4) from the map to the axes east, north, up at its origin [m]."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_z(-self.heading)
         return matrix
 
     @property
     def ecef_from_map(self) -> Floats:
-        """(4, 4): the map in the Earth-centred frame [m]."""
+        """Transform (4, 4) from the map to the Earth-centred frame [m]."""
         matrix = np.eye(4)
         matrix[:3, :3] = ecef_from_enu(self.longitude, self.latitude) @ self.enu_from_map[:3, :3]
         matrix[:3, 3] = ecef_from_geodetic((self.longitude, self.latitude, self.height))
         return matrix
 
     def to_earth(self, points: ArrayLike) -> Floats:
-        """Longitude, latitude [deg] and height [m] (..., 3) of the map's points (..., 3) [m]."""
+        """Return longitude, latitude [deg] and height [m] (..., 3) of the map's points (..., 3) [m]."""
         matrix = self.ecef_from_map
         return geodetic_from_ecef(np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
 
     def to_map(self, lonlath: ArrayLike) -> Floats:
-        """Points (..., 3) [m] of the map of longitude, latitude [deg] and height [m] (..., 3)."""
+        """Return the map's points (..., 3) [m] at longitude, latitude [deg] and height [m] (..., 3)."""
         matrix = self.ecef_from_map
         return np.asarray((ecef_from_geodetic(lonlath) - matrix[:3, 3]) @ matrix[:3, :3])
 
     def shift_origin(self, shift: ArrayLike, *, scene: str = "") -> Anchor:
-        """Anchor of the same map once its points were shifted by (3,) [m], as one of merged scenes."""
+        """Return the anchor of the same map after its points were shifted by (3,) [m]."""
         back = -np.asarray(shift, np.float64)
         lon, lat, height = self.to_earth(back).tolist()
         turned = ecef_from_enu(lon, lat).T @ self.ecef_from_map[:3, :3]  # (3, 3) ENU there from map
@@ -300,20 +291,19 @@ class Anchor:
         room: str = "",
         storey: int = 0,
     ) -> EarthPose:
-        """Pose on Earth of a camera in the map.
+        """Return the pose on Earth of a camera in the map.
 
         Parameters
         ----------
         map_from_camera
             (4, 4) [m].
         covariance
-            (6, 6) of its x, y, z [m] and of a turn about the map's axes [rad], as of a `PoseMode`;
-            None: it is exact. What is not known of the anchor is added to it.
+            (6, 6) of x, y, z [m] and of a turn about the map's axes [rad], as in `PoseMode`; None:
+            exact. The anchor's covariance is propagated and added.
         probability
-            Of the pose in the map; the anchor's is multiplied.
+            Probability of the pose in the map; it is multiplied by the anchor's.
         room, storey
-            Where it is; how many storeys above the map's floor, which counts for a level that is a
-            number.
+            Name of the room, and storeys above the map's floor, added to a numeric level.
 
         """
         pose = np.asarray(map_from_camera, np.float64)
@@ -339,7 +329,7 @@ class Anchor:
         )  # fmt: skip
 
     def pose_in_box(self, box: ArrayLike, *, probability: float = 1.0) -> EarthPose:
-        """Place on Earth of somebody anywhere in a box (2, 3) of the map [m], who looks anywhere."""
+        """Return the pose of a camera anywhere in a box (2, 3) of the map [m], of any orientation."""
         low, high = np.asarray(box, np.float64)
         middle, spread = np.eye(4), np.zeros((6, 6))
         middle[:3, 3] = (low + high) / 2.0
@@ -350,7 +340,7 @@ class Anchor:
         return replace(there, quaternion=np.full(4, np.nan), covariance=covariance)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, as the map file holds them."""
+        """Return plain numbers and strings, as stored in the map file."""
         return asdict(self) | {
             "covariance": self.covariance.tolist(),
             "residuals": list(self.residuals),
@@ -358,23 +348,23 @@ class Anchor:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Self:
-        """Anchor of `to_dict`; `OptionError`, `TypeError` or `ValueError` where it is none."""
+        """Undo `to_dict`; `OptionError`, `TypeError` or `ValueError` where it is no anchor."""
         texts = {"building", "osm", "level", "method", "scene"}
-        given = {f.name: plain[f.name] for f in fields(cls) if f.name in plain}
-        if wrong := [name for name in texts & given.keys() if not isinstance(given[name], str)]:
+        values = {f.name: plain[f.name] for f in fields(cls) if f.name in plain}
+        if wrong := [name for name in texts & values.keys() if not isinstance(values[name], str)]:
             raise OptionError(f"anchor: {wrong[0]} is no text.")
-        return cls(**given)
+        return cls(**values)
 
 
 def no_anchor_error(scene: str) -> GeoPoseError:
-    """What is raised where a scene map is asked for its place, and nobody has said it."""
+    """Return the error for a scene map without an anchor."""
     return GeoPoseError(
         f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
     )
 
 
 def _raise_level(level: str, storeys: int) -> str:
-    """OpenStreetMap's level so many storeys up; as it is where it is no number."""
+    """Return OpenStreetMap's level so many storeys up, if it is a number."""
     try:
         number = float(level)
     except ValueError:
@@ -383,30 +373,33 @@ def _raise_level(level: str, storeys: int) -> str:
 
 
 def sort_anchors(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ...]:
-    """Anchors of a map of these merged scenes, best first; raises `OptionError` where they are none."""
-    found = tuple(sorted(anchors, key=lambda anchor: -anchor.probability))
+    """Return candidate anchors of a map of merged scenes, best first.
+
+    Raises `OptionError` where probabilities of a scene exceed 1, or a scene is unknown.
+    """
+    best_first = tuple(sorted(anchors, key=lambda anchor: -anchor.probability))
     for scene in scenes:
-        total = sum(a.probability for a in found if a.scene in {"", scene})
+        total = sum(a.probability for a in best_first if a.scene in {"", scene})
         if total > 1.0 + 1e-6:
             raise OptionError(
                 f"anchors: the probabilities of {scene!r}'s candidates add up to {total:.2f}; "
-                "at most 1 belongs."
+                "the limit is 1."
             )
-    if strange := [a.scene for a in found if a.scene not in {"", *scenes}]:
-        raise OptionError(f"anchors: {strange[0]!r} is no scene of the map.")
-    return found
+    if unknown := [a.scene for a in best_first if a.scene not in {"", *scenes}]:
+        raise OptionError(f"anchors: {unknown[0]!r} is no scene of the map.")
+    return best_first
 
 
 MAX_ZOOM = 16
-"""Levels at most: tiles of 600 m at the equator."""
+"""Finest zoom: tiles of 600 m at the equator."""
 MAX_LATITUDE = 85.0511287
-"""The projection ends here [deg]; the last rows reach to the poles."""
+"""Latitude at which the projection ends [deg]; the last rows reach to the poles."""
 EQUATOR_LENGTH = 40_075_016.7
-"""Once around the Earth [m]."""
+"""Length of the equator [m]."""
 
 
 class Box(NamedTuple):
-    """Longitudes and latitudes [deg], or metres, from edge to edge."""
+    """Edges of a box: longitudes and latitudes [deg], or east and north [m]."""
 
     west: float
     south: float
@@ -415,18 +408,18 @@ class Box(NamedTuple):
 
     @property
     def center(self) -> tuple[float, float]:
-        """Its middle."""
+        """Middle of the box."""
         return (self.west + self.east) / 2.0, (self.south + self.north) / 2.0
 
     def widened(self, metres: float) -> Box:
-        """Box of longitudes and latitudes with a margin; its west may lie beyond the date line."""
+        """Return a box [deg] with a margin; its west may lie beyond the date line."""
         middle, latitude = self.center
         across, along = metres / np.array(LocalPlane(middle, latitude).metres_per_degree)
         return Box(self.west - across, self.south - along, self.east + across, self.north + along)
 
 
 def tile_coordinates(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
-    """Where positions (N, 2) [deg] lie, in columns and rows (N, 2) with fractions."""
+    """Return fractional columns and rows (N, 2) of positions (N, 2) [deg]."""
     sine = np.sin(np.radians(np.clip(lonlat[:, 1], -MAX_LATITUDE, MAX_LATITUDE)))
     rows = 0.5 - np.arctanh(sine) / (2.0 * np.pi)
     found: NDArray[np.float64] = np.stack([lonlat[:, 0] / 360.0 + 0.5, rows], 1) * 2.0**zoom
@@ -436,10 +429,10 @@ def tile_coordinates(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.float
 def tile_ranges(
     low: NDArray[np.float64], high: NDArray[np.float64], zoom: int, margin: float
 ) -> NDArray[np.int64]:
-    """First column, first row, last column and last row (N, 4) that boxes and a margin [m] touch.
+    """Return first column, first row, last column, last row (N, 4) that boxes with a margin [m] touch.
 
-    `low` and `high` are their south-western and north-eastern corners (N, 2) [deg]. Columns go
-    beyond the grid at the date line: take them modulo 2^zoom.
+    `low` and `high` are the south-western and north-eastern corners (N, 2) [deg]. Columns go beyond
+    the grid at the date line: take them modulo 2^zoom.
     """
     farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])), MAX_LATITUDE)
     wide = margin * 1.01 * 2.0**zoom / (EQUATOR_LENGTH * np.cos(np.radians(farthest)))
@@ -451,7 +444,7 @@ def tile_ranges(
 
 
 def tiles_at(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
-    """Column and row (N, 2) of the tiles that hold positions (N, 2) [deg]."""
+    """Return column and row (N, 2) of the tiles that hold positions (N, 2) [deg]."""
     found = np.floor(tile_coordinates(lonlat, zoom)).astype(np.int64)
     found[:, 0] %= 1 << zoom
     found[:, 1] = np.clip(found[:, 1], 0, (1 << zoom) - 1)
@@ -459,27 +452,27 @@ def tiles_at(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
 
 
 def are_in_tile(lonlat: NDArray[np.float64], key: str) -> NDArray[np.bool_]:
-    """Which positions (N, 2) [deg] lie in a tile: each in one tile of a zoom."""
+    """Return which positions (N, 2) [deg] lie in a tile (N,); each lies in one tile of a zoom."""
     column, row, zoom = parse_tile_key(key)
     found: NDArray[np.bool_] = (tiles_at(lonlat, zoom) == (column, row)).all(axis=1)
     return found
 
 
 def tile_key(column: int, row: int, zoom: int) -> str:
-    """Key of a tile; the column may lie around the Earth."""
+    """Return the quadkey of a tile; the column wraps around the Earth."""
     column %= 1 << zoom
     bits = range(zoom - 1, -1, -1)
     return "".join(str((column >> bit & 1) + 2 * (row >> bit & 1)) for bit in bits)
 
 
 def key_at(longitude: float, latitude: float, zoom: int) -> str:
-    """Key of the tile at a position [deg]."""
+    """Return the quadkey of the tile at a position [deg]."""
     column, row = tiles_at(np.array([[longitude, latitude]]), zoom)[0].tolist()
     return tile_key(column, row, zoom)
 
 
 def parse_tile_key(key: str) -> tuple[int, int, int]:
-    """Column, row and zoom of a key; raises `OptionError` where it is none."""
+    """Return column, row and zoom of a quadkey; `OptionError` where it is none."""
     if not set(key) <= set("0123") or len(key) > MAX_ZOOM:
         raise OptionError(f"{key!r} is no tile; its key has up to {MAX_ZOOM} digits of 0 to 3.")
     digits = [int(digit) for digit in key]
@@ -489,7 +482,7 @@ def parse_tile_key(key: str) -> tuple[int, int, int]:
 
 
 def tile_bounds(key: str) -> Box:
-    """Longitudes and latitudes of a tile [deg]: the core of a shard of this key."""
+    """Return the box of a tile [deg]."""
     column, row, zoom = parse_tile_key(key)
     n = 1 << zoom
     edges = np.array([row + 1, row]) / n
@@ -500,6 +493,6 @@ def tile_bounds(key: str) -> Box:
 
 
 def check_zoom(zoom: int) -> None:
-    """Raise `OptionError` where tiles of a zoom are none."""
+    """Raise `OptionError` where a zoom is out of range."""
     if isinstance(zoom, bool) or not isinstance(zoom, int) or not 1 <= zoom <= MAX_ZOOM:
         raise OptionError(f"zoom is {zoom!r}; choose a whole number from 1 to {MAX_ZOOM}.")

@@ -1,4 +1,4 @@
-"""Geometry of the ground floor: the local east-north plane, poses, and cameras with their lenses.
+"""Geometry: the local east-north plane, poses, and camera models.
 
 Bearings are radians clockwise from north, as on a compass: north 0, east pi/2. Yaw is radians
 counter-clockwise from the map's x axis, seen from above. Conventions: `docs/conventions.md`.
@@ -48,13 +48,13 @@ class LocalPlane:
         return radians(prime_vertical * cos(phi)), radians(meridian)
 
     def to_plane(self, lonlat: ArrayLike) -> Floats:
-        """Longitude and latitude (..., 2) [deg] to east and north (..., 2) [m]."""
+        """Convert longitude and latitude (..., 2) [deg] to east and north (..., 2) [m]."""
         delta = np.asarray(lonlat, np.float64) - (self.longitude, self.latitude)
         delta[..., 0] = (delta[..., 0] + 180.0) % 360.0 - 180.0  # across the date line
         return delta * self.metres_per_degree
 
     def to_lonlat(self, east_north: ArrayLike) -> Floats:
-        """East and north (..., 2) [m] to longitude and latitude (..., 2) [deg]."""
+        """Convert east and north (..., 2) [m] to longitude and latitude (..., 2) [deg]."""
         degrees = np.asarray(east_north, np.float64) / self.metres_per_degree
         degrees += (self.longitude, self.latitude)
         degrees[..., 0] = (degrees[..., 0] + 180.0) % 360.0 - 180.0
@@ -62,7 +62,7 @@ class LocalPlane:
 
 
 def bearing(delta: ArrayLike) -> Floats:
-    """Bearing (...) [rad, 0 to 2 pi, clockwise from north] of vectors (..., 2) east, north."""
+    """Return the bearing (...) [rad, 0 to 2 pi, clockwise from north] of vectors (..., 2) east, north."""
     delta = np.asarray(delta, np.float64)
     turn: Floats = np.arctan2(delta[..., 0], delta[..., 1]) % (2.0 * np.pi)
     turn *= turn < 2.0 * np.pi  # a hair west of north rounds to a full turn
@@ -70,35 +70,33 @@ def bearing(delta: ArrayLike) -> Floats:
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Smallest angle (...) [rad, 0 to pi] between two bearings."""
+    """Return the smallest angle (...) [rad, 0 to pi] between two bearings."""
     difference = np.abs(np.asarray(a, np.float64) - np.asarray(b, np.float64)) % (2.0 * np.pi)
     return np.minimum(difference, 2.0 * np.pi - difference)
 
 
-# ------------------------------------------------------------------------------------- poses
-#
 # A pose of four degrees of freedom is (x, y, z, yaw) of the camera in the map. The other two, the
-# tilt, are known from gravity: `level_from_camera` stands the camera upright, and then
+# tilt, are known from gravity: `level_from_camera` turns the camera upright, and then
 # map_from_camera = translation(x, y, z) @ rotation_z(yaw) @ level_from_camera.
 
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """level_from_camera of a camera held upright: forward is x, left is y, up is z."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-"""Of a camera about its optical axis."""
+"""Rotation of a camera about its optical axis."""
 
 
 def wrap_angle(angle: ArrayLike) -> Floats:
-    """Angles (...) [rad] to the same directions in [-pi, pi)."""
+    """Return angles (...) [rad] wrapped to [-pi, pi)."""
     return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def level_from_camera(gravity: ArrayLike) -> Floats:
-    """Rotation (..., 3, 3) from camera axes to the level frame (z up, x forward of the camera).
+    """Return the rotation (..., 3, 3) from camera axes to the level frame (z up, x forward).
 
-    `gravity`: (..., 3), direction of gravity in the camera's axes, of any length. The rotation is
-    the smallest that brings gravity to the upright camera's down, so that it is defined for a
-    camera that looks straight down or up too. A camera held upside down is turned about its
-    optical axis; yaw is not continuous there.
+    `gravity`: (..., 3), direction of gravity in the camera's axes, of any length. The rotation is the
+    smallest that brings gravity to the upright camera's down, which also works for a camera that looks
+    straight down or up. A camera held upside down is turned about its optical axis; yaw is not
+    continuous there.
     """
     down = np.asarray(gravity, np.float64)
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
@@ -118,7 +116,7 @@ def level_from_camera(gravity: ArrayLike) -> Floats:
 
 
 def rotation_z(yaw: ArrayLike) -> Floats:
-    """Rotations (..., 3, 3) by `yaw` (...) [rad] about z."""
+    """Return rotations (..., 3, 3) by `yaw` (...) [rad] about z."""
     yaw = np.asarray(yaw, np.float64)
     rotation = np.zeros((*yaw.shape, 3, 3))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(yaw)
@@ -129,7 +127,7 @@ def rotation_z(yaw: ArrayLike) -> Floats:
 
 
 def pose_matrix(pose: ArrayLike, level: ArrayLike) -> Floats:
-    """map_from_camera (..., 4, 4) of poses (..., 4) x, y, z [m], yaw [rad] and tilt (..., 3, 3)."""
+    """Return map_from_camera (..., 4, 4) of poses (..., 4) x, y, z [m], yaw [rad], tilt (..., 3, 3)."""
     pose = np.asarray(pose, np.float64)
     matrix = np.zeros((*pose.shape[:-1], 4, 4))
     matrix[..., :3, :3] = rotation_z(pose[..., 3]) @ np.asarray(level, np.float64)
@@ -139,7 +137,7 @@ def pose_matrix(pose: ArrayLike, level: ArrayLike) -> Floats:
 
 
 def split_pose(map_from_camera: ArrayLike) -> tuple[Floats, Floats]:
-    """Pose (..., 4) x, y, z, yaw and tilt `level_from_camera` (..., 3, 3) of matrices (..., 4, 4)."""
+    """Split matrices (..., 4, 4) into poses (..., 4) x, y, z, yaw and tilt `level_from_camera`."""
     matrix = np.asarray(map_from_camera, np.float64)
     rotation = matrix[..., :3, :3]
     level = level_from_camera(-rotation[..., 2, :])  # gravity is -z of the map
@@ -149,7 +147,7 @@ def split_pose(map_from_camera: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def compose(pose: ArrayLike, step: ArrayLike) -> Floats:
-    """Pose (..., 4) followed by a step (..., 4) in its own level frame: Eq. 1's circled plus."""
+    """Return poses (..., 4) followed by steps (..., 4) in their level frames: Eq. 1's circled plus."""
     pose, step = np.asarray(pose, np.float64), np.asarray(step, np.float64)
     c, s = np.cos(pose[..., 3]), np.sin(pose[..., 3])
     return np.stack(
@@ -164,7 +162,7 @@ def compose(pose: ArrayLike, step: ArrayLike) -> Floats:
 
 
 def between(pose: ArrayLike, other: ArrayLike) -> Floats:
-    """Step (..., 4) that leads from `pose` to `other`: compose(pose, between(pose, other)) = other."""
+    """Return the step (..., 4) from `pose` to `other`: compose(pose, between(pose, other)) = other."""
     pose, other = np.asarray(pose, np.float64), np.asarray(other, np.float64)
     c, s = np.cos(pose[..., 3]), np.sin(pose[..., 3])
     d = other - pose
@@ -180,7 +178,7 @@ def between(pose: ArrayLike, other: ArrayLike) -> Floats:
 
 
 def rotation_from_quaternion(xyzw: ArrayLike) -> Floats:
-    """Rotations (..., 3, 3) of quaternions (..., 4) x, y, z, w; they are normalised first."""
+    """Return rotations (..., 3, 3) of quaternions (..., 4) x, y, z, w, which are normalized first."""
     q = np.asarray(xyzw, np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(q, -1, 0)
@@ -193,7 +191,7 @@ def rotation_from_quaternion(xyzw: ArrayLike) -> Floats:
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Floats:
-    """Unit quaternions (..., 4) x, y, z, w with w >= 0 of rotations (..., 3, 3)."""
+    """Return unit quaternions (..., 4) x, y, z, w with w >= 0 of rotations (..., 3, 3)."""
     r = np.asarray(rotation, np.float64)
     xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     # Four times the outer product of the quaternion with itself; its longest row is best rounded.
@@ -217,7 +215,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Floats:
 
 
 def rotation_from_vector(vector: ArrayLike) -> Floats:
-    """Rotations (..., 3, 3) of rotation vectors (..., 3) [rad]: axis times angle (Rodrigues)."""
+    """Return rotations (..., 3, 3) of rotation vectors (..., 3) [rad]: axis times angle (Rodrigues)."""
     w = np.asarray(vector, np.float64)
     angle = np.linalg.norm(w, axis=-1)[..., None, None]
     small = angle < 1e-6  # there sin(a)/a and (1 - cos a)/a^2 are their limits to all digits
@@ -230,7 +228,7 @@ def rotation_from_vector(vector: ArrayLike) -> Floats:
 
 
 def vector_from_rotation(rotation: ArrayLike) -> Floats:
-    """Rotation vectors (..., 3) [rad, shorter than pi] of rotations (..., 3, 3)."""
+    """Return rotation vectors (..., 3) [rad, shorter than pi] of rotations (..., 3, 3)."""
     q = quaternion_from_rotation(rotation)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., 3:])
@@ -240,7 +238,7 @@ def vector_from_rotation(rotation: ArrayLike) -> Floats:
 
 
 def cross_matrix(vector: ArrayLike) -> Floats:
-    """Matrices (..., 3, 3) with [a] b = a x b of vectors (..., 3)."""
+    """Return matrices (..., 3, 3) with [a] b = a x b of vectors (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(vector, np.float64), -1, 0)
     o = np.zeros_like(x)
     rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
@@ -249,9 +247,10 @@ def cross_matrix(vector: ArrayLike) -> Floats:
 
 MODELS = ("opencv", "fisheye")
 COEFFICIENT_COUNTS = {"opencv": (0, 4, 5, 8), "fisheye": (0, 4)}
-"""How many a model may have; 0: an ideal one."""
+"""Numbers of distortion coefficients of each model; 0: no distortion."""
 MAX_FISHEYE_ANGLE = radians(85.0)
-"""Angle off a fisheye's axis beyond which it is not asked: rays with z = 1 grow without end."""
+"""Largest angle off a fisheye's axis: rays with z = 1 grow without bound beyond."""
+_MAX_PARAMETER = 1e9
 _ROUNDS = 100
 _NEWTON = 12
 
@@ -267,17 +266,17 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
-    """Of the lens, empty: none. OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its four."""
+    """Coefficients of OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]], or the four of its fisheye."""
     model: str = "opencv"
     """`MODELS`: a pinhole ("opencv"), or "fisheye", which shows up to 85 degrees off its axis."""
 
     def __post_init__(self) -> None:
         sizes = (self.width, self.height, self.fx, self.fy)
-        if not all(_is_number(v) and v > 0 for v in sizes):
+        if not all(0 < v < _MAX_PARAMETER for v in sizes):
             raise OptionError(
                 f"camera: width, height, fx, fy are {sizes}; they must be greater than 0, and below 1e9."
             )
-        if not all(map(_is_number, (self.cx, self.cy, *self.distortion))):
+        if not all(abs(v) < _MAX_PARAMETER for v in (self.cx, self.cy, *self.distortion)):
             raise OptionError("camera: cx, cy or the distortion is not a number.")
         if self.model not in MODELS:
             raise OptionError(f"camera: model is {self.model!r}; it is one of {', '.join(MODELS)}.")
@@ -289,37 +288,37 @@ class Camera:
 
     @property
     def is_rectilinear(self) -> bool:
-        """Whether straight lines are straight in its images."""
+        """Whether straight lines stay straight in images."""
         return self.model == "opencv" and not any(self.distortion)
 
     def resized(self, width: int, height: int) -> Camera:
-        """Intrinsics of the same camera with images of another size."""
+        """Return the camera with images of another size."""
         sx, sy = width / self.width, height / self.height
         focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
         return Camera(width, height, *focal, *centre, self.distortion, self.model)
 
     def directions(self, uv: ArrayLike) -> Floats:
-        """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
+        """Return rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
 
-        x and y are NaN where a fisheye's image shows nothing, or what is beyond `MAX_FISHEYE_ANGLE`.
+        x and y are NaN outside a fisheye's image circle and beyond `MAX_FISHEYE_ANGLE`.
         """
-        places = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
-        xy = undistort(self.model, self.distortion, places)
+        distorted = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        xy = undistort(self.model, self.distortion, distorted)
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
     def project(self, points: ArrayLike) -> Floats:
-        """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN where it sees none.
+        """Return image points (..., 2) [px] of points (..., 3) [m] in the camera's axes.
 
-        It sees none behind it, and a fisheye none beyond `MAX_FISHEYE_ANGLE`.
+        They are NaN behind the camera, and for a fisheye beyond `MAX_FISHEYE_ANGLE`.
         """
         points = np.asarray(points, np.float64)
         depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-        places = distort(self.model, self.distortion, points[..., :2] / depth)
-        uv: Floats = places * (self.fx, self.fy) + (self.cx, self.cy)
+        distorted = distort(self.model, self.distortion, points[..., :2] / depth)
+        uv: Floats = distorted * (self.fx, self.fy) + (self.cx, self.cy)
         return uv
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, as in `camera.json`."""
+        """Return plain numbers, as in `camera.json`."""
         out: dict[str, Any] = {
             name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")
         }
@@ -328,24 +327,24 @@ class Camera:
 
 
 def distort(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:
-    """Places (..., 2) of rays (..., 2); NaN where a fisheye shows none."""
+    """Return distorted points (..., 2) of rays (..., 2) with z = 1; NaN beyond a fisheye's range."""
     if model == "fisheye":
         return _fisheye_places(rays, distortion)
     if not any(distortion):
         return rays
-    places: Floats = rays * _radial(rays, distortion)[..., None] + _tangential(rays, distortion)
-    return places
+    points: Floats = rays * _radial(rays, distortion)[..., None] + _tangential(rays, distortion)
+    return points
 
 
-def undistort(model: str, distortion: tuple[float, ...], places: Floats) -> Floats:
-    """Rays (..., 2) of places (..., 2); NaN where a fisheye shows nothing."""
+def undistort(model: str, distortion: tuple[float, ...], points: Floats) -> Floats:
+    """Return rays (..., 2) of distorted points (..., 2); NaN beyond a fisheye's range."""
     if model == "fisheye":
-        return _fisheye_rays(places, distortion)
-    rays = places
+        return _fisheye_rays(points, distortion)
+    rays = points
     for _ in range(_ROUNDS if any(distortion) else 0):
-        # fixed point, as OpenCV does, but to its end: wide corners need more than a few rounds
+        # fixed point, as in OpenCV, but until it converges: wide corners need many rounds
         before = rays
-        rays = (places - _tangential(rays, distortion)) / _radial(rays, distortion)[..., None]
+        rays = (points - _tangential(rays, distortion)) / _radial(rays, distortion)[..., None]
         if np.abs(rays - before).max(initial=0.0) < 1e-9:
             break
     return rays
@@ -368,9 +367,6 @@ def _tangential(rays: Floats, distortion: tuple[float, ...]) -> Floats:
     )
 
 
-# -------------------------------------------------------------------------------------- fisheye
-
-
 def _fisheye_places(rays: Floats, distortion: tuple[float, ...]) -> Floats:
     radius = np.linalg.norm(rays, axis=-1)
     angle = np.arctan(radius)
@@ -379,35 +375,30 @@ def _fisheye_places(rays: Floats, distortion: tuple[float, ...]) -> Floats:
     return rays * np.where(angle <= _max_angle(distortion), ratio, np.nan)[..., None]
 
 
-def _fisheye_rays(places: Floats, distortion: tuple[float, ...]) -> Floats:
-    reach = _max_angle(distortion)
-    radius = np.linalg.norm(places, axis=-1)
-    angle = np.minimum(radius, reach)
+def _fisheye_rays(points: Floats, distortion: tuple[float, ...]) -> Floats:
+    max_angle = _max_angle(distortion)
+    radius = np.linalg.norm(points, axis=-1)
+    angle = np.minimum(radius, max_angle)
     for _ in range(_NEWTON):
-        share, slope = _fisheye_radius(angle, distortion)
-        angle = np.clip(angle - (angle * share - radius) / np.maximum(slope, 1e-3), 0.0, reach)
-    ratio = np.where(radius > 1e-12, np.tan(angle) / np.maximum(radius, 1e-12), 1.0)
-    seen = radius <= reach * _fisheye_radius(np.asarray(reach), distortion)[0]
-    return places * np.where(seen, ratio, np.nan)[..., None]
+        ratio, slope = _fisheye_radius(angle, distortion)
+        angle = np.clip(angle - (angle * ratio - radius) / np.maximum(slope, 1e-3), 0.0, max_angle)
+    scale = np.where(radius > 1e-12, np.tan(angle) / np.maximum(radius, 1e-12), 1.0)
+    is_visible = radius <= max_angle * _fisheye_radius(np.asarray(max_angle), distortion)[0]
+    return points * np.where(is_visible, scale, np.nan)[..., None]
 
 
 def _fisheye_radius(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Radius over angle (...) at which a fisheye shows it, and the radius's derivative by it."""
+    """Return image radius / angle at angles (...) off the axis, and the radius's derivative."""
     k1, k2, k3, k4 = distortion or (0.0,) * 4
     a2 = angle * angle
-    share: Floats = 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))
+    ratio: Floats = 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))
     slope: Floats = 1 + a2 * (3 * k1 + a2 * (5 * k2 + a2 * (7 * k3 + a2 * 9 * k4)))
-    return share, slope
+    return ratio, slope
 
 
 @lru_cache(maxsize=16)
 def _max_angle(distortion: tuple[float, ...]) -> float:
-    """Angle up to which what is farther off the axis is shown farther out, `MAX_FISHEYE_ANGLE` at most."""
+    """Return the angle up to which the image radius grows, `MAX_FISHEYE_ANGLE` at most."""
     angles = np.linspace(0.0, MAX_FISHEYE_ANGLE, 500)
     folded = np.flatnonzero(_fisheye_radius(angles, distortion)[1] <= 0)
     return float(angles[max(0, folded[0] - 1)]) if len(folded) else MAX_FISHEYE_ANGLE
-
-
-def _is_number(value: float) -> bool:
-    """Whether a value is a number that a camera may have: squares of larger ones are beyond all bounds."""
-    return abs(value) < 1e9

@@ -1,4 +1,4 @@
-"""The scene graph: nodes are things, edges are relations between them; columns, not objects."""
+"""Scene graph: nodes are objects, edges are spatial relations, both stored in columns."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SceneGraph(PickleFields):
-    """A scene graph of N nodes in D = 2 or 3 dimensions and M edges.
+    """Scene graph of N nodes in D = 2 or 3 dimensions and M edges.
 
-    Row i of every node column is one thing; row j of every edge column reads
-    "`sources[j]` is `relations[j]` of `targets[j]`". Arrays are read-only; what is passed in is
-    converted and checked. Two graphs are equal where all their columns are.
+    Row i of every node column is one object; row j of every edge column reads
+    "`sources[j]` is `relations[j]` of `targets[j]`". Arguments are converted to read-only arrays and
+    checked. Graphs are equal if all their columns are.
 
     Raises
     ------
@@ -36,7 +36,7 @@ class SceneGraph(PickleFields):
     """
 
     ids: tuple[str, ...]
-    """Unique; an id outlives the row it stands in."""
+    """Unique ids, stable between versions of a map."""
     labels: tuple[str, ...]
     positions: Floats
     """(N, D) float64 [m]"""
@@ -47,7 +47,7 @@ class SceneGraph(PickleFields):
     relations: tuple[str, ...]
     """(M,)"""
     names: tuple[str, ...] = ()
-    """(N,), empty strings where things have no name, or none at all."""
+    """(N,), empty strings for objects without a name, or none at all."""
     extents: Floats | None = None
     """(N, D) float64 [m], full lengths along the axes."""
     embeddings: NDArray[np.float32] | None = None
@@ -102,16 +102,16 @@ class SceneGraph(PickleFields):
     __hash__ = None  # type: ignore[assignment]  # columns may be large: compare, do not hash
 
     def triples(self) -> list[tuple[str, str, str]]:
-        """(label, relation, label) of every edge, in order."""
+        """Return (label, relation, label) of every edge, in order."""
         return [
             (self.labels[s], relation, self.labels[t])
             for s, relation, t in zip(self.sources, self.relations, self.targets, strict=True)
         ]
 
     def subgraph(self, rows: ArrayLike) -> SceneGraph:
-        """Nodes in `rows` (row numbers in the order wanted, or a mask (N,)) and edges among them.
+        """Return the nodes in `rows` (row numbers in any order, or a mask (N,)) and the edges among them.
 
-        Raises `OptionError` where a row repeats or is not there.
+        Raises `OptionError` where a row repeats or does not exist.
         """
         rows = np.asarray(rows)
         if rows.dtype == np.bool_ and rows.shape != (len(self),):
@@ -136,12 +136,18 @@ class SceneGraph(PickleFields):
         )
 
     def to_networkx(self) -> nx.MultiDiGraph[str]:
-        """NetworkX graph whose nodes are the ids and whose edge keys are the edges' rows.
+        """Return a NetworkX graph whose nodes are the ids and whose edge keys are the edges' rows.
 
         Node attributes: label, name, position, and extent, embedding where there are any; edge
         attributes: relation, and weight. Raises `MissingExtraError` without NetworkX.
         """
-        graph: nx.MultiDiGraph[str] = _networkx().MultiDiGraph(
+        try:
+            from networkx import MultiDiGraph
+        except ImportError as error:
+            raise MissingExtraError(
+                "NetworkX is not installed; `pip install 'placegraph[networkx]'` brings it."
+            ) from error
+        graph: nx.MultiDiGraph[str] = MultiDiGraph(
             dimensions=self.positions.shape[1],
             extent_shape=_row_shape(self.extents),
             embedding_shape=_row_shape(self.embeddings),
@@ -160,11 +166,11 @@ class SceneGraph(PickleFields):
 
     @classmethod
     def from_networkx(cls, graph: nx.DiGraph[Any]) -> SceneGraph:
-        """Undo `to_networkx`, or read any directed NetworkX graph with such attributes.
+        """Undo `to_networkx`, or convert any directed NetworkX graph with these attributes.
 
-        Node attributes ``label`` and ``position`` and the edge attribute ``relation`` must be
-        there; ``name`` may be missing, ``extent``, ``embedding``, ``weight`` may be missing
-        altogether. Nodes become ids by `str`. Raises `OptionError` naming what is missing.
+        Nodes need ``label`` and ``position``, edges need ``relation``; ``name`` is optional for each
+        node, ``extent``, ``embedding`` and ``weight`` for all together. Nodes become ids by `str`.
+        Raises `OptionError`, naming the missing attribute.
         """
         if not graph.is_directed():
             raise OptionError("The graph is undirected, relations are not: use a (Multi)DiGraph.")
@@ -176,19 +182,19 @@ class SceneGraph(PickleFields):
         if all(type(key) is int for key in keys) and len(set(keys)) == len(keys):
             edges.sort(key=lambda edge: edge[2])  # our own keys: the edges' rows
         row = {node: i for i, (node, _) in enumerate(nodes)}
-        things = [(f"node {node!r}", data) for node, data in nodes]
+        objects = [(f"node {node!r}", data) for node, data in nodes]
         links = [(f"edge {s!r} -> {t!r}", data) for s, t, _, data in edges]
         facts = graph.graph
         positions: Any = np.zeros((0, facts.get("dimensions", 2)))
-        if things:
-            positions = _attributes(things, "position")
+        if objects:
+            positions = _attributes(objects, "position")
         return cls(
             ids=tuple(str(node) for node, _ in nodes),
-            labels=tuple(_attributes(things, "label")),
+            labels=tuple(_attributes(objects, "label")),
             names=tuple(data.get("name", "") for _, data in nodes),
             positions=positions,
-            extents=_optional(things, "extent", facts.get("extent_shape")),
-            embeddings=_optional(things, "embedding", facts.get("embedding_shape")),
+            extents=_optional(objects, "extent", facts.get("extent_shape")),
+            embeddings=_optional(objects, "embedding", facts.get("embedding_shape")),
             sources=np.array([row[s] for s, _, _, _ in edges], np.int64),
             targets=np.array([row[t] for _, t, _, _ in edges], np.int64),
             relations=tuple(_attributes(links, "relation")),
@@ -213,9 +219,9 @@ def _texts(field: str, texts: Iterable[str], count: int) -> tuple[str, ...]:
 def _numbers(
     field: str, values: ArrayLike, shape: tuple[int | None, ...], dtype: type[np.generic]
 ) -> NDArray[Any]:
-    """Finite read-only array; None in `shape` stands for any length."""
+    """Return a finite read-only array; None in `shape` means any length."""
     try:
-        with np.errstate(over="ignore"):  # what float32 cannot hold is infinite, and refused below
+        with np.errstate(over="ignore"):  # overflow gives infinity, refused below
             array = np.array(values, dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise OptionError(f"{field}: not an array of numbers ({error}).") from error
@@ -231,7 +237,7 @@ def _numbers(
 
 
 def _rows(field: str, values: ArrayLike, count: int) -> Rows:
-    """Read-only vector of row numbers below `count`."""
+    """Return a read-only vector of row numbers below `count`."""
     array = np.asarray(values)
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
         raise OptionError(f"{field}: {array.dtype} {array.shape}; a vector of row numbers belongs.")
@@ -248,18 +254,8 @@ def _same(a: object, b: object) -> bool:
     return type(a) is type(b) and a == b
 
 
-def _networkx() -> Any:  # noqa: ANN401  # the module itself, which may not be there
-    try:
-        import networkx as nx
-    except ImportError as error:
-        raise MissingExtraError(
-            "NetworkX is not installed; `pip install 'placegraph[networkx]'` brings it."
-        ) from error
-    return nx
-
-
 def _annotate(data: dict[str, Any], key: str, column: NDArray[Any] | None, i: int) -> None:
-    """Write row i of a column as plain numbers: float, or tuple of floats."""
+    """Add row i of a column as plain numbers: a float, or a tuple of floats."""
     if column is not None:
         value = column[i].tolist()
         data[key] = tuple(value) if isinstance(value, list) else value
@@ -274,8 +270,8 @@ def _attributes(rows: list[tuple[str, dict[str, Any]]], key: str) -> list[Any]:
 
 def _optional(
     rows: list[tuple[str, dict[str, Any]]], key: str, row_shape: tuple[int, ...] | None
-) -> Any:  # noqa: ANN401  # whatever stands there; SceneGraph checks it
-    """Column `key`, or None where no row has it; `row_shape` decides where there are no rows."""
+) -> Any:  # noqa: ANN401  # unchecked attributes; SceneGraph checks them
+    """Return column `key`, None where no row has it; `row_shape` decides where there are no rows."""
     if rows:
         return _attributes(rows, key) if any(key in data for _, data in rows) else None
     return None if row_shape is None else np.zeros((0, *row_shape))

@@ -372,7 +372,9 @@ def _make_anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[rows] = fit.covariance
     covariance += np.diag([_DRAWN**2, _DRAWN**2, UNKNOWN_HEIGHT**2, 0.0])
-    there = replace(footprint.base, heading=fit.heading).shift_origin([*(-(turned.T @ fit.shift)), 0.0])
+    there = replace(footprint.base, heading=fit.heading).shift_origin(
+        [*(-(turned.T @ fit.shift)), 0.0]
+    )
     levels, off = footprint.levels, fit.off[np.isfinite(fit.off)]
     told = level or (level_text(levels[0]) if len(levels) == 1 else "")
     return replace(

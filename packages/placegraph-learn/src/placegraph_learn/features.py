@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from placegraph.core.geometry import Camera
-from placegraph_learn.torch_files import read_state, select_device
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
+from placegraph_learn.torch_files import read_state, select_device
 
 _HEADS = ("head", "fc", "classifier", "fc_norm", "attn_pool")
 """Parts of a checkpoint that a backbone has no use for."""

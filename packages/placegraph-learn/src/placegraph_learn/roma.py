@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from placegraph_learn.torch_files import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Matches,
@@ -32,6 +31,7 @@ from placegraph.indoor.refine.matching.matches import (
     check_range,
     thinned,
 )
+from placegraph_learn.torch_files import check_weights, read_state, select_device
 
 KINDS = ("indoor", "outdoor", "tiny")
 SETTINGS = ("turbo", "fast", "base", "precise")

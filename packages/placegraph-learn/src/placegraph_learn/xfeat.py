@@ -15,7 +15,6 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph_learn.torch_files import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Features,
@@ -26,6 +25,7 @@ from placegraph.indoor.refine.matching.matches import (
     inside,
     mutual,
 )
+from placegraph_learn.torch_files import check_weights, read_state, select_device
 
 _CENTRE = 4.0
 """A cell of 8 px is said to lie at its corner; it stands for its centre [px]."""

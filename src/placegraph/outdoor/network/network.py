@@ -26,8 +26,8 @@ from placegraph.core.mapfile import (
     read_map,
     write_map,
 )
-from placegraph.core.weights import hash_weights, read_arrays, round_to_float16, to_float16
 from placegraph.core.threads import multiply_matrices
+from placegraph.core.weights import hash_weights, read_arrays, round_to_float16, to_float16
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City

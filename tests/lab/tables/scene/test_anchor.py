@@ -45,7 +45,9 @@ def test_a_building_lies_around_its_home(home, tmp_path):
 
 def test_the_truth_is_right_and_a_turn_is_not(home):
     turned = replace(home.stands, heading=home.stands.heading + np.pi, probability=0.5)
-    far = replace(home.stands.shift_origin((3.0, 0, 0)), covariance=np.eye(4) * 0.01, probability=0.5)
+    far = replace(
+        home.stands.shift_origin((3.0, 0, 0)), covariance=np.eye(4) * 0.01, probability=0.5
+    )
     true = replace(home.stands, covariance=np.eye(4) * 0.01)
     (found,) = judged(home, Fitted((true,), ()))["candidates"]
     assert right(found)

@@ -17,11 +17,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from placegraph_learn.torch_files import read_state
 from placegraph.errors import InputError
 from placegraph_lab.datasets.pickles import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
 from placegraph_lab.tables.runner import Quick, Run, markdown, option, share, table
+from placegraph_learn.torch_files import read_state
 
 Floats = NDArray[np.float32]
 

@@ -16,7 +16,6 @@ from torch.nn import functional as F  # noqa: N812
 
 from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.core.weights import hash_weights
-from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
@@ -28,6 +27,7 @@ from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
 from placegraph_learn.city.network import Network, Scores, Truth
 from placegraph_learn.city.word2vec import read_word2vec
+from placegraph_learn.torch_files import select_device
 from placegraph_learn.training import Progress, add_row, open_folder, rows_of
 
 LOSSES = ("match", "similarity", "embedding", "fusion")

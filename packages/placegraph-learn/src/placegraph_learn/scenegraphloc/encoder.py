@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
@@ -31,6 +30,7 @@ from placegraph_learn.scenegraphloc.inputs import (
     together,
 )
 from placegraph_learn.scenegraphloc.weights import Weights, read_weights
+from placegraph_learn.torch_files import select_device
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat where the file does not say: that of the training loss."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.core.files import check_regular
-from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
 from placegraph_learn.features import import_timm, why
 from placegraph_learn.scenegraphloc.weights import read_state
+from placegraph_learn.torch_files import select_device
 
 GRID = (9, 16)
 """Rows and columns of patches of an image that is wider than high; the other way round else."""

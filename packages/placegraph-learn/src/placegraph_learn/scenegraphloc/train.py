@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from placegraph.core.files import write_file
-from placegraph_learn.torch_files import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import POINTS, Room, together
@@ -29,6 +28,7 @@ from placegraph_learn.scenegraphloc.weights import (
     read_snapshot,
     write_weights,
 )
+from placegraph_learn.torch_files import select_device
 from placegraph_learn.training import Progress, add_row, open_folder
 
 

@@ -20,9 +20,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from placegraph.core.files import check_regular, write_file
-from placegraph_learn.torch_files import load_torch_file
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
+from placegraph_learn.torch_files import load_torch_file
 
 IGNORED = ("backbone.", "patch_global_encoder.", "obj_global_encoder.")
 """Keys of what the published training can be told to bring along and nobody needs."""
