@@ -12,7 +12,15 @@ import pytest
 
 from placegraph.cli.command import Argument, Group, Option, command_of
 
-HEAVY = {"numpy", "numba", "rich", "PIL", "lark", "placegraph.outdoor.city", "placegraph.indoor"}
+HEAVY = {
+    "numpy",
+    "numba",
+    "rich",
+    "PIL",
+    "lark",
+    "placegraph.outdoor.city",
+    "placegraph.indoor.scene_map",
+}
 
 
 def tell(

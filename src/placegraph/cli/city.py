@@ -6,7 +6,6 @@ import json
 import sys
 from contextlib import contextmanager
 from dataclasses import asdict
-from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +13,7 @@ import click
 
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, console, numbers_of, progress_of, show_facts, table
+from placegraph.core.options import in_radians
 from placegraph.core.plugins import load_module
 from placegraph.errors import DescriptionError, OptionError
 from placegraph.outdoor.options import JUDGED, KNOWN, CellOptions, LocateOptions, RankingOptions
@@ -80,12 +80,6 @@ def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
     from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     return EncodedCity(city, GraphTransformer.open(weights))
-
-
-def in_radians(known: dict[str, Any]) -> dict[str, Any]:
-    """Return given `LocateOptions` with the heading as libraries take it [rad]."""
-    heading = {"heading": radians(known["heading_deg"])} if "heading_deg" in known else {}
-    return {k: v for k, v in known.items() if k != "heading_deg"} | heading
 
 
 def lonlat(value: str | None, option: str) -> tuple[float, float] | None:

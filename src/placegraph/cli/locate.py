@@ -6,11 +6,12 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from placegraph.cli.city import Near, in_radians, lonlat
+from placegraph.cli.city import Near, lonlat
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
 from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
 from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
+from placegraph.core.options import in_radians
 from placegraph.errors import OptionError
 from placegraph.outdoor.options import KNOWN, LocateOptions
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of, show_facts
 from placegraph.cli.scene_anchor import summary
 from placegraph.cli.scene_options import (
@@ -25,6 +25,7 @@ from placegraph.cli.scene_options import (
     rows_of,
 )
 from placegraph.errors import MapError, OptionError
+from placegraph.indoor.options import PoseSearchOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -250,13 +251,7 @@ MOST_IDS = 6
 
 def check(
     map_file: MapFile,
-    height: Annotated[
-        list[float] | None,
-        Option(
-            help="Height above the floor at which cameras will be [m], 1.5 to 1.8 if not given; may be "
-            "repeated."
-        ),
-    ] = None,
+    search: Annotated[dict[str, Any], Fields(PoseSearchOptions, "heights")],
     as_json: AsJson = False,
 ) -> None:
     """Say what is wrong with a scene map: units, floor, gravity, holes, objects; each with a mend.
@@ -266,15 +261,13 @@ def check(
     Example: placegraph scene check house.scene
     """
     from placegraph.indoor.mapping.check import check as findings_of
-    from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.scene_map import SceneMap
 
     begun = perf_counter()
     scene = SceneMap.open(map_file)
     opened = perf_counter() - begun
-    options = PoseSearchOptions(heights=tuple(height)) if height else PoseSearchOptions()
     size = map_file.stat().st_size
-    findings = findings_of(scene, options=options, size=size, seconds=opened)
+    findings = findings_of(scene, options=PoseSearchOptions(**search), size=size, seconds=opened)
     errors = sum(f.severity == "error" for f in findings)
     if as_json:
         told = {

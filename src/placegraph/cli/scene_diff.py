@@ -5,28 +5,27 @@ from __future__ import annotations
 import json
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
 from placegraph.cli.scene_options import (
     Frames,
     MapFile,
     NoProgress,
     Seed,
-    UseColour,
-    UseDepth,
     chosen_frames,
 )
 from placegraph.errors import OptionError
+from placegraph.indoor.mapping.change.changes import DiffOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from placegraph.core.geometry import Floats
-    from placegraph.indoor.mapping.change.changes import DiffOptions, SceneDiff
+    from placegraph.indoor.mapping.change.changes import SceneDiff
     from placegraph.indoor.scene_map import SceneMap
 
 MOST_IDS = 8
@@ -44,18 +43,14 @@ Axes = Annotated[
         "found if not given.",
     ),
 ]
-LeastShift = Annotated[float, Option(help="What moved less than this stayed [m].")]
 
 
 def diff(
     map_file: MapFile,
     later: Later,
+    given: Annotated[dict[str, Any], Fields(DiffOptions)],
     frames: Frames = None,
     axes: Axes = None,
-    least_shift: LeastShift = 0.08,
-    depth: UseDepth = True,
-    colour: UseColour = True,
-    seed: Seed = 0,
     as_json: AsJson = False,
     out: Annotated[
         Path | None, Option("--out", "-o", help="Write the diff as JSON, for scene update.")
@@ -72,7 +67,7 @@ def diff(
     """
     from placegraph.maps import open_scene
 
-    options = _options(axes, least_shift, depth=depth, colour=colour, seed=seed)
+    options = DiffOptions(b_from_a=_motion(axes), **given)
     scene = open_scene(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
         found = compared(scene, later, frames, options, tell)
@@ -142,7 +137,7 @@ def update(
         found = read_diff(diff_file)
     else:
         scene = SceneMap.open(map_file)
-        options = _options(axes, 0.08, depth=True, colour=True, seed=seed)
+        options = DiffOptions(b_from_a=_motion(axes), seed=seed)
         with progress_of(hidden=quiet or as_json) as tell:
             found = compared(scene, Path(str(later)), frames, options, tell)
     target = out or map_file
@@ -211,16 +206,6 @@ def show(found: SceneDiff) -> None:
             f"Unseen, so that nothing can be told of them: {len(found.unseen)} objects "
             f"({', '.join(found.unseen[:MOST_IDS])}{more})."
         )
-
-
-def _options(
-    axes: str | None, least_shift: float, *, depth: bool, colour: bool, seed: int
-) -> DiffOptions:
-    from placegraph.indoor.mapping.change.changes import DiffOptions
-
-    return DiffOptions(
-        b_from_a=_motion(axes), least_shift=least_shift, depth=depth, colour=colour, seed=seed
-    )
 
 
 def _motion(axes: str | None) -> Floats | None:

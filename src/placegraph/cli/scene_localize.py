@@ -6,11 +6,11 @@ import json
 from dataclasses import dataclass, replace
 from math import degrees, hypot, isfinite, log, radians, sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from placegraph.cli.command import Option
+from placegraph.cli.command import Fields, Option
 from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
 from placegraph.cli.scene_options import (
     KNOWN,
@@ -27,8 +27,6 @@ from placegraph.cli.scene_options import (
     PlanFile,
     Seed,
     TumFile,
-    UseColour,
-    UseDepth,
     Weights,
     chosen_frames,
     map_from_camera_of,
@@ -37,10 +35,11 @@ from placegraph.cli.scene_options import (
     read_estimate,
 )
 from placegraph.errors import OptionError
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
-    from placegraph.indoor.options import PoseSearchOptions, RefineOptions
+    from placegraph.indoor.options import RefineOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.scene_map import SceneMap
@@ -144,6 +143,7 @@ def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str
 def localize(
     map_file: MapFile,
     capture: CaptureFolder,
+    search: Annotated[dict[str, Any], Fields(PoseSearchOptions)],
     frames: Frames = None,
     seed: Seed = 0,
     near: Annotated[
@@ -172,15 +172,6 @@ def localize(
             panel=USED,
         ),
     ] = None,
-    height: Annotated[
-        list[float] | None,
-        Option(help="Height of the camera above the floor [m]; may be repeated.", panel=KNOWN),
-    ] = None,
-    semantic: Annotated[
-        bool, Option("--semantic/--no-semantic", help="Use the labels of the frames.", panel=USED)
-    ] = True,
-    depth: UseDepth = True,
-    colour: UseColour = True,
     depth_network: Annotated[
         Path | None,
         Option(
@@ -206,9 +197,6 @@ def localize(
     ] = True,
     matcher: MatcherName = "auto",
     weights: Weights = None,
-    every: Annotated[
-        float, Option(help="Keyframes: least time between frames [s]; 0 takes all.", panel=USED)
-    ] = 0.0,
     device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
@@ -240,10 +228,9 @@ def localize(
     from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
-    options = _options(
-        preset, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
-        record=any(file is not None for file in (png, gif, record)),
-    )  # fmt: skip
+    options = replace(FilterOptions.preset(preset), **search)
+    if any(file is not None for file in (png, gif, record)):
+        options = options.with_filter(record=True)
     prior = _prior(near, radius, yaw_deg)
     refining = RefineOptions.preset(preset) if refine else None
     matching = _matching(matcher, weights, device, refine=refining is not None)
@@ -263,25 +250,6 @@ def localize(
         click.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
     else:
         show(estimate)
-
-
-def _options(
-    preset: str,
-    *,
-    semantic: bool,
-    depth: bool,
-    colour: bool,
-    height: list[float] | None,
-    every: float,
-    record: bool,
-) -> PoseSearchOptions:
-    from placegraph.indoor.options import FilterOptions
-
-    options = FilterOptions.preset(preset)
-    if height:
-        options = replace(options, heights=tuple(height))
-    options = replace(options, semantic=semantic, depth=depth, colour=colour, every=every)
-    return options.with_filter(record=True) if record else options
 
 
 def _measured(
@@ -325,6 +293,7 @@ def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | No
 def refine(
     map_file: MapFile,
     capture: CaptureFolder,
+    used: Annotated[dict[str, Any], Fields(PoseSearchOptions, "depth", "colour")],
     pose: Annotated[
         str | None,
         Option(
@@ -339,8 +308,6 @@ def refine(
     mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
     frames: Frames = None,
     seed: Seed = 0,
-    depth: UseDepth = True,
-    colour: UseColour = True,
     matcher: MatcherName = "auto",
     weights: Weights = None,
     device: Device = "auto",
@@ -368,7 +335,8 @@ def refine(
         raise OptionError("Give one of --pose and --estimate: about where the camera is.")
     if mode != 1 and estimate is None:
         raise OptionError("--mode belongs to --estimate; give both.")
-    options = RefineOptions(depth=depth, images="auto" if colour else False)
+    images: Literal["auto", False] = "auto" if used.get("colour", True) else False
+    options = RefineOptions(depth=used.get("depth", True), images=images)
     matching = matcher_of(matcher, weights, device)
     chosen = _chosen(open_capture(capture), frames, estimate)
     if pose is not None:

@@ -37,10 +37,6 @@ Frames = Annotated[
 ]
 Seed = Annotated[int, Option(help="The same seed gives the same answer.")]
 Device = Annotated[str, Option(help="auto, cpu or cuda.")]
-UseDepth = Annotated[bool, Option("--depth/--no-depth", help="Use depth images.", panel=USED)]
-UseColour = Annotated[
-    bool, Option("--colour/--no-colour", help="Use colours where the map has some.", panel=USED)
-]
 MatcherName = Annotated[
     str,
     Option(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from functools import cache
-from math import isfinite
+from math import isfinite, radians
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -40,7 +40,7 @@ class OptionInfo:
         """Bounds of a number, by their names in annotated-types and pydantic."""
         least = ("ge", self.minimum) if self.above is None else ("gt", self.above)
         bounds = dict([least, ("le", self.maximum), ("lt", self.below)])
-        return {name: bound for name, bound in bounds.items() if bound is not None}
+        return {name: b for name, b in bounds.items() if b is not None and isfinite(b)}
 
     @property
     def text(self) -> str:
@@ -141,6 +141,14 @@ def _describe(hint: Any, info: OptionInfo) -> str:  # noqa: ANN401
         bounds = " and ".join(f"{_WORDS[name]} {b:g}" for name, b in info.bounds.items())
         return f"{kind} {bounds}" + f" [{info.unit}]" * bool(info.unit)
     return f"a {getattr(hint, '__name__', hint)}"
+
+
+def in_radians(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that are not None, with angles named ``*_deg`` in radians and named without it."""
+    return {
+        name.removesuffix("_deg"): radians(value) if name.endswith("_deg") else value
+        for name, value in values.items() if value is not None
+    }  # fmt: skip
 
 
 def write_table(owner: type) -> str:

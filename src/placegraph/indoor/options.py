@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 
+KNOWN = "What is known"
 USED = "What is used of the frames"
 
 
@@ -154,6 +155,8 @@ class PoseSearchOptions:
         "each, and those of `STANDING` between them.",
         unit="m",
         minimum=-inf,
+        flag="--height",
+        panel=KNOWN,
     )
     spacing: float = option(
         0.5,

@@ -11,7 +11,8 @@ import placegraph as pg
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
 from placegraph.io.osm import urls
 from placegraph.io.osm.urls import fetch_file, size_of
-from placegraph_scale.build import BuildOptions, build_world
+from placegraph_scale.build import build_world
+from placegraph_scale.options import BuildOptions
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (extra scale)")
 NUMBER = count()

@@ -10,13 +10,14 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.options import in_radians
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.status import diagnostics_of
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
-from placegraph_serve.locate import answered, given, on_earth
+from placegraph_serve.locate import answered, given_answer, on_earth, options_in
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.requests import (
     LEVEL,
@@ -112,15 +113,6 @@ def read(folder: Path, asked: dict[str, Any], options: ServeOptions) -> tuple[Im
         heading=None if heading is None else radians(heading),
         prior=None if prior is None else Prior(**in_radians(prior)),
     )  # fmt: skip
-
-
-def in_radians(given: dict[str, float | None]) -> dict[str, float]:
-    """What was given of some fields, those in degrees in radians and without the ending of their names."""
-    return {
-        name.removesuffix("_deg"): radians(value) if name.endswith("_deg") else value
-        for name, value in given.items()
-        if value is not None
-    }
 
 
 def found(
@@ -237,11 +229,7 @@ def begin(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
         raise OptionError("map: several are served; name one.")
     kind = desk.places.entry(name).kind
     if kind == "city":
-        heading = asked["heading_deg"]
-        tracker: Any = desk.places.city(name).track(
-            near=asked["near"], radius=asked["radius"],
-            heading=None if heading is None else radians(heading),
-        )  # fmt: skip
+        tracker: Any = desk.places.city(name).track(**options_in(asked))
     else:
         camera = camera_of(asked["camera"], None)
         if camera is None:
@@ -288,7 +276,7 @@ def _walked(tracker: CityTracker, asked: dict[str, Any]) -> Any:  # noqa: ANN401
     if asked["text"] is not None:
         estimate = tracker.tell(asked["text"])
     for answer in asked["answers"]:
-        estimate = tracker.answer(given(answer))
+        estimate = tracker.answer(given_answer(answer))
     if estimate is None:
         raise OptionError(
             "step: nothing is said or moved; give text, answers, east and north, or distance."

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from math import radians
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.core.estimate import CityEstimate
+from placegraph.core.options import in_radians
 from placegraph.errors import (
     DescriptionError,
     GeoPoseError,
@@ -58,33 +58,23 @@ def locate(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
 
 def in_city(city: CityMap, name: str, asked: dict[str, Any]) -> dict[str, Any]:
     """Where in a city something was said, and what to ask back."""
-    heading = asked.get("heading_deg")
     estimate: CityEstimate = city.locate(
-        asked["text"],
-        top=asked.get("top") or 5,
-        near=asked.get("near"),
-        radius=asked.get("radius") or 1000.0,
-        heading=None if heading is None else radians(heading),
-        answers=[given(answer) for answer in asked.get("answers") or ()],
-        language=asked.get("language"),
+        asked["text"], answers=answers_in(asked), **options_in(asked)
     )
     return answered(name, estimate, estimate.next_question(city))
 
 
 def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[str, Any]:
     """Where in all maps something was said, or in one scene alone."""
-    heading = asked.get("heading_deg")
     world = places.world(name)
-    estimate = world.locate(
-        asked["text"],
-        near=asked.get("near"),
-        radius=asked.get("radius") or 1000.0,
-        heading=None if heading is None else radians(heading),
-        top=asked.get("top") or 5,
-        answers=[given(answer) for answer in asked.get("answers") or ()],
-        language=asked.get("language"),
-    )
+    estimate = world.locate(asked["text"], answers=answers_in(asked), **options_in(asked))
     return answered(name, estimate, estimate.next_question(world))
+
+
+def options_in(asked: dict[str, Any]) -> dict[str, Any]:
+    """Return arguments of `locate` in a body; those that are null or missing take their defaults."""
+    names = ("top", "near", "radius", "heading_deg", "language")
+    return in_radians({name: asked.get(name) for name in names})
 
 
 def answered(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
@@ -136,7 +126,12 @@ def told(question: Question) -> dict[str, Any]:
     }
 
 
-def given(answer: dict[str, Any]) -> Answer:
+def answers_in(asked: dict[str, Any]) -> list[Answer]:
+    """Return the answers in a body to earlier questions."""
+    return [given_answer(answer) for answer in asked.get("answers") or ()]
+
+
+def given_answer(answer: dict[str, Any]) -> Answer:
     """An answer ``{"question": ..., "option": ...}`` that a client sends back."""
     from placegraph.outdoor.search.ask import NONE, WINDS, Question, Thing
 

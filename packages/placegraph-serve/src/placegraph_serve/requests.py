@@ -22,12 +22,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera
+from placegraph.core.options import options_of
 from placegraph.errors import InputError, OptionError, RequestError
 from placegraph.indoor.pose.prior import Prior
 from placegraph.io.capture.capture import Capture, is_capture, open_capture
 from placegraph.io.capture.fixes import Fix, exif_fix
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.images import opened
+from placegraph.outdoor.options import LocateOptions
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import refused
 
@@ -40,6 +42,14 @@ Near = Annotated[
 ]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+def option_field(name: str, **bounds: float) -> Any:  # noqa: ANN401  # a default, to mypy
+    """Return a field of a body that stands for one of `LocateOptions`; null takes its default."""
+    entry = next(entry for entry in options_of(LocateOptions) if entry.name == name)
+    default = "" if entry.default is None else f" Default: {entry.default}."
+    settings: Any = {"description": entry.info.text + default} | entry.info.bounds | bounds
+    return Field(None, **settings)
 
 
 class _Body(BaseModel):
@@ -84,13 +94,11 @@ class Locate(_Body):
     text: str = Field(description="What stands around the speaker, in words.")
     map: str | None = Field(None, description="Name of a map; all of them where not given.")
     near: Near = None
-    radius: float | None = Field(None, gt=0, le=1e7, description="Radius of `near` [m]; 1000.")
-    heading_deg: Finite | None = Field(
-        None, description="Where the speaker looks, clockwise from north."
-    )
+    radius: float | None = option_field("radius")
+    heading_deg: Finite | None = option_field("heading_deg")
     answers: list[Answered] = Field(default=[], max_length=30)
     language: str | None = Field(None, max_length=20)
-    top: int | None = Field(None, ge=1, le=50, description="Modes at most; 5.")
+    top: int | None = option_field("top", le=50)
 
 
 class Intrinsics(_Body):
@@ -144,8 +152,8 @@ class Begin(_Body):
 
     map: str | None = None
     near: Near = None
-    radius: Positive = 1000.0
-    heading_deg: Finite | None = None
+    radius: float | None = option_field("radius")
+    heading_deg: Finite | None = option_field("heading_deg")
     camera: Intrinsics | None = None
     description: str | None = Field(None, max_length=2000)
     seed: int = Field(0, ge=0)
