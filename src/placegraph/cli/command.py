@@ -63,13 +63,21 @@ class Fields:
     """Options with flags of a dataclass (`placegraph.core.options`), or only those named.
 
     The function takes a dict of those given on the command line; the dataclass has the defaults.
+    `owner` may be named as ``module:name``, which is imported when the command itself is used.
     """
 
-    def __init__(self, owner: type, *names: str) -> None:
+    def __init__(self, owner: type | str, *names: str) -> None:
+        if isinstance(owner, str):
+            owner = _import(owner)
         self.options = [
             entry for entry in options_of(owner)
             if entry.info.flag and (not names or entry.name in names)
         ]  # fmt: skip
+
+
+def _import(place: str) -> Any:  # noqa: ANN401
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 class Group(click.Group):
@@ -97,8 +105,7 @@ class Group(click.Group):
         """Command of a name, None where there is none."""
         place = self._places.get(cmd_name) or self._extend().get(cmd_name)
         if isinstance(place, str):
-            module, _, function = place.partition(":")
-            place = getattr(import_module(module), function)
+            place = _import(place)
         if place is None or isinstance(place, click.Command):
             return place
         return command_of(place, cmd_name)
@@ -116,7 +123,36 @@ class Group(click.Group):
 
 
 class _Command(click.Command):
-    """A command whose help tells of its arguments, and of its options under headings."""
+    """Command of a function; its help lists arguments, and options under headings."""
+
+    def __init__(self, name: str, function: Callable[..., Any]) -> None:
+        super().__init__(name, callback=self._call, help=inspect.getdoc(function))
+        self._function = function
+        self._groups: dict[str, list[str]] = {}
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Parameters of the function, made when they are first asked for."""
+        hints = {} if self.params else get_type_hints(self._function, include_extras=True)
+        for param in inspect.signature(self._function).parameters.values() if hints else ():
+            hint, told = get_args(hints[param.name])[:2]
+            if isinstance(told, Fields):
+                self._groups[param.name] = [entry.name for entry in told.options]
+                self.params += [_field_param(*entry) for entry in told.options]
+            else:
+                self.params.append(_param(param.name, param.default, hint, told))
+        return super().get_params(ctx)
+
+    def _call(self, **given: Any) -> Any:  # noqa: ANN401
+        many = {p.name for p in self.params if getattr(p, "multiple", False) or p.nargs == -1}
+        given = {k: (list(v) or None) if k in many else v for k, v in given.items()}
+        source = click.get_current_context().get_parameter_source
+        for group, names in self._groups.items():
+            values = {k: given.pop(k) for k in names}
+            given[group] = {
+                k: tuple(v) if isinstance(v, list) else v
+                for k, v in values.items() if source(k) is not ParameterSource.DEFAULT
+            }  # fmt: skip
+        return self._function(**given)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
@@ -149,30 +185,7 @@ class _Option(click.Option):
 
 def command_of(function: Callable[..., Any], name: str) -> click.Command:
     """Command of a function, whose docstring is its help."""
-    hints = get_type_hints(function, include_extras=True)
-    params: list[Any] = []
-    groups: dict[str, list[str]] = {}
-    for param in inspect.signature(function).parameters.values():
-        hint, told = get_args(hints[param.name])[:2]
-        if isinstance(told, Fields):
-            groups[param.name] = [entry.name for entry in told.options]
-            params += [_field_param(*entry) for entry in told.options]
-        else:
-            params.append(_param(param.name, param.default, hint, told))
-    many = {param.name for param in params if param.multiple or param.nargs == -1}
-
-    def called(**given: Any) -> Any:  # noqa: ANN401
-        given = {k: (list(v) or None) if k in many else v for k, v in given.items()}
-        source = click.get_current_context().get_parameter_source
-        for group, names in groups.items():
-            values = {k: given.pop(k) for k in names}
-            given[group] = {
-                k: tuple(v) if isinstance(v, list) else v
-                for k, v in values.items() if source(k) is not ParameterSource.DEFAULT
-            }  # fmt: skip
-        return function(**given)
-
-    return _Command(name, callback=called, params=params, help=inspect.getdoc(function))
+    return _Command(name, function)
 
 
 def _field_param(name: str, default: Any, hint: Any, info: OptionInfo) -> _Option:  # noqa: ANN401
