@@ -130,7 +130,7 @@ def build_scene(
 
 
 def scene_of_model(model: Model, **options: Any) -> SceneMap:  # noqa: ANN401  # of `make_scene`
-    """Scene map of a model in memory; options and errors as of `make_scene`."""
+    """Return scene map of a model in memory; options and errors as of `make_scene`."""
     return make_scene(Source(model), **options)
 
 
@@ -145,7 +145,7 @@ def make_scene(
     notes: list[str] | None = None,
     progress: Progress | None = None,
 ) -> SceneMap:
-    """Scene map of a source in memory; parameters and errors as of `build_scene`."""
+    """Make scene map of a source in memory; parameters and errors as of `build_scene`."""
     detail = get_detail(detail)
     told: list[str] = [] if notes is None else notes
     told.extend(source.notes)
@@ -199,7 +199,7 @@ def _find_floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | 
 def _merge_relations(
     model: Model, row: NDArray[np.int64], computed: list[tuple[int, str, int]]
 ) -> list[tuple[int, str, int]]:
-    """The source's own relations, and those computed between pairs that it says nothing of.
+    """Merge the source's relations with those computed between pairs that it says nothing of.
 
     `same room` stands beside any other: its edges are a tree, which no branch may be missing of.
     """

@@ -45,7 +45,7 @@ class Rendering:
 
     @classmethod
     def empty(cls, camera: Camera) -> Rendering:
-        """Picture of nothing."""
+        """Make a picture of nothing."""
         shape = camera.height, camera.width
         return cls(
             np.zeros((*shape, 3), np.uint8),
@@ -68,7 +68,7 @@ class Rendering:
         return seen
 
     def normals(self, mesh: Mesh, map_from_camera: ArrayLike) -> NDArray[np.float32]:
-        """(H, W, 3) float32 unit normals in map axes that face the camera; NaN: nothing.
+        """Return (H, W, 3) float32 unit normals in map axes that face the camera; NaN: nothing.
 
         `mesh` and `map_from_camera` (4, 4) are those of the rendering.
         """
@@ -137,7 +137,7 @@ class Renderer:
         samples: int = 4,
         wanted: NDArray[np.bool_] | None = None,
     ) -> Rendering:
-        """Picture of the map from a pose (4, 4); parameters and errors: `render`.
+        """Render the map from a pose (4, 4); parameters and errors as of `render`.
 
         `wanted`: (H / 4, W / 4), rounded up, tiles of 4 x 4 pixels that are looked at; others may be
         left empty.
@@ -168,7 +168,7 @@ class Renderer:
 
 
 def check_pose(map_from_camera: ArrayLike) -> Floats:
-    """A pose (4, 4) float64, or `OptionError` where it is not finite or not rigid."""
+    """Check a pose (4, 4), returned as float64; raises `OptionError` unless finite and rigid."""
     try:
         pose = np.asarray(map_from_camera, np.float64)
     except (TypeError, ValueError) as error:
@@ -194,7 +194,7 @@ def check_pose(map_from_camera: ArrayLike) -> Floats:
 
 @lru_cache(maxsize=4)
 def camera_rays(camera: Camera) -> NDArray[np.float32]:
-    """Rays (H, W, 2) float32 of a camera: x and y where z is 1, through the pixels' centres.
+    """Compute the rays (H, W, 2) float32 through a camera's pixel centres, with z = 1.
 
     Kept for the last four cameras: distortion takes far longer to undo than the map to render.
     """
@@ -215,7 +215,7 @@ def _find_hidden(camera: Camera) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=len(SAMPLES))
 def sample_pattern(samples: int) -> NDArray[np.float32]:
-    """Places (S, 2) float32 of rays in a pixel, from its centre [px]: Hammersley's points.
+    """Return ray positions (S, 2) float32 in a pixel, from its centre [px]: Hammersley's points.
 
     No two share a row or a column, so that an edge that is nearly upright gets S shades.
     """

@@ -52,7 +52,7 @@ def differentiate_rays(rays, row, column):
 
 @kernel(fastmath=FAST, error_model="numpy")
 def shade(world, eye, packet, ints, places, width, colours):
-    """Colours (16, 3) float32, 0 to 255, of what the lanes of a packet hit.
+    """Shade what the lanes of a packet hit: colours (16, 3) float32, 0 to 255.
 
     `places`: (16, 2) row and column of each lane's pixel, of which it stands for the share `width`
     in height and breadth. Lanes that hit nothing are left alone.
@@ -113,13 +113,13 @@ def shade(world, eye, packet, ints, places, width, colours):
 
 @kernel(inline="always", error_model="numpy")
 def cross(ax, ay, az, bx, by, bz):
-    """Product of two vectors."""
+    """Return product of two vectors."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @kernel(error_model="numpy")
 def project_on_axes(turn, x, y, z):
-    """Parts of a vector along the camera's x and y axes."""
+    """Project a vector onto the camera's x and y axes."""
     return (
         turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
         turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
@@ -149,7 +149,7 @@ def plan_taps(longer, shorter, deepest):
 
 @kernel(fastmath=FAST, error_model="numpy")
 def filter_texture(levels, texels, texture, s, t, sx, tx, taps, level, part):
-    """Mean colour (3 floats) of a texture around (s, t), seen by `plan_taps` along (sx, tx).
+    """Filter a texture around (s, t) by the taps of `plan_taps` along (sx, tx): mean colour.
 
     Textures repeat beyond [0, 1); a look lies between the four texels around it.
     """
@@ -359,7 +359,7 @@ def edges(world, picture, row, edge):
 
 @kernel(error_model="numpy")
 def contrast(colour, row, column, i, j):
-    """Whether two pixels differ enough for stairs to be seen."""
+    """Return whether two pixels differ enough for stairs to be seen."""
     red = abs(int(colour[row, column, 0]) - int(colour[i, j, 0]))
     green = abs(int(colour[row, column, 1]) - int(colour[i, j, 1]))
     blue = abs(int(colour[row, column, 2]) - int(colour[i, j, 2]))
@@ -368,7 +368,7 @@ def contrast(colour, row, column, i, j):
 
 @kernel(error_model="numpy")
 def normal(triangles, at, triangle):
-    """Unit normal (3 floats) of a triangle; zero where it has no area."""
+    """Return unit normal (3 floats) of a triangle; zero where it has no area."""
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     x, y, z = cross(
         at[b, 0] - at[a, 0], at[b, 1] - at[a, 1], at[b, 2] - at[a, 2],

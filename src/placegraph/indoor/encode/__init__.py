@@ -183,7 +183,7 @@ class BoundEncoder:
 
 
 def bind_encoder(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
-    """Tie an encoder to a map: with the vectors that the map holds, or made of the map itself.
+    """Bind an encoder to a map, with the vectors that the map holds or new ones.
 
     Raises
     ------

@@ -240,7 +240,7 @@ def segmenter(
     *,
     threads: int | None = None,
 ) -> TfliteSegmenter:
-    """Segmenter of a .tflite file: one image (1, h, w, 3) in, one label or score a class and pixel out.
+    """Load a segmenter from a .tflite file: one image (1, h, w, 3) in, a label or scores a pixel out.
 
     Parameters
     ----------

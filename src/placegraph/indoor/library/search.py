@@ -539,7 +539,7 @@ def infer_from_query(
 ) -> ScenePosterior:
     """Return the posterior of encoded frames and a text.
 
-    Scores beyond the S scenes are those of `decoys`, which stand for all other homes: what cannot be
+    Scores beyond the S scenes are those of `load_decoys`, which stand for all other homes: what cannot be
     told from a few dozen is not known. A scene that cannot be searched counts as such a home.
     """
     found = library.score_frames(query, options)

@@ -43,9 +43,9 @@ def _sum_best_cosines(cosines, code, starts, weight, out, first, last):
 
 
 def score_mixtures(ratio, code, share, starts, weight, wrong):
-    """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
+    """Score words with weights (W,) in each scene (S,), as a mixture of its objects [log-likelihood].
 
-    `ratio`: (U, W) how much likelier a word is of an object than of anything; `run_parallel`: (M,).
+    `ratio`: (U, W) how much likelier a word is of an object than of anything; `share`: (M,) of each object.
     """
     out = np.empty(len(starts) - 1, np.float64)
     in_threads(_score_mixtures, len(out), ratio, code, share, starts, weight, wrong, out)
@@ -102,7 +102,7 @@ def count_agreeing(words, shapes):
 
 @kernel
 def hash_rows(bits):
-    """A 64-bit number of each row of bits (P, d) uint32; equal rows have the same."""
+    """Hash each row of bits (P, d) uint32 to 64 bits; equal rows have the same hash."""
     out = np.empty(len(bits), np.uint64)
     for p in range(len(bits)):
         factor, total = np.uint64(1), np.uint64(0)
@@ -141,7 +141,7 @@ def add_log_likelihoods(evidence, bin_of, word, weight, logs):
 
 
 def score_paths(bins, steps, off, chosen, code, index):
-    """Log of the mean likelihood over all starts of a way, for chosen units (C,) of an index.
+    """Score a path in chosen units (C,): log of the mean likelihood over all its starts.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def _unroll_columns(panoramas, own, unmapped):
 
 @kernel
 def _find_nearest(places):
-    """Nearest place of each cell of the ground (X, X) around the first of them; -1: off the map."""
+    """Find the nearest place of each cell of the ground (X, X); -1: off the map."""
     reach = 0.0
     for p in range(len(places)):
         for axis in range(2):
@@ -245,7 +245,7 @@ def _find_nearest(places):
 
 @kernel
 def _find_neighbours(places):
-    """Rows (P, NEIGHBOURS) of the places nearest to each, itself first; -1 where there are fewer."""
+    """Find rows (P, NEIGHBOURS) of the places nearest to each, itself first; -1 where there are fewer."""
     count = len(places)
     out = np.full((count, NEIGHBOURS), -1, np.int64)
     for p in range(count):
@@ -263,7 +263,7 @@ def _find_neighbours(places):
 
 @kernel(fastmath=True)
 def _blur_scores(score, near):
-    """Best of scores (P, turns) at each place and heading, or one place or bin beside it."""
+    """Take the best score (P, turns) of each place and heading, and of its neighbours less a penalty."""
     count, turns = score.shape
     turned = np.empty_like(score)
     for p in range(count):

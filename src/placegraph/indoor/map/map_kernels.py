@@ -198,7 +198,7 @@ class Panoramas(NamedTuple):
 
     objects: NDArray[np.uint16]  # (K, E, A) row of the object; their number where the map ends
     ranges: NDArray[np.uint8]  # (K, E, A) logarithmic; 255: the map ends
-    colours: NDArray[np.uint8]  # (K, E, 3, A) `surface.opponent`, scaled to bytes
+    colours: NDArray[np.uint8]  # (K, E, 3, A) `opponent_colour`, scaled to bytes
 
 
 COLOUR_SCALE = np.array([85.0, 127.0, 63.0], np.float32)

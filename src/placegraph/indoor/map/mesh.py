@@ -250,7 +250,7 @@ def _rows(name: str, rows: NDArray[np.int32], count: int | None) -> None:
 
 
 def sort_triangles(mesh: Mesh) -> Mesh:
-    """Order a mesh part by connected part and fan by fan; drops unused vertices."""
+    """Sort a mesh part by connected part and fan by fan; drops unused vertices."""
     from placegraph.indoor.map.map_kernels import order_fans
 
     by_object = np.argsort(mesh.object_of, kind="stable")

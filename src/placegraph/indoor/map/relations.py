@@ -510,5 +510,5 @@ def _group_connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list
 
 
 def _drop_symmetric_turn(relation: str, turned: bool) -> Meaning:
-    """A reading; of what says the same when the things change places there is one."""
+    """Normalize a meaning: relations that hold both ways are never turned."""
     return relation, turned and relation != NEXT_TO and not relation.startswith("same ")

@@ -72,7 +72,7 @@ class Landmarks(PickleFields):
 
     @classmethod
     def of(cls, points: ArrayLike, vectors: ArrayLike) -> Landmarks:
-        """Landmarks at points (L, 3) [m] with unit vectors (L, WIDTH), brought into the file's order."""
+        """Quantize landmarks at points (L, 3) [m] with unit vectors (L, DESCRIPTOR_SIZE), in file order."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         steps = np.rint(points / LANDMARK_GRAIN)
         order = np.lexsort((*steps.T, *np.floor(points / _CELL).T))
@@ -369,7 +369,7 @@ def make_graph(
     names: Sequence[str],
     relations: Sequence[tuple[int, str, int]],
 ) -> SceneGraph:
-    """Graph of N objects, in the boxes of their triangles; edges (source row, relation, target row)."""
+    """Make the graph of N objects in the boxes of their triangles; edges (source, relation, target)."""
     boxes = mesh.object_bounds(len(ids))
     return SceneGraph(
         ids=tuple(ids), labels=tuple(labels), names=tuple(names),

@@ -157,7 +157,7 @@ def measure_needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
 
 
 def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
-    """Textures (h, w, 3) uint8 of encoded ones.
+    """Decode textures (h, w, 3) uint8 of encoded ones.
 
     Raises `MapError` naming `path` where one is no image, or where all together would fill memory.
     """

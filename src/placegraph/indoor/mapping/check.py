@@ -48,7 +48,7 @@ class Finding:
     """What to do: an option of `placegraph scene build`, or a word about the file."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain strings."""
+        """Return plain strings."""
         told = {**asdict(self), "objects": list(self.objects)}
         told["mend"] = told.pop("remedy")
         return told
@@ -59,7 +59,7 @@ _BARE = 0.2  # Share of the surface that is white and without texture
 
 
 def _weld_corners(scene: Scene) -> NDArray[np.int64]:
-    """(T, 3) corners as numbers of places: vertices at one place are one, whatever their colour."""
+    """Number the corners (T, 3) by place: vertices at one place are one, whatever their colour."""
     grain, _ = scene.mesh.steps()
     steps = np.rint(scene.mesh.vertices / np.float32(grain)).astype(np.int64)
     steps -= steps.min(axis=0)
@@ -167,7 +167,7 @@ def _check_twins(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_far_objects(scene: Scene) -> Iterator[Finding]:
-    """Objects that lie apart from all others by more than the map without them is wide."""
+    """Check for objects farther from all others than the map without them is wide."""
     low, high = _boxes(scene)
     if len(scene) < 3:
         return
@@ -388,7 +388,7 @@ def height_of_rooms(scene: Scene) -> float:
 
 
 def _known_ratio(scene: Scene) -> float | None:
-    """Ratio of the heights of objects whose kind is in `HEIGHTS` to the usual ones.
+    """Compare the heights of objects whose kind is in `HEIGHTS` with the usual ones, as a ratio.
 
     None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
     lower than things, and labels may err.
@@ -410,21 +410,21 @@ def _known_ratio(scene: Scene) -> float | None:
 
 
 def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Areas (T,) [m2] and unit normals (T, 3)."""
+    """Return areas (T,) [m2] and unit normals (T, 3)."""
     doubled = scene.mesh.normals()
     lengths = np.linalg.norm(doubled, axis=1)
     return lengths / 2.0, doubled / np.maximum(lengths, 1e-12)[:, None]
 
 
 def _facing(areas: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) area that faces along each axis."""
+    """Return (3,) area that faces along each axis."""
     return np.array([areas[np.abs(unit[:, k]) > LEVEL].sum() for k in range(3)])
 
 
 def _largest_level(
     heights: NDArray[np.float64], areas: NDArray[np.float64], floor: float
 ) -> float | None:
-    """Height of the largest level surface no more than 3 m off the floor that is said."""
+    """Return height of the largest level surface no more than 3 m off the floor that is said."""
     near = np.abs(heights - floor) < 3.0
     if not near.any():
         return None

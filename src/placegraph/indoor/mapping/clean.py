@@ -46,7 +46,7 @@ def check_model(model: Model) -> None:
 
 
 def convert_to_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
-    """Model in metres; one whose size cannot be metres is refused where no scale is given."""
+    """Convert a model to metres; one whose size cannot be metres is refused where no scale is given."""
     if scale is not None:
         floor = None if model.floor is None else model.floor * scale
         return replace(model, vertices=model.vertices * scale, floor=floor)
@@ -72,7 +72,7 @@ def convert_to_metres(model: Model, scale: float | None, notes: list[str]) -> Mo
 
 
 def level_model(model: Model, up: str, notes: list[str]) -> Model:
-    """Model whose labelled floor is level: where `up` is "auto" and it stands, model is turned."""
+    """Turn a model so that its labelled floor is level, where `up` is "auto"."""
     if up != "auto":
         return model
     rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
@@ -102,7 +102,7 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
 def clean_model(
     model: Model, left_out: Counter[str]
 ) -> tuple[Mesh, list[Thing], list[Picture], Any]:
-    """Mesh without triangles that have no area, and without what no triangle needs.
+    """Drop triangles without area, and what no triangle needs.
 
     Textures are placeholders of one texel. Returns also the things and pictures that are left, and
     the new row (N,) of every thing of the model, -1 of those that are left out.
@@ -154,7 +154,7 @@ def clean_model(
 def find_flat_triangles(
     vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any], grain: float = GRAIN
 ) -> NDArray[np.bool_]:
-    """Triangles (T,) without area once their corners are snapped, but for the last of an object."""
+    """Find triangles (T,) without area once their corners are snapped, but for the last of an object."""
     flat = np.zeros(len(triangles), np.bool_)
     for part in iterate_slices(len(triangles)):
         a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / grain), 1, 0)
@@ -165,7 +165,7 @@ def find_flat_triangles(
 
 
 def snap_mesh(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
-    """Mesh on its grid, without the triangles that lose their area there."""
+    """Snap a mesh to its grid, and drop the triangles that lose their area there."""
     mesh = mesh.snapped(grain, uv_grain)
     keep = ~find_flat_triangles(mesh.vertices, mesh.triangles, mesh.object_of)
     if keep.all():
@@ -185,7 +185,7 @@ def _sample_corners(model: Model) -> NDArray[np.float64]:
 
 
 def _index_used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Rows that are used, ascending, and `rows` in terms of these."""
+    """Return the rows that are used, ascending, and `rows` in terms of these."""
     used = np.zeros(count, np.bool_)
     used[rows.ravel()] = True
     place = np.cumsum(used, dtype=np.int32) - np.int32(1)
@@ -211,7 +211,7 @@ def reduce_mesh(
     left_out: Counter[str],
     notes: list[str],
 ) -> tuple[Mesh, tuple[bytes, ...]]:
-    """Mesh and encoded textures with as much detail as wanted."""
+    """Reduce a mesh to the detail that is wanted; also encodes its textures."""
     if detail.error is None:
         blobs = textures.encode_pictures(pictures, detail)
         return snap_mesh(mesh, detail.grain, detail.uv_grain), blobs

@@ -32,7 +32,7 @@ _EYE, _MOST_EYES = 0.12, 60  # length of the pyramid that shows a camera [m]; py
 
 
 def make_path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
+    """Make segments (L, 2, 3) [m] of a camera's path (T, 4, 4), with pyramids that look ahead."""
     at = poses[:, :3, 3]
     way = np.stack([at[:-1], at[1:]], axis=1)
     corners = _EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
@@ -209,7 +209,7 @@ def list_losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
 
 
 def split_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
-    """Surfaces of each of `count` objects, one a texture: what GLB wants."""
+    """Split the mesh into surfaces of each of `count` objects, one a texture: as GLB wants it."""
     order = np.lexsort([mesh.texture_of, mesh.object_of])
     keys = np.stack([mesh.object_of[order], mesh.texture_of[order]])
     starts = np.flatnonzero(np.diff(keys, axis=1, prepend=-1).any(axis=0))
@@ -270,7 +270,7 @@ def encode_scene(scene: Scene, paths: Paths | None = None) -> bytes:
 
 
 def _make_extras(scene: Scene, row: int) -> dict[str, Any]:
-    """Extras of an object's node; attributes whose names are taken stand under a key of ours."""
+    """Make the extras of an object's node; attributes whose names are taken stand under a key of ours."""
     label, attributes = scene.graph.labels[row], scene.attributes[row]
     hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
     own: dict[str, Any] = {"attributes": hidden} if hidden else {}

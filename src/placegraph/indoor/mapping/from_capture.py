@@ -76,7 +76,7 @@ def read_capture(
     *,
     reader: Mapping[str, Any] | None = None,
 ) -> Source:
-    """Model of RGB-D frames: fused, and cut into objects by their labels or by geometry and colour.
+    """Read a model of RGB-D frames: fused, and cut into objects by labels or geometry and colour.
 
     `reader`: options of the recorder's own reader, such as `scale` and `up` of COLMAP. Raises
     `InputError` where the capture has no depth.
@@ -124,7 +124,7 @@ def read_capture(
 
 
 def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Some of points (N, 3) [m], at most `MAX_VIEWPOINTS`, one in each cube of an edge that leaves so few."""
+    """Thin points (N, 3) [m] to at most `MAX_VIEWPOINTS`, one in each cube."""
     edge, points = 0.25, np.round(points, 2)  # to a centimetre, as a map file holds them
     while True:
         _, first = np.unique(np.floor(points / edge), axis=0, return_index=True)
@@ -134,7 +134,7 @@ def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tuple[str, ...]]:
-    """Height of the floor [m], and what was guessed of it: cameras may have seen none of it."""
+    """Find the height of the floor [m]; also a note where cameras saw none of it."""
     if segments.floor is not None:
         return segments.floor, ()
     mesh = Mesh.plain(fused.vertices, fused.triangles, segments.object_of)
@@ -182,7 +182,7 @@ def _fuse_frames(
 
 
 def make_things(segments: Segments) -> tuple[Thing, ...]:
-    """Things of what cutting found."""
+    """Make the model's objects from segments."""
     return tuple(map(Thing, segments.ids, segments.labels, segments.names))
 
 

@@ -46,7 +46,7 @@ class View:
 def read_views(
     frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
 ) -> Iterator[View | None]:
-    """Views of all frames in order, None for those without depth or whose pose is not `good` (T,).
+    """Read the views of all frames in order, None for those without depth or a `good` pose (T,).
 
     The next frames are read while the caller works on the last. Raises `InputError` where an image
     is broken.
@@ -69,7 +69,7 @@ def read_views(
 
 
 def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
-    """View of a frame, None where it has no depth."""
+    """Read the view of a frame, None where it has no depth."""
     depth, depth_camera = frame.depth(), frame.depth_camera
     if depth is None or depth_camera is None or not (depth > 0).any():
         return None
@@ -88,9 +88,9 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
 
 @lru_cache(maxsize=8)
 def undistort(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
-    """The same camera without distortion, and where its pixels (h, w) stand in the flat image.
+    """Remove a camera's distortion; also where its pixels (h, w) stand in the flat image.
 
-    Its images are as large as it takes to show all that the camera sees, up to `MAX_FISHEYE_ANGLE` times;
+    Its images are as large as it takes to show all that the camera sees, up to `WIDEST` times;
     -1: outside of the image.
     """
     w, h = camera.width, camera.height
@@ -203,7 +203,7 @@ class Volume:
     def take(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
         """Take in a view, in place; what its image was multiplied by to fit those before.
 
-        `facets`: (h, w, 6) of `depth_kernels.facets_of`. Raises `FullError` where memory ends.
+        `facets`: (h, w, 6) of `compute_facets`. Raises `FullError` where memory ends.
         """
         pose, depth_eye = view.map_from_camera, view.eyes[0]
         edge = SIDE * self.voxel
@@ -248,7 +248,7 @@ class Volume:
         )
 
     def gaps(self, points: Floats) -> NDArray[np.float32]:
-        """Distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
+        """Return distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
         return kernels.measure_gaps(
             self.keys, self.rows, self.distance, self.weight, self.voxel, self.truncation, points
         )
@@ -265,7 +265,7 @@ NOTHING = 1e-12  # Triangles of no more than this are none [m^2]
 def extract_surface(
     volume: Volume, *, least: float, speck: float, left_out: Counter[str]
 ) -> tuple[Floats, Ints, Colours]:
-    """Vertices (V, 3) [m], triangles (T, 3) that face free space, and colours (V, 3).
+    """Extract vertices (V, 3) [m], triangles (T, 3) that face free space, and colours (V, 3).
 
     `least` and `speck` as of `FuseOptions`. All are empty where the volume shows no surface.
     """
@@ -311,7 +311,7 @@ def drop_specks(
 
 @lru_cache(maxsize=1)
 def make_loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """Loop of every edge by case (256, 12), -1: the surface does not cross it; number of loops (256,).
+    """Tabulate the loop of every edge by case (256, 12), -1: not crossed; and loops by case (256,).
 
     On each face of a cell the surface joins crossed edges in pairs. Where all four are crossed, the
     two corners behind the surface are cut off one by one; the cell beyond the face does the same.
@@ -348,7 +348,7 @@ def make_loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
 
 
 def _starts(sizes: Ints) -> Ints:
-    """Starts of parts, and the end (B + 1,)."""
+    """Return starts of parts, and the end (B + 1,)."""
     return np.concatenate([[0], np.cumsum(sizes)])
 
 
@@ -462,7 +462,7 @@ class _Run:
                 progress(self.done, len(frames))
 
     def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
-        """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
+        """Choose some of a view's used readings, spread over it (N, 3) [m, map]."""
         v, u = np.nonzero(facets[..., 4])
         chosen = np.unique(
             np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64)
@@ -475,7 +475,7 @@ class _Run:
         return moved
 
     def finish(self, start: float, why: str, counts: Counter[str]) -> Fused:
-        """The mesh, and what there is to say."""
+        """Extract the mesh, and compare it with the readings."""
         volume, options = self.volume, self.options
         if not any(len(points) for points in self.witnesses):
             reasons = ", ".join(f"{n} {what}" for what, n in counts.items()) or "no frame"

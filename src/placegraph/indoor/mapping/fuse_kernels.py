@@ -20,13 +20,13 @@ NEAR = 0.15  # Readings and voxels nearer than this are none [m]
 
 @kernel(inline="always")
 def key_of(x, y, z):
-    """Key of the block at whole coordinates."""
+    """Return key of the block at whole coordinates."""
     return ((x + RANGE) << 42) | ((y + RANGE) << 21) | (z + RANGE)
 
 
 @kernel(inline="always")
 def transform(pose, x, y, z):
-    """Point as three numbers after a rigid motion (4, 4)."""
+    """Return point as three numbers after a rigid motion (4, 4)."""
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3],
         pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3],
@@ -47,7 +47,7 @@ def slot_of(keys, key):
 
 @kernel
 def row_of(keys, rows, x, y, z):
-    """Row of the block at whole coordinates, -1: there is none."""
+    """Return row of the block at whole coordinates, -1: there is none."""
     if abs(x) >= RANGE or abs(y) >= RANGE or abs(z) >= RANGE:
         return -1
     at = slot_of(keys, key_of(x, y, z))
@@ -68,7 +68,7 @@ def allocate_blocks(keys, rows, places, count, room, facets, eye, pose, edge, ba
     """Give a block to every place within `band` [m] of a reading; count of blocks afterwards.
 
     Stops early, and says so by -1 - count, where `room` blocks are there: then give it more room and
-    call again. `facets`: see `depth_kernels.facets_of`; `eye`: fx, fy, cx, cy; `pose`: (4, 4)
+    call again. `facets`: see `compute_facets`; `eye`: fx, fy, cx, cy; `pose`: (4, 4)
     map_from_camera; `edge`: of a block [m]; `step`: every such line and column is looked at.
     """
     h, w = facets.shape[:2]
@@ -113,7 +113,7 @@ def integrate(
     """Take one view into the blocks `chosen`, from `first` to `last` of them, in place.
 
     `distance`, `weight`, `paint`: (B, SIZE) float32 signed distance [m], its weight, and that of the
-    colour; `colour`: (B, SIZE, 3) float32; `facets`: (h, w, 6), see `depth_kernels.facets_of`;
+    colour; `colour`: (B, SIZE, 3) float32; `facets`: (h, w, 6), see `compute_facets`;
     `image`: (H, W, 3) uint8; `gain`: what the image is multiplied by; `eyes`: (2, 4) fx, fy, cx, cy
     of the depth and of the colour camera; `pose`: (4, 4) camera_from_map; `band`: colour is
     taken within this distance of the surface [m].
@@ -169,7 +169,7 @@ def integrate(
 
 @kernel(error_model="numpy")
 def measure_gaps(keys, rows, distance, weight, voxel, truncation, points):
-    """Distances (N,) [m] of points (N, 3) [m] from the surface; the truncation where none is near."""
+    """Measure distances (N,) [m] of points (N, 3) [m] from the surface; the truncation where none is near."""
     out = np.empty(len(points), np.float32)
     for i in range(len(points)):
         x, y, z = points[i, 0] / voxel - 0.5, points[i, 1] / voxel - 0.5, points[i, 2] / voxel - 0.5
@@ -192,7 +192,7 @@ def measure_gaps(keys, rows, distance, weight, voxel, truncation, points):
 
 @kernel(error_model="numpy")
 def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pose, step, least):
-    """Model's brightness over the image's, where both say something (N,) float32.
+    """Compare the model's brightness with the image's (N,) float32, where both are known.
 
     Parameters as of `integrate` and `allocate_blocks`; `least`: paint that a voxel needs.
     """
@@ -236,7 +236,7 @@ FLAT = 0.1  # Least cosine of the angle at which a reading's surface is looked a
 
 
 def compute_facets(depth, eye, reach, edges):
-    """Plane, reading and weight of every pixel (h, w, 6) float32.
+    """Compute plane, reading and weight of every pixel (h, w, 6) float32.
 
     Columns 0 to 2: unit normal n in the camera, away from it; 3: n @ x of the plane's points x, so
     that column 3 - n @ p is how far a point p lies in front; 4: the reading [m], 0: none, or not to be
@@ -313,7 +313,7 @@ def _facets_of(depth, eye, reach, edges, out, first, last):
 
 @kernel(error_model="numpy")
 def between(depth, v, u):
-    """Reading between two that agree, left and right or above and below, up to 4 pixels apart; or 0.
+    """Interpolate a reading between two that agree, up to 4 pixels apart; else 0.
 
     Near surfaces are larger in the image than their voxels: one hole would leave voxels unseen.
     """
@@ -358,7 +358,7 @@ def torn(depth, v, u, here, allowed):
 
 @kernel(error_model="numpy")
 def find_farthest(facets, tile):
-    """Greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
+    """Find greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
     h, w = facets.shape[:2]
     out = np.zeros(((h + tile - 1) // tile, (w + tile - 1) // tile), np.float32)
     for v in range(h):
@@ -369,7 +369,7 @@ def find_farthest(facets, tile):
 
 @kernel(error_model="numpy")
 def find_visible(places, count, edge, far, tile, eye, shape, pose, band):
-    """Rows of the blocks that a view may see, ascending.
+    """Find rows of the blocks that a view may see, ascending.
 
     `far`: of `find_farthest`; `shape`: height and width [px]; `pose`: (4, 4) camera_from_map.
     """
@@ -406,7 +406,7 @@ _WIDE = SIDE + 1
 
 
 def find_neighbours(keys, rows, places, count):
-    """Rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
+    """Find rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
     run_parallel(_neighbours, count, keys, rows, places, out)
     return out
@@ -424,7 +424,7 @@ def _neighbours(keys, rows, places, out, first, last):
 
 @kernel
 def corner_of(around, row, i, j, k):
-    """Block and voxel of the voxel at i, j, k (-1 to SIDE) of a block; block -1: not there."""
+    """Return block and voxel of the voxel at i, j, k (-1 to SIDE) of a block; block -1: not there."""
     side = (i + SIDE) // SIDE * 9 + (j + SIDE) // SIDE * 3 + (k + SIDE) // SIDE
     return around[row, side], (i % SIDE * SIDE + j % SIDE) * SIDE + k % SIDE
 
@@ -437,7 +437,7 @@ def find_cells(around, distance, weight, least, steepest, loops):
     from free space to behind the surface, between voxels that weigh more than `least`; not where the
     distance jumps by more than `steepest` [m]: there a carved voxel lies beside one behind
     something. Bit c of a case is set where corner c (x + 2 y + 4 z) lies behind the surface; a cell
-    of which not all is known has case 0. `loops`: see `surface.loop_tables`.
+    of which not all is known has case 0. `loops`: see `fuse.make_loop_tables`.
     """
     count = len(around)
     cases = np.zeros((count, SIZE), np.uint8)
@@ -490,9 +490,9 @@ def _cells_of(
 def make_vertices(
     around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
 ):
-    """Vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
+    """Make vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
 
-    `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `surface.loop_tables`.
+    `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `fuse.make_loop_tables`.
     A vertex is the mean of the points where its loop crosses the edges of the cell.
     """
     points = np.zeros((starts[-1], 3), np.float64)
@@ -565,14 +565,14 @@ def _vertices_of(
 
 @kernel
 def low_corner(edge):
-    """Corner at which an edge (4 axis + 0 to 3) of a cell begins."""
+    """Return corner at which an edge (4 axis + 0 to 3) of a cell begins."""
     axis, rest = edge >> 2, edge & 3
     one, two = (axis + 1) % 3, (axis + 2) % 3
     return (rest & 1) << one | (rest >> 1) << two
 
 
 def make_quads(around, distance, cases, crossed, vertex, loop_of, starts, quads):
-    """Vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
+    """Make vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
 
     `quads`: (Q, 4) int32, empty for counting; `starts`: (B + 1,) first quad of each block. Seen from free
     space they run counter-clockwise.
@@ -619,7 +619,7 @@ def _quads_of(
 
 @kernel
 def split_quads(points, quads):
-    """Two triangles (2 Q, 3) int64 for each quad (Q, 4), along its shorter diagonal."""
+    """Split two triangles (2 Q, 3) int64 for each quad (Q, 4), along its shorter diagonal."""
     out = np.empty((2 * len(quads), 3), np.int64)
     for row in range(len(quads)):
         a, b, c, d = quads[row]
@@ -638,7 +638,7 @@ def split_quads(points, quads):
 
 @kernel
 def measure_areas(points, triangles):
-    """Areas (T,) of triangles [m^2]."""
+    """Measure areas (T,) of triangles [m^2]."""
     out = np.empty(len(triangles))
     for row in range(len(triangles)):
         a, b, c = triangles[row]
@@ -654,7 +654,7 @@ def measure_areas(points, triangles):
 
 @kernel
 def find_roots(count, triangles):
-    """Lowest vertex (V,) of the connected part that every vertex belongs to."""
+    """Find lowest vertex (V,) of the connected part that every vertex belongs to."""
     root = np.arange(count)
     for row in range(len(triangles)):
         for side in range(2):
@@ -667,7 +667,7 @@ def find_roots(count, triangles):
 
 @kernel
 def find(root, vertex):
-    """Root of a vertex; the way there is cut short."""
+    """Return root of a vertex; the way there is cut short."""
     while root[vertex] != vertex:
         root[vertex] = root[root[vertex]]
         vertex = root[vertex]

@@ -107,7 +107,7 @@ def _find_features(frame: Frame) -> _FrameFeatures:
 
 
 def read_depth(frame: Frame, rays: Floats) -> Floats:
-    """Depth (N,) [m] along rays (N, 3), between pixels interpolated; NaN at jumps and holes."""
+    """Read depth (N,) [m] along rays (N, 3), between pixels interpolated; NaN at jumps and holes."""
     depth, camera = frame.depth(), frame.depth_camera
     if depth is None or camera is None or not len(rays):
         return np.full(len(rays), np.nan)
@@ -134,7 +134,7 @@ def _match_landmarks(
     pose: Floats,
     focal: float,
 ) -> NDArray[np.int64]:
-    """Landmark (N,) that each feature of a frame shows again, -1: none so far."""
+    """Match landmark (N,) that each feature of a frame shows again, -1: none so far."""
     out = np.full(len(features.depth), -1, np.int64)
     at = (points - pose[:3, 3]) @ pose[:3, :3]
     ahead = np.flatnonzero(at[:, 2] > 0.1)
@@ -169,7 +169,7 @@ def _match_landmarks(
 def _triangulate(
     points: Floats, track: _Tracks, poses: Floats, focal: float
 ) -> tuple[Floats, Floats]:
-    """Points (L, 3) nearest to their rays and depths, and what the rays miss by (L,) [px].
+    """Return points (L, 3) nearest to their rays and depths, and what the rays miss by (L,) [px].
 
     Gauss-Newton on reprojection, 1 px, and on depth, with Geman and McClure's weights.
     """
@@ -209,7 +209,7 @@ def _triangulate(
 def _choose_landmarks(
     track: _Tracks, counts: NDArray[np.int64], missed: Floats
 ) -> NDArray[np.int64]:
-    """Rows of the landmarks kept: by their place among those of the frame that values them most."""
+    """Choose rows of the landmarks kept: by their place among those of the frame that values them most."""
     worth = np.where(missed < _MISSED, counts, 0)
     order = np.lexsort((-worth[track.landmark], track.frame))
     frame, landmark = track.frame[order], track.landmark[order]

@@ -83,7 +83,7 @@ class Level:
 
 
 def select_level(plan: IndoorOsm, level: float | None) -> Level:
-    """One level of a file's rooms; what has no level is on all where it is a door, else on level 0.
+    """Select one level of a file's rooms; what has no level is on all where it is a door, else on level 0.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
 
 
 def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
-    """Anchor of the map: its origin is the middle of its rooms, x points east, y north."""
+    """Make anchor of the map: its origin is the middle of its rooms, x points east, y north."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     around = [
         s
@@ -162,13 +162,13 @@ def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
 
 
 def _project(anchor: Anchor, lonlat: Floats) -> Floats:
-    """(n, 2) [m, map] of (n, 2) [deg]."""
+    """Project longitudes and latitudes (n, 2) [deg] to (n, 2) [m, map]."""
     heights = np.full((len(lonlat), 1), anchor.height)
     return anchor.to_map(np.concatenate([lonlat, heights], axis=1))[:, :2]
 
 
 def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
-    """Height of rooms by their building's, in as many levels, or a usual one; and which it was."""
+    """Find the height of rooms by their building's, or a usual one; also says which."""
     house = next((s for s in plan.shapes if s.osm == anchor.osm), None)
     if house is not None:
         tall = parse_length(house.tags.get("height", ""))
@@ -184,7 +184,7 @@ def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
 
 
 def _parse_height(tags: Mapping[str, str]) -> float | None:
-    """Height of a room [m] that its tags say; None: nothing that could be."""
+    """Parse the height of a room [m] from its tags; None: nothing that could be."""
     top = parse_length(tags.get("height", ""))
     height = None if top is None else top - (parse_length(tags.get("min_height", "")) or 0.0)
     return height if height is not None and _LOW <= height <= _HIGH else None
@@ -203,7 +203,7 @@ def _make_door(anchor: Anchor, shape: IndoorShape) -> Door:
 
 
 def parse_length(text: str) -> float | None:
-    """Metres of a tag: ``2.8``, ``2.8 m``, ``90 cm``; None where it is none."""
+    """Parse a length [m]: ``2.8``, ``2.8 m``, ``90 cm``; None where it is none."""
     match = _LENGTH.fullmatch(text)
     if match is None:
         return None
@@ -270,7 +270,7 @@ class Wall:
 
 
 def segment_distances(points: Floats, starts: Floats, ends: Floats) -> Floats:
-    """Distance (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
+    """Measure distances (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
     along = ends - starts
     away = points[:, None] - starts[None]
     share = (away * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12)
@@ -280,7 +280,7 @@ def segment_distances(points: Floats, starts: Floats, ends: Floats) -> Floats:
 
 
 def find_walls(level: Level) -> list[Wall]:
-    """Walls of a level: rooms stand in walls; corridors where they border on nothing else; areas in none.
+    """Find the walls of a level: rooms stand in walls, corridors only where they border on nothing else.
 
     Where an outline has nodes on another's edge, it is cut there, so that shared walls are one.
     """
@@ -314,7 +314,7 @@ def find_walls(level: Level) -> list[Wall]:
 
 
 def _split_edge(start: Floats, end: Floats, nodes: Floats) -> list[Floats]:
-    """Ends of an edge with the nodes of other outlines that lie on it, in order."""
+    """Split an edge at the nodes of other outlines that lie on it."""
     along, away = end - start, nodes - start
     length = max(float(np.linalg.norm(along)), 1e-9)
     off = np.abs(_cross(along, away)) / length
@@ -329,7 +329,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def read_rooms(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:
-    """Source of a scene map of one level of an OpenStreetMap file, `options["level"]`.
+    """Read one level of an OpenStreetMap file, `options["level"]`, as the source of a scene map.
 
     Raises `InputError` and `OptionError` as `read_indoor_osm` and `select_level` do.
     """
@@ -374,14 +374,14 @@ class _ModelBuilder:
         self.things.append(Thing(str(len(self.things)), label, name, attributes or {}))
 
     def add(self, vertices: Floats, triangles: NDArray[np.int64]) -> None:
-        """Triangles of the last thing."""
+        """Add triangles to the last object."""
         self.vertices.append(vertices)
         self.triangles.append(triangles + self.count)
         self.thing_of.extend([len(self.things) - 1] * len(triangles))
         self.count += len(vertices)
 
     def box(self, a: Floats, b: Floats, heights: tuple[float, float], thick: float) -> None:
-        """A box that stands on the line from a to b (2,) [m], between two heights."""
+        """Add a box on the line from a to b (2,) [m], between two heights."""
         along = (b - a) / np.linalg.norm(b - a)
         side = np.array([-along[1], along[0]]) * thick / 2.0
         base = np.stack([a - side, a + side, b - side, b + side])
@@ -390,7 +390,7 @@ class _ModelBuilder:
 
 
 def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
-    """Model of a level, its floor at 0 m."""
+    """Build the model of a level, its floor at 0 m."""
     parts = _ModelBuilder()
     for room in level.rooms:
         _add_floor_and_ceiling(parts, room)
@@ -445,7 +445,7 @@ def _add_floor_and_ceiling(parts: _ModelBuilder, room: Room) -> None:
 
 
 def _add_frame(parts: _ModelBuilder, wall: Wall, door: Door) -> None:
-    """The frame of a door: what there is of it while it stands open."""
+    """Add the frame of a door, as it stands open."""
     low, high, top = wall.opening(door)
     if high - low < 3.0 * FRAME:
         return
@@ -465,7 +465,7 @@ _SAID = ("indoor", "ref", "amenity", "shop", "office", "highway", "stairs", "acc
 
 
 def export_shapes(scene: Scene) -> list[IndoorShape]:
-    """Rooms and doors of a map, by the best anchor of each of its scenes, longitude and latitude.
+    """Export rooms and doors of a map in longitude and latitude, by the best anchor of each scene.
 
     A room is outlined by its own floor; where floors go through several rooms, by the free floor,
     to a decimetre.
@@ -555,7 +555,7 @@ def _to_lonlat(anchor: Anchor, points: Floats, height: float) -> Floats:
 
 
 def _outline_floor(scene: Scene, row: int) -> list[Floats]:
-    """Closed rings of a floor (n, 2) [m, map]; empty where its triangles make none."""
+    """Outline a floor by closed rings (n, 2) [m, map]; empty where its triangles make none."""
     mesh = scene.mesh
     triangles = mesh.triangles[mesh.object_of == row].astype(np.int64)
     corners = mesh.vertices[triangles].astype(np.float64)
@@ -567,7 +567,7 @@ def _outline_floor(scene: Scene, row: int) -> list[Floats]:
 
 
 def _find_ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float) -> float | None:
-    """Height of a room's ceiling [m, map], or of the others'; None where there is none."""
+    """Find height of a room's ceiling [m, map], or of the others'; None where there is none."""
     above: dict[bool, list[float]] = {True: [], False: []}
     for row in rows.tolist():
         words = split_label(scene.graph.labels[row])
@@ -606,7 +606,7 @@ def _export_doors(
 
 
 def find_ends(scene: Scene, row: int) -> Floats:
-    """Ends (2, 2) of a door or window seen from above [m, map]: along what it is widest."""
+    """Find the ends (2, 2) of a door or window seen from above [m, map], along its width."""
     mesh = scene.mesh
     corners = mesh.vertices[mesh.triangles[mesh.object_of == row], :2].reshape(-1, 2)
     points = np.unique(corners.astype(np.float64), axis=0)

@@ -25,7 +25,7 @@ def area(ring: Floats) -> float:
 
 
 def make_polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
-    """Simple polygons of closed rings (n, 2) [m]: the outer ring, counter-clockwise, then its holes.
+    """Make simple polygons of closed rings (n, 2) [m]: the outer ring, then its holes.
 
     An outer ring that crosses itself falls into those that it is made of, without holes; what is
     smaller than `LEAST_AREA` is dropped.
@@ -61,7 +61,7 @@ def untangle(ring: Floats) -> list[Floats]:
 
 
 def _find_crossing(loop: Floats) -> tuple[int, int, Floats] | None:
-    """Edges i < j of an open loop (n, 2) that cross or touch, and where; None: it is simple."""
+    """Find edges i < j of an open loop (n, 2) that cross or touch, and where; None: it is simple."""
     n = len(loop)
     for i in range(n):
         same = np.flatnonzero((loop[i + 1 :] == loop[i]).all(axis=1))
@@ -96,7 +96,7 @@ def _find_crossing(loop: Floats) -> tuple[int, int, Floats] | None:
 
 
 def triangulate(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
-    """Points (V, 2) and counter-clockwise triangles (T, 3) of a simple polygon, by clipping ears.
+    """Triangulate a simple polygon by clipping ears: points (V, 2), triangles (T, 3).
 
     `rings`: closed, the outer one counter-clockwise, holes clockwise; no point is added.
     """
@@ -153,7 +153,7 @@ def _contains_any(a: Floats, b: Floats, c: Floats, points: Floats) -> bool:
 
 
 def find_outlines(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
-    """Closed rings around triangles (T, 3) seen from above: edges that only one of them has.
+    """Find closed rings around triangles (T, 3) seen from above: edges of one triangle only.
 
     `points`: (V, 2) [m]; those within 0.1 mm are one. Empty where the edges make no rings.
     """
@@ -175,7 +175,7 @@ def find_outlines(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
 
 
 def trace_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list[Floats]:
-    """Closed rings (n, 2) [m] around the set cells (nx, ny) of a grid, straightened to a cell's width.
+    """Trace closed rings (n, 2) [m] around the set cells (nx, ny) of a grid, straightened to a cell's width.
 
     The largest first, counter-clockwise around cells, clockwise around holes; those below 0.5 m2
     are left out.
@@ -201,7 +201,7 @@ def trace_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list[Fl
 
 
 def _trace_rings(after: dict[int, list[int]]) -> list[list[int]]:
-    """Closed ways along directed edges; empty where they make none."""
+    """Trace closed ways along directed edges; empty where they make none."""
     ways = []
     while after:
         first = at = next(iter(after))
@@ -221,7 +221,7 @@ def _trace_rings(after: dict[int, list[int]]) -> list[list[int]]:
 
 
 def _simplify_ring(ring: Floats, tolerance: float) -> Floats:
-    """Closed ring without the points that lie within a tolerance [m] of it (Douglas, Peucker)."""
+    """Simplify a closed ring to a tolerance [m] (Douglas, Peucker)."""
     far = int(np.linalg.norm(ring - ring[0], axis=1).argmax())
     kept = np.zeros(len(ring), np.bool_)
     kept[[0, far, -1]] = True

@@ -48,7 +48,7 @@ def simplify(
     target: int = 0,
     left_out: dict[str, int] | None = None,
 ) -> Mesh:
-    """Mesh of the same objects and textures in fewer triangles.
+    """Simplify a mesh to fewer triangles; objects and textures stay.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def simplify(
 
 
 def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
-    """Mesh after one round; `limits` as of `collapse`."""
+    """Simplify a mesh by one round; `limits` as of `collapse`."""
     full, kept = build_wedges(mesh)
     if not len(kept):  # nothing but lines
         return mesh
@@ -109,7 +109,7 @@ def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, 
 
 
 def build_wedges(mesh: Mesh) -> tuple[WedgeMesh, Ints]:
-    """Places and wedges of a mesh, and the rows of its triangles that have three corners, once.
+    """Weld a mesh to places and wedges; also the rows of its triangles that have three corners, once.
 
     Vertices of one object at one place become one.
     """
@@ -152,7 +152,7 @@ def _split_by_owner(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]
 
 
 def find_edges(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Ints]:
-    """Edges (E, 2), every one once, and a face (E,) of those that have to stay, else -1.
+    """Find edges (E, 2), every one once, and a face (E,) of those that have to stay, else -1.
 
     These are the edges of one face, of more than two, and the seams: where the texture or its
     coordinates change from one face to the other.
@@ -173,7 +173,7 @@ def find_edges(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Int
 
 
 def batch_objects(object_of: Rows) -> list[Ints]:
-    """Rows of triangles by object, small objects together, so that threads share the work."""
+    """Batch triangles by object, small objects together, so that threads share the work."""
     order = np.argsort(object_of, kind="stable")
     ends = np.flatnonzero(np.diff(object_of[order], append=-1)) + 1
     group = (ends - 1) // _BATCH  # an object belongs where it ends
@@ -182,7 +182,7 @@ def batch_objects(object_of: Rows) -> list[Ints]:
 
 
 def cut_tiles(full: WedgeMesh, rows: Ints) -> list[Ints]:
-    """Rows of triangles cut into boxes of at most `TILE` each."""
+    """Cut triangles into boxes of at most `TILE` each."""
     if len(rows) <= TILE:
         return [rows]
     middle = full.points[full.corners[rows, 0]]
@@ -206,7 +206,7 @@ def _find_shared(full: WedgeMesh, parts: list[Ints]) -> NDArray[np.bool_]:
 def _extract_part(
     full: WedgeMesh, rows: Ints, locked: NDArray[np.bool_]
 ) -> tuple[WedgeMesh, NDArray[np.bool_]]:
-    """Triangles of their own, and which of their points are locked."""
+    """Extract triangles as a mesh of their own, and which of its points are locked."""
     used, corners = np.unique(full.corners[rows], return_inverse=True)
     looks, wedges = np.unique(full.wedges[rows], return_inverse=True)
     own = WedgeMesh(
@@ -248,7 +248,7 @@ def _join_parts(
 
 
 def _append_triangles(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
-    """Mesh and some triangles (T,) of another with the same objects and textures."""
+    """Append some triangles (T,) of another mesh with the same objects and textures."""
     if not rows.any():
         return mesh
     return Mesh(
@@ -263,7 +263,7 @@ def _append_triangles(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
 
 
 def _drop_twins(corners: Rows) -> Ints:
-    """Rows of triangles that have three corners, the first of each."""
+    """Drop triangles without three corners, and all but the first of each set of corners."""
     a, b, c = np.sort(corners, axis=1).T
     real = np.flatnonzero((a != b) & (b != c))
     _, first = group_rows(np.column_stack([a, b, c])[real].astype(np.int64))

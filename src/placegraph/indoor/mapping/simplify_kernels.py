@@ -50,7 +50,7 @@ short edges go first, and triangles stay fat."""
 
 @kernel
 def face_normal(points, faces, f):
-    """Normal of a face as three numbers, its length twice the area."""
+    """Return normal of a face as three numbers, its length twice the area."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     x, y, z = points[a, 0], points[a, 1], points[a, 2]
     u0, u1, u2 = points[b, 0] - x, points[b, 1] - y, points[b, 2] - z
@@ -60,7 +60,7 @@ def face_normal(points, faces, f):
 
 @kernel
 def compute_barycentrics(f, x, y, z, points, faces):
-    """Weights of corners 1 and 2 of a face, continued linearly to a point; NaN without area."""
+    """Compute weights of corners 1 and 2 of a face, continued linearly to a point; NaN without area."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     x0, y0, z0 = points[a, 0], points[a, 1], points[a, 2]
     u0, u1, u2 = points[b, 0] - x0, points[b, 1] - y0, points[b, 2] - z0
@@ -80,7 +80,7 @@ def compute_barycentrics(f, x, y, z, points, faces):
 
 @kernel
 def metres_per_uv(f, points, faces, wedges, values):
-    """Length on the surface of one unit of texture coordinates of face f [m]; 0 where it has none."""
+    """Return length on the surface of one unit of texture coordinates of face f [m]; 0 where it has none."""
     n0, n1, n2 = face_normal(points, faces, f)
     a, b, c = wedges[f, 0], wedges[f, 1], wedges[f, 2]
     d0, d1 = values[b, 0] - values[a, 0], values[b, 1] - values[a, 1]
@@ -133,7 +133,7 @@ def wedges_meeting(a, b, faces, wedges, head, after, own, group):
 def meeting_values(
     a, b, x, y, z, points, faces, wedges, values, head, after, own, group, n, new, total, checked
 ):
-    """Attributes of each group of wedges where its vertices meet, and how far the worst face slides.
+    """Return attributes of each group of wedges where its vertices meet, and how far the worst face slides.
 
     A group that loses a face takes that face's values, continued to the point; another one the mean
     of its faces' values. Returns the greatest shift of a texture on the surface [m] and of the
@@ -178,7 +178,7 @@ def meeting_values(
 
 @kernel
 def value_at(f, s, t, wedges, values, k):
-    """Attribute k of face f where its corners 1 and 2 weigh s and t."""
+    """Return attribute k of face f where its corners 1 and 2 weigh s and t."""
     first = values[wedges[f, 0], k]
     return first + s * (values[wedges[f, 1], k] - first) + t * (values[wedges[f, 2], k] - first)
 
@@ -229,7 +229,7 @@ def add_plane(quadric, n0, n1, n2, offset, weight):
 
 @kernel
 def error(q, x, y, z):
-    """Value of a quadric (10,) at a point."""
+    """Return value of a quadric (10,) at a point."""
     return (
         q[0] * x * x + 2 * q[1] * x * y + 2 * q[2] * x * z + 2 * q[3] * x + q[4] * y * y
         + 2 * q[5] * y * z + 2 * q[6] * y + q[7] * z * z + 2 * q[8] * z + q[9]
@@ -271,7 +271,7 @@ def meeting_point(quadrics, points, a, b, q):
 
 @kernel
 def compute_planes(points, faces, ends, side):
-    """Planes (F + B, 4) of the faces, and of the borders: upright on their face, or zeros."""
+    """Compute planes (F + B, 4) of the faces, and of the borders: upright on their face, or zeros."""
     planes = np.zeros((len(faces) + len(ends), 4))
     for f in range(len(faces)):
         n0, n1, n2 = face_normal(points, faces, f)
@@ -304,7 +304,7 @@ def put_plane(plane, n0, n1, n2, points, v):
 
 @kernel
 def compute_quadrics(points, faces, ends, planes):
-    """Quadrics (V, 10) of the planes of the faces and of the borders, weighted by area."""
+    """Compute quadrics (V, 10) of the planes of the faces and of the borders, weighted by area."""
     quadrics = np.zeros((len(points), 10))
     for f in range(len(faces)):
         n0, n1, n2 = face_normal(points, faces, f)
@@ -408,7 +408,7 @@ def exceeds_limit(v, x, y, z, limit, planes, head, after, corners):
 
 @kernel
 def link_corners(count, faces, ends):
-    """Lists by vertex of the corners of faces, and then of the ends (B, 2) of borders.
+    """Link the corners of faces, and then the ends (B, 2) of borders, by vertex.
 
     Heads and tails (count,), -1: none; and what follows each node (3 F + 2 B,), -1: nothing.
     """

@@ -33,7 +33,7 @@ class Bvh(NamedTuple):
 
 
 def build_tree(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Bvh:
-    """Tree over triangles (T, 3), rows of vertices (V, 3) [m]; T >= 1, every number finite."""
+    """Build tree over triangles (T, 3), rows of vertices (V, 3) [m]; T >= 1, every number finite."""
     boxes = trace.compute_boxes(vertices, triangles)
     nodes = np.zeros(16 * max(1, len(triangles) - 1), np.float32)
     order = np.arange(len(triangles), dtype=np.int32)
@@ -105,7 +105,7 @@ class RayCaster:
         """For compiled code (`trace_kernels.trace16`); it keeps what it needs alive."""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
-        """Closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3).
+        """Return closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3).
 
         Directions may have any length, and distances are in units of it. A ray that is not finite
         or has no direction hits nothing. Neighbouring rays are fastest where they are alike.

@@ -68,7 +68,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
 
 
 def make_embree_tracer(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Tracer:
-    """Embree scene of triangles (T, 3), rows of vertices (V, 3) [m]; lives as long as the tracer.
+    """Make Embree scene of triangles (T, 3), rows of vertices (V, 3) [m]; lives as long as the tracer.
 
     Raises MissingExtraError where `explain_unavailable` finds one.
     """
@@ -81,7 +81,7 @@ def make_embree_tracer(vertices: NDArray[np.float32], triangles: NDArray[np.int3
 
 @cache
 def explain_unavailable() -> str:
-    """Why Embree cannot serve in this process, as a sentence; empty: it can. Found out once."""
+    """Explain in a sentence why Embree cannot serve in this process; empty: it can."""
     try:
         version = distribution("embreex").version
     except PackageNotFoundError:
@@ -96,7 +96,7 @@ def explain_unavailable() -> str:
 
 @cache
 def _load_library() -> ctypes.CDLL:
-    """Embree of the wheel; the TBB it came with is loaded first, so that it is found."""
+    """Load Embree of the wheel; the TBB it came with is loaded first, so that it is found."""
     found: dict[str, Path] = {}
     for file in distribution("embreex").files or ():
         if match := re.match(r"(?:lib)?(tbb|embree4).*\.(?:so|dylib|dll)", file.name):

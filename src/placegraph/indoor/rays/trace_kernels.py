@@ -52,7 +52,7 @@ STACK = 72
 
 @kernel(error_model="numpy")
 def compute_boxes(vertices, triangles):
-    """(T, 6) low x y z, high x y z."""
+    """Compute the boxes (T, 6) of triangles: low x y z, high x y z."""
     boxes = np.empty((len(triangles), 6), np.float32)
     for i in range(len(triangles)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
@@ -98,13 +98,13 @@ def _grow_box(box, other):
 
 @kernel(error_model="numpy")
 def _find_bin(box, axis, low, scale, n_bins):
-    """Bin of a box by (twice) its centre."""
+    """Find bin of a box by (twice) its centre."""
     return min(n_bins - 1, int((box[axis] + box[axis + 3] - low[axis]) * scale[axis]))
 
 
 @kernel(error_model="numpy")
 def _find_best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right):
-    """Cost (areas times numbers), axis (-1: none) and first right bin of the best split."""
+    """Find the best split: cost (areas times numbers), axis (-1: none), first right bin."""
     for axis in range(3):
         for b in range(n_bins):
             counts[axis, b] = 0
@@ -141,7 +141,7 @@ def _find_best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right
 
 @kernel(error_model="numpy")
 def _partition(boxes, order, start, stop, axis, at, low, scale, n_bins):
-    """Bring triangles of bins before `at` to the front; returns where the others start."""
+    """Partition triangles by bin, those before `at` first; returns where the others start."""
     i, j = start, stop - 1
     while i <= j:
         if _find_bin(boxes[i], axis, low, scale, n_bins) < at:
@@ -229,7 +229,7 @@ T, OUT_U, OUT_V, LEFT, RIGHT, STACKED = range(17 * LANES, 23 * LANES, LANES)
 
 @kernel(error_model="numpy")
 def walk16(nodes, links, corners, rows, packet, ints, valid):
-    """Closest hits of a packet (see `layout`) with the triangles of a `Bvh`."""
+    """Return closest hits of a packet (see `layout`) with the triangles of a `Bvh`."""
     s = np.empty(STACKED + STACK * LANES, np.float32)
     stack = np.empty(STACK, np.int32)
     slots = np.empty(LANES, np.int32)
@@ -303,7 +303,7 @@ def _reciprocal(part):
 
 @kernel(error_model="numpy")
 def _shear(s, i, x, y, z):
-    """Rows A and B: a point's place across the ray, sheared along its longest part; D: its depth.
+    """Compute rows A, B (a point's place across the ray, sheared) and D (its depth along it).
 
     Errors of A . p are relative to parts of p, as those of boxes are: rotating would mix them.
     """
@@ -326,7 +326,7 @@ def _shear(s, i, x, y, z):
 
 @kernel(error_model="numpy")
 def _intersect_box(s, nodes, at, row):
-    """Into `row`, where each lane enters the box at `at`, or NEVER; returns how many do."""
+    """Write into `row` where each lane enters the box at `at`, or NEVER; returns how many do."""
     lx, ly, lz = nodes[at], nodes[at + 1], nodes[at + 2]
     hx, hy, hz = nodes[at + 3], nodes[at + 4], nodes[at + 5]
     number = 0
@@ -368,7 +368,7 @@ def _left_first(s):
 
 @kernel(error_model="numpy")
 def _edge_function(px, py, qx, qy):
-    """On which side of the edge p q the ray passes: products of four bytes are exact in eight."""
+    """Return the side of the edge p q on which the ray passes, exact in eight bytes."""
     return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
@@ -424,7 +424,7 @@ class Tracer(NamedTuple):
 
 @kernel
 def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-    """Aligned packet (21, 16) float32, the same memory as int32, and the valid mask (16,) int32."""
+    """Return aligned packet (21, 16) float32, the same memory as int32, and the valid mask (16,) int32."""
     floats = np.zeros((ROWS + 1) * LANES + LANES, np.float32)
     skip = ((-floats.ctypes.data) % 64) // 4
     block = floats[skip : skip + (ROWS + 1) * LANES]
@@ -440,7 +440,7 @@ def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int
 def trace16(
     tracer: Tracer, packet: NDArray[np.float32], ints: NDArray[np.int32], valid: NDArray[np.int32]
 ) -> None:
-    """Closest hits of a packet; lanes whose `valid` is 0 are left alone.
+    """Return closest hits of a packet; lanes whose `valid` is 0 are left alone.
 
     Origin, direction and `FAR` must be set, to finite numbers where `valid` is not 0: to Embree a
     lane that is not finite spoils its neighbours. After the call `FAR` holds the distance in units of

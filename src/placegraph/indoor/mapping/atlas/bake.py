@@ -35,12 +35,12 @@ class Charts:
     sizes: Floats  # (C, 2) width and height of each chart's rectangle [m]
 
     def grouped(self) -> tuple[Ints, Ints]:
-        """Triangles chart by chart, and where each chart starts (C + 1,)."""
+        """Group triangles by chart; also where each chart starts (C + 1,)."""
         return _group_rows(self.of, len(self.sizes), None)
 
 
 def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Charts:
-    """Charts of a mesh: no two triangles of one overlap, and none is longer than `longest` texels.
+    """Cut a mesh into charts without overlaps, none longer than `longest` texels.
 
     A triangle that is longer than that by itself is a chart of its own. `neighbours` as from
     `find_neighbours`; `texel` [m].
@@ -82,7 +82,7 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
 
 
 def find_neighbours(mesh: Mesh) -> Ints:
-    """(T, 3) triangle across each side, of the same object, -1: none.
+    """Find the triangle across each side (T, 3), of the same object; -1: none.
 
     Vertices at one place count as one. Where more than two triangles share a side, two and two do.
     """
@@ -113,11 +113,11 @@ class _Layout:
     sizes: Floats  # (C, 2) [m]
 
     def corners(self, points: Floats, of: Ints) -> Floats:
-        """Corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
+        """Return corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
         return np.einsum("tkn,tan->tka", points, self.axes[of]) - self.low[of][:, None]
 
     def with_new(self, points: Floats, doubled: Floats, of: Ints, limit: float) -> _Layout:
-        """These and the new charts, halved where they are longer than `limit` [m]; changes `of`."""
+        """Add the new charts, halved where they are longer than `limit` [m]; changes `of`."""
         first = len(self.axes)
         _renumber(of, first)
         fresh = np.flatnonzero(of >= first)
@@ -155,14 +155,14 @@ def _renumber(of: Ints, first: int) -> None:
 
 
 def _mean_normals(doubled: Floats, of: Ints, count: int) -> Floats:
-    """Mean unit normals (C, 3); up where a chart has no area."""
+    """Return mean unit normals (C, 3); up where a chart has no area."""
     total = np.stack([np.bincount(of, doubled[:, k], count) for k in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0, total / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
 
 
 def _upright_axes(planes: Floats) -> Floats:
-    """Right and down (C, 2, 3) as seen by who looks at planes (C, 3): upright where these are."""
+    """Return axes right and down (C, 2, 3) of planes (C, 3) as seen from in front; upright for walls."""
     down = np.broadcast_to([0.0, 0.0, -1.0], planes.shape)
     level = np.abs(planes[:, 2:]) > 0.95
     down = np.where(level, (0.0, -1.0, 0.0), down)
@@ -172,7 +172,7 @@ def _upright_axes(planes: Floats) -> Floats:
 
 
 def _group_rows(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
-    """Triangles chart by chart, ascending by `within` (T,), and where each chart starts (C + 1,)."""
+    """Group triangles chart by chart, ascending by `within` (T,), and where each chart starts (C + 1,)."""
     rows = np.argsort(of, kind="stable") if within is None else np.lexsort((within, of))
     starts = np.searchsorted(of[rows], np.arange(count + 1))
     return rows, starts.astype(np.int64)
@@ -219,7 +219,7 @@ class ChartImages:
 
 
 def assemble_mesh(mesh: Mesh, charts: Charts, sheets: ChartImages, largest: int) -> Mesh:
-    """Mesh with all images on pages."""
+    """Return mesh with all images on pages."""
     flat = sheets.levels < 0
     drawn = np.flatnonzero(~flat)
     cells, of = np.unique(np.rint(sheets.means[flat] / SHADES), axis=0, return_inverse=True)
@@ -273,7 +273,7 @@ def assemble_mesh(mesh: Mesh, charts: Charts, sheets: ChartImages, largest: int)
 def _average_groups(
     of: NDArray[Any], colours: Floats, valid: NDArray[np.bool_], count: int | None = None
 ) -> Floats:
-    """Mean colours (N, 3) of what is known of each group; of everything where nothing is."""
+    """Average the known colours of each group (N, 3); of everything where none is known."""
     count = int(of.max()) + 1 if count is None else count
     number = np.bincount(of[valid], minlength=count)
     sums = np.stack([np.bincount(of[valid], colours[valid, k], count) for k in range(3)], axis=1)
@@ -315,7 +315,7 @@ def _split_vertices(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[B
 
 
 def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, Ints]:
-    """Places of rectangles (R, 2) width, height on pages no longer than `largest`.
+    """Pack rectangles (R, 2) width, height on pages no longer than `largest`.
 
     Of one height, those of like `shade` (R,) lie side by side: in a coarse copy of the page, whose
     texels are wider than gutters, a chart then mixes with its like.
@@ -352,7 +352,7 @@ def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, In
 
 
 def fill_unknown(texels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Page (h, w, 3) whose unknown texels are smooth between those that are known (h, w).
+    """Fill the unknown texels of a page (h, w, 3) smoothly from those that are known (h, w).
 
     Means of known texels are taken over squares that double, then handed down: what lies next to a
     chart has its colour, what is far from all costs next to nothing.
@@ -375,7 +375,7 @@ def fill_unknown(texels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray
 
 
 def _halve(array: NDArray[Any]) -> NDArray[Any]:
-    """Sums over squares of 2 x 2; what is missing at the edge is 0."""
+    """Return sums over squares of 2 x 2; what is missing at the edge is 0."""
     h, w = array.shape[:2]
     padded = np.pad(array, [(0, h % 2), (0, w % 2), *[(0, 0)] * (array.ndim - 2)])
     rows = padded[::2] + padded[1::2]
@@ -384,7 +384,7 @@ def _halve(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _double(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Array twice as large, cut to `shape`, smooth between the texels' centres."""
+    """Return array twice as large, cut to `shape`, smooth between the texels' centres."""
     for axis in (0, 1):
         before, after = (np.roll(array, s, axis) for s in (1, -1))
         index: list[Any] = [slice(None)] * 3
@@ -419,7 +419,7 @@ def bake(
     largest: int = 2048,
     tolerance: float = TOLERANCE,
 ) -> Mesh:
-    """The same triangles with a texture atlas.
+    """Bake the colours of a mesh into a texture atlas; triangles stay.
 
     Charts of similar normal are laid flat, coloured by `colour_of` at every texel, made as coarse as
     their content allows, and packed on pages. Charts of one colour take a few texels that many

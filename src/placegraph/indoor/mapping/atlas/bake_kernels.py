@@ -49,7 +49,7 @@ def grow(normals, areas, neighbours, order, chart_of, first, least):
 
 @kernel(error_model="numpy")
 def absorb(normals, neighbours, chart_of, planes, small, least):
-    """Let the triangles of small charts (C,) join a larger neighbour whose plane suits them best."""
+    """Join the triangles of small charts (C,) to the larger neighbour whose plane suits them best."""
     changed = True
     while changed:
         changed = False
@@ -76,7 +76,7 @@ def absorb(normals, neighbours, chart_of, planes, small, least):
 
 @kernel(error_model="numpy")
 def turns(corners, rows, starts, angles, gain):
-    """Angle (C,) that makes each chart's rectangle small; 0 unless another saves the share `gain`.
+    """Choose the angle (C,) that makes each chart's rectangle small; 0 unless that saves the share `gain`.
 
     `corners`: (T, 3, 2) on the charts' planes; chart c has `rows[starts[c] : starts[c + 1]]`.
     """
@@ -144,7 +144,7 @@ def _covers(corner, covered, take):
 
 @kernel(error_model="numpy")
 def spread(neighbours, colours, valid):
-    """Colour triangles (T, 3) that are not known like the neighbours that are, ring by ring."""
+    """Colour unknown triangles (T, 3) like their known neighbours, ring by ring."""
     queue = np.empty(len(valid), np.int64)
     last = 0
     for row in range(len(valid)):
@@ -232,7 +232,7 @@ def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, 
 
 @kernel(error_model="numpy")
 def _nearest(corner, x, y):
-    """Weights of corners 1 and 2 of the point of a triangle (3, 2) nearest to (x, y); distance^2."""
+    """Return weights of corners 1 and 2 of the point of a triangle (3, 2) nearest to (x, y); distance^2."""
     ax, ay = corner[0, 0], corner[0, 1]
     bx, by = corner[1, 0] - ax, corner[1, 1] - ay
     cx, cy = corner[2, 0] - ax, corner[2, 1] - ay
@@ -263,7 +263,7 @@ def _nearest(corner, x, y):
 
 @kernel(error_model="numpy")
 def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, means, start, end):
-    """Coarsest level (C,) int32 of each chart that keeps its content, and mean colours (C, 3).
+    """Choose the coarsest level (C,) int32 of each chart that keeps its content; also mean colours (C, 3).
 
     At level l a texel is 2^l texels wide. A level will do if what a renderer would show differs
     from the samples by at most `tolerance` of 255 (root of the mean square over each block).
@@ -301,13 +301,13 @@ def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, me
 
 @kernel(error_model="numpy")
 def grid(extent, margin, level):
-    """Texels along a chart of this extent [texels of level 0], margins included."""
+    """Return texels along a chart of this extent [texels of level 0], margins included."""
     return max(int(np.ceil(extent / (1 << level) - 1e-6)), 1) + 2 * margin
 
 
 @kernel(error_model="numpy")
 def _frame(wide, high, extent, margin, level):
-    """x0, y0, scale: texel (j, i) of level 0 has its centre at x0 + scale j, y0 + scale i."""
+    """Return x0, y0, scale: texel (j, i) of level 0 has its centre at x0 + scale j, y0 + scale i."""
     scale = 1.0 / (1 << level)
     x = margin + 0.5 * (grid(extent[0], margin, level) - 2 * margin - extent[0] * scale)
     y = margin + 0.5 * (grid(extent[1], margin, level) - 2 * margin - extent[1] * scale)
@@ -318,7 +318,7 @@ def _frame(wide, high, extent, margin, level):
 
 @kernel(error_model="numpy")
 def shrunk(colours, state, wide, high, extent, margin, level):
-    """Image (h, w, 3) of a chart at a level, and how many samples each texel is the mean of (h, w)."""
+    """Shrink a chart's image (h, w, 3) to a level; also counts the samples of each texel (h, w)."""
     columns, rows = grid(extent[0], margin, level), grid(extent[1], margin, level)
     x, y, scale = _frame(wide, high, extent, margin, level)
     image = np.zeros((rows, columns, 3), np.float32)
@@ -342,7 +342,7 @@ def shrunk(colours, state, wide, high, extent, margin, level):
 
 @kernel(error_model="numpy")
 def _error(colours, state, wide, high, image, weight, x, y, scale):
-    """Largest error of a block: of an image, between its texels, against the samples."""
+    """Return largest error of a block: of an image, between its texels, against the samples."""
     rows, columns = weight.shape
     across = (wide + BLOCK - 1) // BLOCK
     down = (high + BLOCK - 1) // BLOCK

@@ -35,7 +35,7 @@ class Keyframes(NamedTuple):
 
 @kernel(error_model="numpy")
 def _observe_point(views, k, point, normal, least):
-    """x, y [px], depth [m] and worth of a point in view k; worth 0: not seen, or worth `least` at most."""
+    """Observe a point in view k: x, y [px], depth [m], weight; 0: not seen, or `least` at most."""
     dx = views.centres[k, 0] - point[0]
     dy = views.centres[k, 1] - point[1]
     dz = views.centres[k, 2] - point[2]
@@ -74,7 +74,7 @@ def _observe_point(views, k, point, normal, least):
 
 @kernel(error_model="numpy")
 def _sample_view(views, k, level, x, y):
-    """Colour (3 floats, 0 to 255) of view k at (x, y) [px of level 0], between its pixels."""
+    """Sample colour (3 floats, 0 to 255) of view k at (x, y) [px of level 0], between its pixels."""
     image = views.levels[level]
     rows, columns = image.shape[1], image.shape[2]
     x = x * columns / views.levels[0].shape[2] - 0.5
@@ -173,7 +173,7 @@ def observe_points(views, points, normals, texel, rows, colours, first, last):
 
 @kernel(error_model="numpy")
 def _median(values, count, column, ascending):
-    """Median of the first `count` of a column of values (M, C); `ascending` (M,) is overwritten."""
+    """Return median of the first `count` of a column of values (M, C); `ascending` (M,) is overwritten."""
     for m in range(count):
         at = m
         while at > 0 and ascending[at - 1] > values[m, column]:
@@ -251,7 +251,7 @@ def add_gain_equations(rows, logs, weights, matrix, right):
 
 @kernel(error_model="numpy")
 def bound_depth(depth):
-    """Least and greatest depth (2, h, w) of each pixel's 3 x 3 neighbours; `depth` (h, w), inf: none."""
+    """Return the least and greatest depth (2, h, w) of 3 x 3 pixels; `depth` (h, w), inf: none."""
     rows, columns = depth.shape
     out = np.empty((2, rows, columns), np.float32)
     for i in range(rows):

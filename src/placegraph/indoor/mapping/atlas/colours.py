@@ -66,7 +66,7 @@ def build_keyframes(
     caster: RayCaster,
     progress: Callable[[int, int], None] | None,
 ) -> kernels.Keyframes:
-    """Views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
+    """Build views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
     total, done = sum(len(g) for g in groups), 0
     first = _make_pinhole(frames[groups[0][0]].camera)
 
@@ -137,7 +137,7 @@ def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
 
 @lru_cache(maxsize=2)
 def _map_pixels(camera: Camera, plain: Camera) -> Floats:
-    """Pixels (h, w, 2) of a camera for the pixels of another [px]; NaN: beyond its lens."""
+    """Map the pixels of camera `plain` to pixels (h, w, 2) of another; NaN: beyond its lens."""
     v, u = np.mgrid[: plain.height, : plain.width] + 0.5
     rays = plain.directions(np.stack([u, v], axis=-1))
     places = camera.project(rays)
@@ -151,7 +151,7 @@ def _map_pixels(camera: Camera, plain: Camera) -> Floats:
 def _read_depth(
     frame: Frame, pose: Floats, caster: RayCaster, plain: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Depth (h, w) of the frame, of the mesh where there is none [m]; inf: neither. And its worth.
+    """Read depth (h, w) of the frame, of the mesh where there is none [m]; inf: neither. And its worth.
 
     Where a frame has depth but a pixel has none, there often is something dark, thin or shiny that
     the mesh does not hold: it would be painted on what lies behind.
@@ -175,7 +175,7 @@ def _read_depth(
 
 @lru_cache(maxsize=2)
 def _pixel_rays(camera: Camera) -> Floats:
-    """Rays (h * w, 3) through the centres of a camera's pixels, z = 1."""
+    """Return rays (h * w, 3) through the centres of a camera's pixels, z = 1."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     return camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
 
@@ -184,7 +184,7 @@ def _pixel_rays(camera: Camera) -> Floats:
 def _map_readings(
     camera: Camera, depth_camera: Camera
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Row, column (h, w) of the reading that each pixel sees, and whether there is one."""
+    """Find the reading (row, column) that each pixel (h, w) sees, and whether there is one."""
     at = depth_camera.project(_pixel_rays(camera)).reshape(camera.height, camera.width, 2)
     x, y = np.moveaxis(at, 2, 0)
     inside = (x > 0) & (x < depth_camera.width) & (y > 0) & (y < depth_camera.height)
@@ -193,7 +193,7 @@ def _map_readings(
 
 
 def _build_pyramid(images: Bytes) -> tuple[Bytes, ...]:
-    """Images (K, H, W, 3) and their halves, quarters, ... as long as they have pixels."""
+    """Build the pyramid of images (K, H, W, 3): halves, quarters, ... as long as they have pixels."""
     out = [np.ascontiguousarray(images)]
     for _ in range(LEVELS - 1):
         h, w = out[-1].shape[1:3]
@@ -224,7 +224,7 @@ def frame_colours(
     triangles: NDArray[Any],
     progress: Callable[[int, int], None] | None = None,
 ) -> ColourOf:
-    """Colours of a surface as frames saw it.
+    """Make the function that colours a surface as frames saw it.
 
     Of frames taken from nearly one place the sharpest is kept. A texel looks at those that see it
     near, frontal, away from the image's border and from edges of depth, and not behind something
@@ -338,7 +338,7 @@ def mesh_colours(mesh: Mesh) -> ColourOf:
 def _find_facing(
     caster: RayCaster, normals: Floats, points: Floats, along: Floats
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Triangle (N,), -1: none, and weights of corners 1 and 2 of what lies next to points."""
+    """Find the triangle (N,), -1: none, beside each point, and weights of its corners 1 and 2."""
     best = np.full(len(points), np.inf)
     triangle = np.full(len(points), -1, np.int32)
     u, v = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)

@@ -44,7 +44,7 @@ class SurfaceSamples:
         )
 
     def moved(self, motion: Floats) -> SurfaceSamples:
-        """The same surface elsewhere."""
+        """Return the samples after a motion (4, 4)."""
         return SurfaceSamples(
             transform_points(motion, self.points),
             self.normals @ motion[:3, :3].T,
@@ -91,7 +91,7 @@ def register(
     source: Floats, target: SurfaceSamples, start: Floats, *, reach: float, upright: bool = True,
     within: float = 0.03,
 ) -> Registration:  # fmt: skip
-    """Motion (4, 4) target_from_source near `start` that brings points (N, 3) onto a surface.
+    """Find the motion (4, 4) target_from_source near `start` that brings points (N, 3) onto a surface.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def register(
 def find_touched(
     points: Floats, normals: Floats, caster: RayCaster, within: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Triangles (N,) of a mesh that points of another surface lie on, from either side; -1: none.
+    """Find triangles (N,) of a mesh that points of another surface lie on, from either side; -1: none.
 
     Rays are cast along the normals (N, 3), so that sparse points tell of whole surfaces; both sides
     are asked since something thin may lie on what is meant.
@@ -146,7 +146,7 @@ def find_touched(
 
 
 def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Floats:
-    """Small motion (4, 4), by least squares of distances along the normals, about their middle."""
+    """Compute a small motion (4, 4) by least squares of distances along the normals."""
     middle = points.mean(axis=0)
     arm = np.cross(points - middle, normals)
     turns = arm[:, 2:] if upright else arm
@@ -164,26 +164,26 @@ def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Float
 
 
 def make_rigid(rotation: Floats, shift: Floats) -> Floats:
-    """(4, 4) of a rotation (3, 3) followed by a shift (3,)."""
+    """Make the matrix (4, 4) of a rotation (3, 3) followed by a shift (3,)."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, shift
     return out
 
 
 def invert_rigid(motion: Floats) -> Floats:
-    """The rigid motion (4, 4) back."""
+    """Invert a rigid motion (4, 4)."""
     back: Floats = motion[:3, :3].T
     return make_rigid(back, -back @ motion[:3, 3])
 
 
 def turn_about(middle: Floats, yaw: float, to: Floats) -> Floats:
-    """(4, 4) that turns by `yaw` [rad] about the upright through a point, and brings it to another."""
+    """Make the motion (4, 4) that turns by `yaw` [rad] about a point's vertical and moves it to another."""
     rotation = rotation_z(yaw)
     return make_rigid(rotation, to - rotation @ middle)
 
 
 def transform_points(motion: Floats, points: Floats) -> Floats:
-    """Points (N, 3) after a rigid motion (4, 4)."""
+    """Transform points (N, 3) by a rigid motion (4, 4)."""
     out: Floats = points @ motion[:3, :3].T + motion[:3, 3]
     return out
 
@@ -278,7 +278,7 @@ def _describe_overlap(share: float, options: DiffOptions) -> str:
 
 
 def _sample_building(scene: Scene, rng: np.random.Generator) -> SurfaceSamples:
-    """Points on walls, floors and ceilings; on everything where few of them are labelled."""
+    """Sample points on walls, floors and ceilings; on everything where few of them are labelled."""
     built_in = is_structural(scene.graph.labels)[scene.mesh.object_of]
     chosen = np.flatnonzero(built_in)
     areas = np.linalg.norm(scene.mesh.normals(), axis=1)
@@ -297,7 +297,7 @@ def _measure_overlap(
     *,
     upright: bool = False,
 ) -> float:
-    """Share of one map's points that lie on the other, of that of which more do.
+    """Measure the share of points of one map that lie on the other; the larger of both ways.
 
     `upright`: of all points or of those on what is upright, whichever is less.
     """
@@ -313,7 +313,7 @@ def _measure_overlap(
 
 
 def _score_labels(a: Scene, b: Scene, motion: Floats) -> float:
-    """Share, halved, of a's things that have one of their label near by in b."""
+    """Score a motion by the share of a's objects that have one of their label nearby in b, halved."""
     movable = np.flatnonzero(~is_structural(a.graph.labels))
     if not movable.size:
         return 0.0
@@ -326,7 +326,7 @@ def _score_labels(a: Scene, b: Scene, motion: Floats) -> float:
 def _propose_starts(
     a: Scene, b: Scene, ours: SurfaceSamples, theirs: SurfaceSamples
 ) -> list[Floats]:
-    """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
+    """Propose transforms: axes as they are, then by turns and shifts of the walls."""
     lift = float(b.floors[0] - a.floors[0])
     starts = [np.eye(4), make_rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
     upright = [np.abs(s.normals[:, 2]) < _UPRIGHT for s in (ours, theirs)]
@@ -352,7 +352,7 @@ def _propose_starts(
 
 
 def _find_peaks(values: Floats) -> list[int]:
-    """Places of the highest values on a ring, 10 degrees apart at least."""
+    """Find the highest values on a ring, at least 10 degrees apart."""
     left, found = np.array(values, np.float64), []
     gap = round(_BINS * 10 / 360)
     for _ in range(_TURNS):
@@ -363,7 +363,7 @@ def _find_peaks(values: Floats) -> list[int]:
 
 
 def _propose_shifts(walls: Floats, other_walls: Floats) -> list[Floats]:
-    """Shifts (2,) [m] by which walls seen from above lie on each other, the best few."""
+    """Propose shifts (2,) [m] by which walls seen from above lie on each other, the best few."""
     size = np.ceil((np.ptp(walls, axis=0) + np.ptp(other_walls, axis=0)) / _CELL).astype(int) + 8
     size = np.minimum(size, 4096)
     rasters = []

@@ -14,7 +14,7 @@ BITS = 20  # Of a cell's number along one axis
 
 @kernel
 def label_connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Root of each of ascending cells: those that touch share one."""
+    """Label each of ascending cells by its root: those that touch share one."""
     parent = np.arange(len(cells))
     for i in range(len(cells)):
         for dx in range(-1, 1):

@@ -102,7 +102,7 @@ class Piece:
             raise OptionError("piece: a vertex is not a number.")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers; vertices to a tenth of a millimetre."""
+        """Return plain numbers; vertices to a tenth of a millimetre."""
         return {
             "vertices": np.round(self.vertices, 4).tolist(),
             "triangles": self.triangles.tolist(),
@@ -120,7 +120,7 @@ class Piece:
 
     @classmethod
     def box(cls, low: Floats, high: Floats, colour: NDArray[np.uint8]) -> Piece:
-        """Box (12 triangles, wound outwards) of one colour (3,)."""
+        """Return box (12 triangles, wound outwards) of one colour (3,)."""
         bits = np.array([(i >> 2 & 1, i >> 1 & 1, i & 1) for i in range(8)])
         quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
         faces = [corners for a, b, c, d in quads for corners in ((a, b, c), (a, c, d))]
@@ -186,7 +186,7 @@ class Change:
         return float(np.degrees(np.linalg.norm(vector)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings; what is not known is left out."""
+        """Return plain numbers and strings; what is not known is left out."""
         data: dict[str, Any] = {
             "kind": self.kind, "id": self.id, "name": self.name, "label": self.label,
             "confidence": round(self.confidence, 3), "reason": self.reason,
@@ -244,7 +244,7 @@ class SceneDiff:
         return len(self.changes)
 
     def of(self, kind: Kind) -> list[Change]:
-        """Changes of one kind, surest first."""
+        """Return changes of one kind, surest first."""
         return [change for change in self.changes if change.kind == kind]
 
     def __repr__(self) -> str:
@@ -253,7 +253,7 @@ class SceneDiff:
         return f"SceneDiff({said or 'nothing changed'}; {len(self.same)} the same, {len(self.unseen)} unseen)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return {
             "version": VERSION,
             "before": self.before,

@@ -84,7 +84,7 @@ class MapObject:
 def sample_objects(
     scene: Scene, motion: Floats, options: DiffOptions, rng: Generator
 ) -> list[MapObject]:
-    """Objects of a map after a motion."""
+    """Sample the objects of a map, moved by a motion (4, 4)."""
     mesh, graph, built_in = scene.mesh, scene.graph, is_structural(scene.graph.labels)
     order = np.argsort(mesh.object_of, kind="stable")
     starts = np.searchsorted(mesh.object_of[order], np.arange(len(scene) + 1))
@@ -129,7 +129,7 @@ class Coverage:
         """(N, M) share of each body's points that lie on each object of the other map."""
 
     def around(self, row: int, lost: Sequence[int]) -> float:
-        """Share of what is around a body, of its own map, that the other map has too.
+        """Measure the share of an object's surroundings, of its own map, that the other map has too.
 
         Other bodies that are `lost` say nothing, as long as there is anything else: furniture, that
         is; the floor it stood on speaks where it is lost, too.
@@ -163,7 +163,7 @@ class Motion:
 def fit_motion(
     ours: MapObject, theirs: MapObject, options: DiffOptions, *, near: bool = False
 ) -> Motion:
-    """The upright motion that lays one body on another best; of turns as good the smallest.
+    """Fit the upright motion that lays one object on another best; of equal turns the smallest.
 
     `near`: begin where the body is, and nowhere else.
     """
@@ -328,7 +328,7 @@ def _match_stayed(
     on_a: Coverage,
     id_matches: dict[int, int],
 ) -> dict[int, int]:
-    """Pairs of objects that lie on each other, one to one, the best first.
+    """Match pairs of objects that lie on each other, one to one, the best first.
 
     Those that ids deny are dropped: a chair may stand where another one stood.
     """
@@ -352,7 +352,7 @@ def _find_unmatched(
     matched: set[int],
     matched_others: set[int],
 ) -> list[int]:
-    """Rows of bodies that have no pair, and are not there in the other map cut otherwise.
+    """Find objects without a pair that the other map does not hold cut otherwise.
 
     A wall that has its own counterpart does not explain the picture that hung on it. Of a wall
     itself a part will do: the other map may end there.
@@ -448,7 +448,7 @@ def _describe_appeared(b: Scene, theirs: MapObject, around: float, b_from_a: Flo
 
 
 def cut_piece(scene: Scene, row: int, motion: Floats) -> Piece:
-    """Surface of an object of a map after a motion, with the colours of its corners."""
+    """Cut out the surface of an object after a motion, with the colours of its corners."""
     mesh = scene.mesh
     own = np.flatnonzero(mesh.object_of == row)
     corners, at = np.unique(mesh.triangles[own], return_inverse=True)

@@ -143,7 +143,7 @@ def _find_changes(
 def _select_frames(
     capture: Capture | Sequence[Frame], poses: ArrayLike | PoseEstimate, name: str
 ) -> tuple[list[Frame], list[Floats]]:
-    """Frames that are used, and their poses; raises as `diff_capture`."""
+    """Select the frames that are used, and their poses; raises as `diff_capture`."""
     frames = list(capture)
     if isinstance(poses, PoseEstimate):
         if poses.status is Status.LOST or poses.best is None:

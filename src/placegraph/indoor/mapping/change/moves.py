@@ -60,7 +60,7 @@ class Cluster:
 
 
 def gather_clusters(unexplained: observe.Unexplained) -> list[Cluster]:
-    """Clumps of unexplained readings, the largest first."""
+    """Gather clusters of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
     for t, (observation, new) in enumerate(
@@ -96,10 +96,7 @@ def gather_clusters(unexplained: observe.Unexplained) -> list[Cluster]:
 
 
 def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number (N,) of the clump of each cell (N, 3): cells that touch, also by a corner, share one.
-
-    Raises `OptionError` where cells are a million apart.
-    """
+    """Number the cluster (N,) of each cell (N, 3): cells that touch, also by a corner, share one."""
     if not len(cells):
         return np.zeros(0, np.int64)
     at = cells - cells.min(axis=0) + _EMPTY
@@ -117,7 +114,7 @@ def find_appeared(
     frames: Sequence[Frame],
     poses: Sequence[Floats],
 ) -> list[Change]:
-    """Changes for what of the clumps no moved object explains.
+    """Find what appeared: the clusters that no moved object explains.
 
     `used`: of each moved object its box before, and the motion back.
     """
@@ -178,7 +175,7 @@ def _find_carved(
 
 
 def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
-    """Surface that was fused in a cluster's cells; a box where there is none."""
+    """Cut the fused surface in a cluster's cells; a box where there is none."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
         steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -274,7 +271,7 @@ class MovableObject:
 def find_placements(
     unexplained: observe.Unexplained, movable: MovableObject, cluster: Floats, every: Floats
 ) -> list[Placement]:
-    """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
+    """Find placements of an object at a cluster of unexplained points (N, 3), best first.
 
     `every`: (M, 3) all unexplained points; thin things come in several clumps.
     """
@@ -303,7 +300,7 @@ def find_placements(
 def _refine_placement(
     unexplained: observe.Unexplained, movable: MovableObject, every: Floats, placement: Placement
 ) -> Placement:
-    """A placement, or what a fit from a little beside it finds, or that at its old height."""
+    """Refine a placement: by fits from a little beside it, or at its old height."""
     best = placement
     for turn in (-_NUDGE, 0.0, _NUDGE):
         middle = transform_points(placement.motion, movable.middle[None])[0]
@@ -373,7 +370,7 @@ def _select_frames(unexplained: observe.Unexplained, cluster: Floats) -> list[in
 
 
 def _list_starts(movable: MovableObject, cluster: Floats) -> Floats:
-    """Placements (S, 4) to try: middle of the thing [m] and its turn [rad], upright as it was."""
+    """List placements (S, 4) to try: middle of the object [m] and its turn [rad], upright."""
     size = (movable.high - movable.low) / 2.0
     low = np.percentile(cluster, 2, axis=0) - 0.5 * size.max()
     high = np.percentile(cluster, 98, axis=0) + 0.5 * size.max()
@@ -399,7 +396,7 @@ def _list_starts(movable: MovableObject, cluster: Floats) -> Floats:
 def _score_starts(
     unexplained: observe.Unexplained, chosen: list[int], movable: MovableObject, starts: Floats
 ) -> Floats:
-    """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
+    """Score starts (S,): readings on the object, less those behind it, by points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
     offset = movable.few.points - movable.middle
     points = np.stack(
@@ -467,7 +464,7 @@ def find_moved(
     suspects: NDArray[np.int64],
     counts: observe.Evidence,
 ) -> dict[int, Placement]:
-    """Placement of each suspect that has one, no two at one place: the best fit first."""
+    """Find the placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(unexplained.options.seed)
     bids: list[tuple[float, int, Placement]] = []
     every = np.concatenate([np.zeros((0, 3)), *(cluster.points for cluster in clusters)])
@@ -520,14 +517,14 @@ def find_moved(
 
 
 def measure_box(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
-    """Corners of an object's box after a motion."""
+    """Return the corners of an object's box after a motion."""
     corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
     points = transform_points(motion, corners.reshape(-1, 3).astype(np.float64))
     return points.min(axis=0), points.max(axis=0)
 
 
 def _measure_box_overlap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
-    """Share of the smaller of two boxes that the other holds."""
+    """Measure the share of the smaller of two boxes that the other holds."""
     sides = np.maximum(np.minimum(high, other_high) - np.maximum(low, other_low), 0.0)
     least = min(np.prod(high - low), np.prod(other_high - other_low))
     return float(np.prod(sides) / max(least, 1e-9))
@@ -544,7 +541,7 @@ _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
 def slide_on_wall(unexplained: observe.Unexplained, movable: MovableObject) -> Placement | None:
-    """Placement of a flat thing along its wall, or None where nothing there looks like it."""
+    """Find the placement of a flat object along its wall; None where nothing there looks like it."""
     spread = movable.many.normals.T @ movable.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
     level = np.hypot(facing[0], facing[1])
@@ -581,12 +578,12 @@ class _Face:
     colours: Floats  # (P, 3) sRGB, 0 to 1
 
     def faces(self, observation: observe.Observation) -> NDArray[np.bool_]:
-        """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""
+        """Return whether a point's surface faces a camera (P,)."""
         towards = observation.map_from_camera[:3, 3] - self.points
         return np.asarray(np.einsum("nk,nk->n", self.normals, towards) > 0.0)
 
     def front(self, observation: observe.Observation) -> float:
-        """Share of the points that do."""
+        """Return the share of points that face a camera, at least 0.2."""
         return max(float(self.faces(observation).mean()), 0.2)
 
 
@@ -600,7 +597,7 @@ def _blur_face(movable: MovableObject) -> _Face:
 
 
 def _shift_points(across: Floats, shifts: Floats) -> Floats:
-    """(S, 3) of shifts (S, 2) along the wall and up [m]."""
+    """Convert shifts (S, 2) along the wall and up to shifts (S, 3) [m]."""
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
 
 
@@ -623,7 +620,7 @@ def _score_slides(
     across: Floats,
     shifts: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
+    """Correlate the object's colours with all frames at shifts (S, 2); also which shifts are seen."""
     moves = _shift_points(across, shifts)
     total, weight = np.zeros((2, len(shifts)))
     for t in chosen:
@@ -640,7 +637,7 @@ def _score_slides(
 def _correlate_background(
     unexplained: observe.Unexplained, chosen: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
-    """Correlation of the object's colours with the map behind; frames and pixels that see it."""
+    """Correlate the object's colours with the map behind; also frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
     for t in chosen:
         observation = unexplained.observations[t]
@@ -659,7 +656,7 @@ def _correlate_background(
 def _find_visible(
     unexplained: observe.Unexplained, observation: observe.Observation, face: _Face, moves: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
+    """Find the pixel rows and columns (S, P) of a face, and whether a surface is seen there."""
     rows, columns, depth = observe.project(observation, face.points[None] + moves[:, None])
     at = np.maximum(rows, 0), np.maximum(columns, 0)
     is_visible = (rows >= 0) & np.isfinite(observation.rgb[*at, 0]) & face.faces(observation)
@@ -671,7 +668,7 @@ def _find_visible(
 
 
 def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Image (H, W, 3) averaged over three by three pixels."""
+    """Average an image (H, W, 3) over 3 x 3 pixels."""
     channels = [observe.sum_window(image[..., k], 1) for k in range(3)]
     return (np.stack(channels, axis=-1) / 9.0).astype(np.float32)
 
@@ -679,7 +676,7 @@ def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def _correlate(
     wanted: Floats, observed: NDArray[np.float32], is_visible: NDArray[np.bool_]
 ) -> Floats:
-    """(S,) correlation over points and channels of colours (1 or S, P, 3) where they are seen."""
+    """Correlate (S,) colours (1 or S, P, 3) over points and channels where they are seen."""
     mask = is_visible[..., None].astype(np.float64)
     count = np.maximum(mask.sum(axis=1, keepdims=True), 1.0)
     a = np.broadcast_to(wanted, observed.shape) * mask

@@ -55,7 +55,7 @@ class Observation:
         return turned
 
     def points(self, mask: NDArray[np.bool_]) -> Floats:
-        """(N, 3) points [m, map] that the depth shows at the pixels of a mask."""
+        """Return (N, 3) points [m, map] that the depth shows at the pixels of a mask."""
         if self.depth is None:
             return np.zeros((0, 3))
         along = self.rays[mask].astype(np.float64) * self.depth[mask][:, None]
@@ -63,7 +63,7 @@ class Observation:
 
 
 def observe_frame(scene: Scene, frame: Frame, map_from_camera: Floats) -> Observation:
-    """Frame beside the map; raises `InputError` where an image is broken."""
+    """Observe the map beside a frame; raises `InputError` where an image is broken."""
     depth = frame.depth()
     camera = (frame.depth_camera or frame.camera) if depth is not None else frame.camera
     if camera.width > WIDTH:
@@ -86,7 +86,7 @@ def observe_images(
     depth: NDArray[np.float32] | None,
     rgb: NDArray[np.float32],
 ) -> Observation:
-    """Pictures beside the map."""
+    """Observe the map beside images."""
     bare = Layer(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
     empty = Observation(index, camera, map_from_camera, depth, rgb, bare, bare)
     rays = empty.rays.reshape(-1, 3)
@@ -132,7 +132,7 @@ def _make_layer(
 
 
 def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
-    """Image (H, W, 3), 0 to 1, as `camera` at the same place would take it."""
+    """Resample an image to (H, W, 3), 0 to 1, as `camera` at the same place would take it."""
     from PIL import Image
 
     rgb, own = frame.rgb(), frame.camera
@@ -154,7 +154,7 @@ def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
 def project(
     observation: Observation, points: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
+    """Project points (..., 3): pixel rows and columns (...), -1 outside, and depths (...) [m]."""
     camera, pose = observation.camera, observation.map_from_camera.astype(np.float32)
     local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
     depth = np.asarray(local[..., 2], np.float32)
@@ -172,7 +172,7 @@ def project(
 
 
 def find_window(observation: Observation, corners: Floats) -> tuple[slice, slice] | None:
-    """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
+    """Find rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
     pose, camera = observation.map_from_camera, observation.camera
     local = (corners - pose[:3, 3]) @ pose[:3, :3]
     if (local[:, 2] <= 0.05).all():
@@ -276,7 +276,7 @@ def tolerance(depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.fl
 
 
 def bound_window(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Least and largest value (H, W) of each pixel and its eight neighbours."""
+    """Return the least and largest value (H, W) of each pixel and its eight neighbours."""
     padded = np.pad(image, 1, mode="edge")
     h, w = image.shape
     parts = [padded[i : i + h, j : j + w] for i in range(3) for j in range(3)]
@@ -292,7 +292,7 @@ def sum_window(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
 
 
 def estimate_light(observation: Observation, where: Mask) -> Floats | None:
-    """(3,) what the map's colours have to be multiplied with at pixels; None of too few."""
+    """Estimate the factors (3,) from the map's colours to the image's; None for too few pixels."""
     where = where & np.isfinite(observation.rgb[..., 0])
     if np.count_nonzero(where) < _RING_PIXELS:
         return None
@@ -358,7 +358,7 @@ def explain_without(
     suspects: NDArray[np.int64],
     options: DiffOptions,
 ) -> Unexplained:
-    """The map without the suspects, and what it does not explain."""
+    """Remove the suspects from the map, and find the readings that it does not explain."""
     suspected = np.zeros(len(scene) + 1, np.bool_)
     suspected[suspects] = True
     mesh = scene.mesh
@@ -380,7 +380,7 @@ def explain_without(
 def _find_unexplained(
     observation: Observation, depth: NDArray[np.float32], options: DiffOptions
 ) -> NDArray[np.bool_]:
-    """(H, W) readings that end before all surfaces around, and are not alone in it."""
+    """Find readings (H, W) that end before all surfaces around, and are not alone in it."""
     if observation.depth is None:
         return np.zeros(depth.shape, np.bool_)
     near, _ = bound_window(depth)
@@ -393,7 +393,7 @@ def _find_unexplained(
 def find_confirmed(
     observations: Sequence[Observation], count: int, options: DiffOptions
 ) -> NDArray[np.bool_]:
-    """(N,) whether readings that agree with the map end on an object."""
+    """Find the objects (N,) on which readings that agree with the map end."""
     pixels = np.zeros(count)
     for observation in observations:
         agrees = observation.front.objects >= 0

@@ -83,7 +83,7 @@ class MapEdit(Generic[S]):
         self._stirred.add(row)
 
     def scene(self) -> S:
-        """The new map."""
+        """Make the new map."""
         kept = np.concatenate([self._kept, np.ones(len(self._pieces), np.bool_)])
         rows = np.flatnonzero(kept)
         if not rows.size:
@@ -186,7 +186,7 @@ class MapEdit(Generic[S]):
         rows: NDArray[np.int64],
         place: NDArray[np.int64],
     ) -> list[tuple[int, str, int]]:
-        """Relations between what stayed, and those that last, as they were; others as `new_edges` now."""
+        """Return relations that stay, and `new_edges` between what changed."""
         graph = self._before.graph
         stirred = np.isin(rows, list(self._stirred))
         before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
@@ -225,7 +225,7 @@ def reassign_rooms(
     attributes: Sequence[Mapping[str, str]],
     stirred: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
-    """Rooms (N,) and attributes that name them, as `assign_rooms` does, after some things changed.
+    """Assign rooms (N,) after some objects changed, and attributes that name them.
 
     What did not change keeps the name of its room; what did, (N,) `stirred`, takes that of most
     things in the room where it is now, or of the nearest thing where it is in no room that is found.

@@ -106,7 +106,7 @@ def make_segments(
     floor: float | None,
     ids: Mapping[int, int] | None = None,
 ) -> Segments:
-    """Segments of groups (F,) of faces, and of the triangles that are no faces.
+    """Make segments of groups (F,) of faces, and of the triangles that are no faces.
 
     `labels` and `ids` of groups are those known. Floor, ceiling and walls come first, then the
     largest.
@@ -129,7 +129,7 @@ def make_segments(
 
 
 def _assign_triangles(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints) -> Ints:
-    """Object (T,) of each triangle: one without area belongs to the nearest face."""
+    """Assign each triangle (T,) to an object: one without area to that of the nearest face."""
     out = np.zeros(len(triangles), np.int64)
     known_ids = faces.of_triangle >= 0
     out[known_ids] = of_face[faces.of_triangle[known_ids]]
@@ -146,7 +146,7 @@ def _assign_triangles(faces: Faces, vertices: Floats, triangles: Ints, of_face: 
 
 
 def _make_names(labels: Sequence[str]) -> tuple[str, ...]:
-    """Names of objects: their label, and a number where there are several; "object" if unknown."""
+    """Name objects by their label, and a number where there are several."""
     words = ["object" if label == UNKNOWN else label for label in labels]
     total = {word: words.count(word) for word in set(words)}
     seen: dict[str, int] = {}

@@ -43,7 +43,7 @@ class Faces:
 
     @classmethod
     def of(cls, vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike) -> Faces:
-        """Faces of a mesh: vertices (V, 3) [m], triangles (T, 3), colours (V, 3) uint8."""
+        """Return faces of a mesh: vertices (V, 3) [m], triangles (T, 3), colours (V, 3) uint8."""
         spots, rows = np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)
         of_triangle = np.full(len(rows), -1, np.int64)
         with np.errstate(invalid="ignore"):
@@ -81,11 +81,11 @@ class Faces:
         )
 
     def smoothed(self, rounds: int) -> tuple[Floats, Floats]:
-        """Normals (F, 3) and colours (F, 3) CIELAB, levelled over neighbours that bend little."""
+        """Return normals (F, 3) and colours (F, 3) CIELAB, levelled over neighbours that bend little."""
         return kernels.smooth(self.normals, self.lab, self.areas, self.pairs, self.turned, rounds)
 
     def bends(self, normals: Floats) -> Floats:
-        """Angles (P,) between neighbours [rad]: above 0 concave, below convex, by these normals."""
+        """Return angles (P,) between neighbours [rad]: above 0 concave, below convex, by these normals."""
         a, b = self.pairs.T
         other = np.where(self.turned[:, None], -normals[b], normals[b])
         cosine = np.clip(np.einsum("ij,ij->i", normals[a], other), -1.0, 1.0)
@@ -97,7 +97,7 @@ class Faces:
 
 
 def convert_to_lab(rgb: Floats) -> Floats:
-    """CIELAB (N, 3), D65, of sRGB colours (N, 3), 0 to 255."""
+    """Convert sRGB colours (N, 3), 0 to 255, to CIELAB (N, 3), D65."""
     linear = linear_from_srgb(np.asarray(rgb, np.float64) / 255.0)
     # rows of the sRGB matrix, divided by the white point
     matrix = np.array(
@@ -122,7 +122,7 @@ def _cross(points: Floats, corners: Ints) -> Floats:
 
 
 def _weld_corners(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Points (W, 3) in the order of their coordinates, and the row of each vertex (V,)."""
+    """Weld corners to points (W, 3), ordered by coordinates; also the point of each vertex (V,)."""
     used = np.zeros(len(vertices), np.bool_)
     used[triangles.ravel()] = True
     rows = np.flatnonzero(used)
@@ -159,7 +159,7 @@ def _drop_twins(corners: Ints) -> tuple[Ints, Ints]:
 
 
 def _find_neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np.bool_]]:
-    """Pairs of faces (P, 2) with a common edge, its length (P,), and whether both run along it alike.
+    """Find pairs of faces (P, 2) with a common edge, its length (P,), and whether both run along it alike.
 
     At an edge of more than two faces each is paired with the next.
     """
@@ -186,7 +186,7 @@ class Samples:
 
     @classmethod
     def of(cls, faces: Faces, rows: Ints, step: float) -> Samples:
-        """Points about `step` [m] apart on the faces `rows` (R,); at least one on each."""
+        """Return points about `step` [m] apart on the faces `rows` (R,); at least one on each."""
         corners = faces.corners[rows]
         parts = kernels.sample_counts(faces.points, corners, step)
         while (parts.astype(np.float64) ** 2).sum() > _MOST + len(rows):
@@ -196,7 +196,7 @@ class Samples:
         return cls(spots, rows[row], step)
 
     def touching(self, group: Ints, reach: float) -> Ints:
-        """Rows (K, 2) of points of different groups (F,) of faces that are within `reach` [m]."""
+        """Return rows (K, 2) of points of different groups (F,) of faces that are within `reach` [m]."""
         if not len(self.spots):
             return np.zeros((0, 2), np.int64)
         reach = max(reach, self.step)
@@ -209,7 +209,7 @@ class Samples:
         return kept[kernels.touching(spots, own, order, keys[order], shape, reach)]
 
     def _thinned(self, group: Ints, low: Floats) -> Ints:
-        """One point (N,) of each group in a cube of side `step`, the first of them."""
+        """Return one point (N,) of each group in a cube of side `step`, the first of them."""
         shape = ((self.spots.max(axis=0) - low) / self.step).astype(np.int64) + 3
         keys = kernels.cell_keys(self.spots, low, self.step, shape)
         order = np.lexsort((group[self.face], keys))
@@ -251,7 +251,7 @@ def cut_patches(
     outward: bool,
     options: SegmentOptions,
 ) -> Ints:
-    """Patch (F,) of each face, numbered from 0; none spans two planes of the structure."""
+    """Cut faces into patches (F,), numbered from 0; none spans two planes of the structure."""
     weights = step_weights(faces, normals, lab, outward, options)
     a, b = faces.pairs.T
     weights[plane_of[a] != plane_of[b]] = np.inf
@@ -282,7 +282,7 @@ def describe_patches(
     outward: bool,
     options: SegmentOptions,
 ) -> PatchGraph:
-    """Patches with their contacts: edges, and gaps between parts that no edge joins."""
+    """Describe patches and their contacts: edges, and gaps between parts that no edge joins."""
     count = int(patch.max()) + 1 if len(patch) else 0
     areas = np.asarray(np.bincount(patch, faces.areas, count), np.float64)
     order = np.argsort(patch, kind="stable")
@@ -313,7 +313,7 @@ def _average_patches(patch: Ints, values: Floats, weights: Floats, areas: Floats
 def _find_contacts(
     faces: Faces, normals: Floats, patch: Ints, plane: Ints, outward: bool, options: SegmentOptions
 ) -> tuple[Ints, Floats, Floats]:
-    """Contacts in both directions: ends (E, 2), lengths (E,) [m], concave shares (E,)."""
+    """Find contacts in both directions: ends (E, 2), lengths (E,) [m], concave shares (E,)."""
     side = 1.0 if outward else -1.0
     a, b = patch[faces.pairs].T
     bends = faces.bends(normals) * side

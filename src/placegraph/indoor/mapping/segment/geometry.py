@@ -40,7 +40,7 @@ _REACH = 25_000  # of them on either side of the median: 1 km
 def find_walls(
     faces: Faces, normals: Floats, free: Mask, floor: float | None, options: SegmentOptions
 ) -> list[Mask]:
-    """Upright planes that are large and high enough, one mask (F,) a connected region."""
+    """Find upright planes that are large and high enough, one mask (F,) a connected region."""
     free = free & (np.abs(normals[:, 2]) < UPRIGHT)
     angle = np.arctan2(normals[:, 1], normals[:, 0])
     found: list[_Wall] = []
@@ -94,7 +94,7 @@ class _Wall:
 def _plane_distances(
     faces: Faces, normals: Floats, rows: Ints, way: Floats, distance: float
 ) -> tuple[Floats, Mask]:
-    """Distances (R,) of faces from an upright plane [m], and whether they run along it (R,)."""
+    """Return distances (R,) of faces from an upright plane [m], and whether they run along it (R,)."""
     corners = faces.points[faces.corners[rows]]
     off = np.abs(corners[:, :, 0] * way[0] + corners[:, :, 1] * way[1] - distance).max(axis=1)
     facing = np.abs(normals[rows, 0] * way[0] + normals[rows, 1] * way[1]) > _FACING
@@ -104,7 +104,7 @@ def _plane_distances(
 def _upright_peak(
     faces: Faces, angle: Floats, rows: Ints, least: float
 ) -> tuple[float, float | None]:
-    """Direction [rad] and distance [m] of the upright plane with most area; None: below `least`."""
+    """Return direction [rad] and distance [m] of the upright plane with most area; None: below `least`."""
     turn = np.floor(angle[rows] / np.pi * _TURNS + 0.5).astype(np.int64) % _TURNS
     turns = np.arange(_TURNS) / _TURNS * np.pi
     spots = faces.centres[rows]
@@ -123,7 +123,7 @@ def _upright_peak(
 
 
 def _fit_line(spots: Floats, weights: Floats, way: Floats, distance: float) -> tuple[Floats, float]:
-    """Normal (2,) and distance of the line of least squares through points (N, 2)."""
+    """Fit a line to points (N, 2) by least squares: normal (2,) and distance."""
     whole = weights.sum()
     middle = (spots * weights[:, None]).sum(axis=0) / whole
     x, y = (spots - middle).T
@@ -139,7 +139,7 @@ def _fit_line(spots: Floats, weights: Floats, way: Floats, distance: float) -> t
 def _find_regions(
     faces: Faces, own: Ints, way: Floats, distance: float, options: SegmentOptions
 ) -> list[_Wall]:
-    """Parts of a plane that a grid connects, where they are large and high enough for a wall."""
+    """Find parts of a plane that a grid connects, where they are large and high enough for a wall."""
     spread = Samples.of(faces, own, _CELL)
     along = spread.spots[:, 1] * way[0] - spread.spots[:, 0] * way[1]
     z = spread.spots[:, 2]
@@ -188,7 +188,7 @@ def _stands_before(wall: _Wall, other: _Wall) -> bool:
 
 
 def find_peak(heights: Floats, areas: Floats) -> tuple[float, float]:
-    """Height and area of the level with most area: the median of what lies near its bin."""
+    """Find height and area of the level with most area: the median of what lies near its bin."""
     bins = bin_heights(heights)
     low = int(bins.min())
     table = np.bincount(bins - low + 1, areas, int(bins.max()) - low + 3)
@@ -201,7 +201,7 @@ def find_peak(heights: Floats, areas: Floats) -> tuple[float, float]:
 
 
 def bin_heights(values: Floats) -> Ints:
-    """Bin (N,) of each value; what is far from most shares the outermost."""
+    """Return bin (N,) of each value; what is far from most shares the outermost."""
     bins = np.floor(values / _BIN).astype(np.int64)
     middle = int(np.median(bins))
     return np.clip(bins, middle - _REACH, middle + _REACH)
@@ -215,7 +215,7 @@ _WIDE = 0.3  # its second largest extent [m]: it is no post and no rail
 
 
 def join_patches(patches: PatchGraph, floor: float | None, options: SegmentOptions) -> Ints:
-    """Object (N,) of each patch: its lowest patch; those of the structure's planes stay alone."""
+    """Join patches (N,) to objects, named by their lowest; planes of the structure stay alone."""
     free = patches.plane < 0
     ends, kept = patches.ends, free[patches.ends].all(axis=1)
     carried = _find_carried(patches, free, floor, options)
@@ -226,7 +226,7 @@ def join_patches(patches: PatchGraph, floor: float | None, options: SegmentOptio
 def _find_carried(
     patches: PatchGraph, free: Mask, floor: float | None, options: SegmentOptions
 ) -> Mask:
-    """Contacts (E,) of things with the level surfaces they stand on."""
+    """Find contacts (E,) of things with the level surfaces they stand on."""
     ends, lengths = patches.ends, patches.lengths
     base = patches.low[:, 2].min(initial=0.0) if floor is None else floor
     level = free & (patches.normals[:, 2] > _LEVEL) & (patches.low[:, 2] > base + _LOW)
@@ -272,7 +272,7 @@ class _Part:
 def join_parts(
     patches: PatchGraph, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
 ) -> Ints:
-    """Lowest patch (N,) of what each belongs to once contacts (E,) but the thin ones are closed."""
+    """Join parts (N,) over their contacts (E,), but for the thin ones; named by the lowest."""
     parts = [
         _Part(float(a), low, high, {})
         for a, low, high in zip(patches.areas, patches.low, patches.high, strict=True)
@@ -308,7 +308,7 @@ def join_parts(
 
 
 def _contact_strength(parts: list[_Part], a: int, b: int) -> float:
-    """Length of a contact, the concave part of it at a third, over the size of the smaller part."""
+    """Return length of a contact, the concave part of it at a third, over the size of the smaller part."""
     length, inward = parts[a].contacts[b]
     return (length - 0.67 * inward) / min(parts[a].area, parts[b].area) ** 0.5
 
@@ -340,7 +340,7 @@ def _merge_parts(parts: list[_Part], a: int, b: int) -> list[int]:
 def absorb_small(
     group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], options: SegmentOptions
 ) -> Ints:
-    """Groups (N,) of patches, those that are too small put into what they touch most.
+    """Absorb small groups (N,) of patches into what they touch most.
 
     A group is named by one of its patches; those whose patch is `fixed` (N,) stay. So does what
     touches nothing.
@@ -373,7 +373,7 @@ def absorb_small(
 
 
 def _measure_contacts(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
-    """Length of contact [m] of each group with others."""
+    """Measure length of contact [m] of each group with others."""
     contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
     ends = group[patches.ends].tolist()
     for (a, b), length in zip(ends, patches.lengths.tolist(), strict=True):
@@ -400,7 +400,7 @@ class Cut:
 
 
 def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str], None]) -> Cut:
-    """Floor, ceiling, walls, and the rest in objects; `faces` has at least one."""
+    """Cut faces, at least one, into floor, ceiling, walls and objects."""
     normals, lab = faces.smoothed(ROUNDS)
     tell("planes")
     structure = find_structure(faces, normals, options)
@@ -421,7 +421,7 @@ def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str],
 def absorb_lost(
     group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], faces: Faces, least: float
 ) -> Ints:
-    """Groups (N,), those that are too small and touch nothing put into the nearest other one."""
+    """Absorb small groups (N,) that touch nothing into the nearest other one."""
     areas = np.bincount(group, patches.areas, len(patches))
     small = areas[group] < least
     small &= ~fixed[group]
@@ -439,7 +439,7 @@ def absorb_lost(
 def lift_marks(
     patches: PatchGraph, structure: Structure, options: SegmentOptions
 ) -> tuple[PatchGraph, Structure]:
-    """Patches and structure with the pictures, boards and carpets taken out of its planes.
+    """Lift pictures, boards and carpets out of the planes of the structure.
 
     What hangs on a wall becomes a patch among others, so that its frame joins it. What lies on the
     floor becomes a plane of its own, a floor too: it joins none of the things that stand on it.
@@ -468,7 +468,7 @@ def lift_marks(
 
 
 def _plane_colours(patches: PatchGraph, count: int) -> Floats:
-    """Colour (P, 3) CIELAB of each plane: the median of its patches by area."""
+    """Return colour (P, 3) CIELAB of each plane: the median of its patches by area."""
     out = np.zeros((max(count, 1), 3))
     for row in range(count):
         own = np.flatnonzero(patches.plane == row)
@@ -490,7 +490,7 @@ class Structure:
 
 
 def find_structure(faces: Faces, normals: Floats, options: SegmentOptions) -> Structure:
-    """Large planes of a mesh; `normals` (F, 3) are the levelled ones."""
+    """Find the large planes of a mesh; `normals` (F, 3) are smoothed."""
     of_face = np.full(len(faces), -1, np.int64)
     labels: list[str] = []
     level = np.abs(normals[:, 2]) > LEVEL
@@ -511,7 +511,7 @@ def find_structure(faces: Faces, normals: Floats, options: SegmentOptions) -> St
 
 
 def _height_above(points: Floats, plane: Floats) -> Floats:
-    """Height (N,) of points over a plane z = p0 x + p1 y + p2."""
+    """Return height (N,) of points over a plane z = p0 x + p1 y + p2."""
     out: Floats = points[:, 2] - points[:, 0] * plane[0] - points[:, 1] * plane[1] - plane[2]
     return out
 
@@ -519,7 +519,7 @@ def _height_above(points: Floats, plane: Floats) -> Floats:
 def _find_floor(
     faces: Faces, normals: Floats, level: Mask, options: SegmentOptions
 ) -> tuple[float | None, Floats]:
-    """Height and plane of the floor: the largest level surface in the lowest part of the mesh."""
+    """Find height and plane of the floor: the largest level surface in the lowest part of the mesh."""
     nothing = np.zeros(3)
     if not level.any():
         return None, nothing
@@ -547,7 +547,7 @@ def _find_floor(
 
 
 def _fit_plane(points: Floats, weights: Floats, before: Floats) -> Floats:
-    """Plane z = p0 x + p1 y + p2 of least squares; the one before where it leans over 3 degrees."""
+    """Fit a plane z = p0 x + p1 y + p2; `before` where it leans over 3 degrees."""
     if len(points) < 3:
         return before
     middle = (points * weights[:, None]).sum(axis=0) / weights.sum()

@@ -70,7 +70,7 @@ def collect_votes(
     tell: Callable[[int, int], None] | None,
     left_out: Counter[str],
 ) -> Votes | None:
-    """Votes of frames at poses (T, 4, 4) map_from_camera; None where none of them has labels.
+    """Collect votes of frames at poses (T, 4, 4) map_from_camera; None without labels.
 
     Rays through pixels find the faces; one that the frame's depth contradicts has no vote. Raises
     `OptionError` where some frames hold labels and others instances.
@@ -114,7 +114,7 @@ class _VoteCounter:
         self._held = 0
 
     def rows(self, frame: Frame, image: NDArray[np.int32]) -> Ints:
-        """Rows of words (H * W,) of an image's pixels; -1 where a label has no name."""
+        """Return rows of words (H * W,) of an image's pixels; -1 where a label has no name."""
         values, back = np.unique(image.ravel(), return_inverse=True)
         meant = [self._row_of(int(v), frame.label_names) for v in values]
         return np.array(meant, np.int64)[back]
@@ -137,7 +137,7 @@ class _VoteCounter:
         return self._row[key]
 
     def put(self, face: Ints, label: Ints, weight: Floats) -> None:
-        """Votes of one frame: each face has its mean weight, shared by its labels."""
+        """Add the votes of one frame: each face has its mean weight, shared by its labels."""
         if not len(face):
             return
         key, row, hits = np.unique(face << 20 | label, return_inverse=True, return_counts=True)
@@ -160,7 +160,7 @@ class _VoteCounter:
         self._held = 0
 
     def votes(self) -> Votes:
-        """All votes, by face."""
+        """Return all votes, sorted by face."""
         self._sum_up()
         (key,), (weights,) = self._keys, self._weights
         starts = np.searchsorted(key >> 20, np.arange(self.count + 1))
@@ -171,7 +171,7 @@ class _VoteCounter:
 def _cast_votes(
     faces: Faces, caster: RayCaster, frame: Frame, pose: Floats, shape: tuple[int, ...], turn: int
 ) -> tuple[Ints, Ints, Floats]:
-    """Faces (N,) that a frame shows, the pixels (N,) that show them, and what these weigh (N,)."""
+    """Cast rays at faces: faces (N,) that a frame shows, pixels (N,) that show them, weights (N,)."""
     camera = frame.label_camera or frame.camera
     height, width = shape
     step = max(int(np.ceil(np.sqrt(height * width / _RAYS))), 1)
@@ -191,7 +191,7 @@ def _cast_votes(
 
 
 def _contradicts_depth(frame: Frame, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
-    """Rays (N,) on which the frame measured another depth (N,) [m] than the mesh has."""
+    """Return rays (N,) on which the frame measured another depth (N,) [m] than the mesh has."""
     out = np.zeros(len(rays), np.bool_)
     measured, camera = frame.depth(), frame.depth_camera
     if measured is None or camera is None:
@@ -212,7 +212,7 @@ def _project_pixels(camera: Camera, rays: Floats) -> tuple[Ints, Ints, NDArray[n
 
 
 def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
-    """Row of `votes.words` (F,) of each face; `NOTHING` where none is said or known.
+    """Label each face (F,) by a row of `votes.words`; `NOTHING` where none is known.
 
     A face's score for a label is its own share of votes, that of its patch around it by area, and
     the share of its neighbours that bear the label, across steps (P,) less.
@@ -265,7 +265,7 @@ class NamedGroups:
 
 
 def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions) -> NamedGroups:
-    """Objects by votes; what they leave open is as `cut` has it."""
+    """Cut faces into objects by votes; `cut` decides where there are none."""
     normals, lab = faces.smoothed(ROUNDS)
     outward = cut.structure.outward
     steps = step_weights(faces, normals, lab, outward, options)
@@ -307,7 +307,7 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
 def _find_spilt(
     pieces: PatchGraph, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
 ) -> NDArray[np.bool_]:
-    """Pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
+    """Find pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
 
     Outlines in label images are rough: what stands before a wall is painted on it in part. `level`
     (N,) are pieces of the floor or a ceiling, where the stains are larger, and pictures none.
@@ -347,7 +347,7 @@ def _group_pieces(
 def _gather_fragments(
     faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group: Ints
 ) -> Ints:
-    """Groups (N,), the fragments among them put into what bears their label close by."""
+    """Gather fragments into the larger group nearby that bears their label; groups (N,)."""
     areas = np.bincount(group, pieces.areas, len(pieces))
     named = np.flatnonzero(label[piece] != NOTHING)
     spread = Samples.of(faces, named, 0.5 * _NEARBY)
@@ -399,7 +399,7 @@ def assign_covers(
     planes: Sequence[str],
     options: SegmentOptions,
 ) -> tuple[Ints, dict[int, str]]:
-    """Groups (N,) of pieces, and the words of the planes that groups without one cover.
+    """Assign unlabelled pieces of planes to the groups that cover these; groups (N,), and words of groups.
 
     What no label speaks of on a plane joins what covers that plane and lies beside it, unless this
     has a word of its own: then crumbs alone do. So do they where crumbs are all that is left.
@@ -443,7 +443,7 @@ def _join_covers(
     covers: dict[int, list[tuple[int, float, bool]]],
     options: SegmentOptions,
 ) -> Ints:
-    """Groups (N,), pieces `open_` (K,) put into the covers of their planes they touch most.
+    """Join pieces `open_` (K,) to the covers of their planes they touch most.
 
     Covers of a plane are groups, their area on it [m2], and whether it is what they are.
     """

@@ -10,7 +10,7 @@ from placegraph.core.jit import kernel
 
 @kernel
 def find(root, i):
-    """Root of i in a forest `root` (N,), whose paths are halved on the way."""
+    """Return root of i in a forest `root` (N,), whose paths are halved on the way."""
     while root[i] != i:
         root[i] = root[root[i]]
         i = root[i]
@@ -19,7 +19,7 @@ def find(root, i):
 
 @kernel
 def smooth(normals, lab, areas, pairs, turned, rounds):
-    """Normals and colours (F, 3), each the mean of its own and of neighbours that bend < 45 deg.
+    """Return normals and colours (F, 3), each the mean of its own and of neighbours that bend < 45 deg.
 
     Weights are areas, a neighbour's at most the face's own: a large face stays as it is.
     """
@@ -56,7 +56,7 @@ def smooth(normals, lab, areas, pairs, turned, rounds):
 
 @kernel
 def join(pairs, weights, order, areas, scale, least):
-    """Patch (F,) of every face: Felzenszwalb and Huttenlocher's joining over ascending weights.
+    """Return patch (F,) of every face: Felzenszwalb and Huttenlocher's joining over ascending weights.
 
     Two patches become one over a pair whose weight is at most what each has inside, plus `scale`
     [weight * m2] over its area; patches smaller than `least` [m2] join in any case. A weight that is
@@ -92,7 +92,7 @@ def join(pairs, weights, order, areas, scale, least):
 
 @kernel
 def connect(count, pairs):
-    """Lowest member (N,) of the connected part of each of `count` nodes."""
+    """Return lowest member (N,) of the connected part of each of `count` nodes."""
     root = np.arange(count)
     for p in range(len(pairs)):
         a, b = find(root, pairs[p, 0]), find(root, pairs[p, 1])
@@ -105,7 +105,7 @@ def connect(count, pairs):
 
 @kernel
 def sample_counts(points, corners, step):
-    """Parts (F,) into which each side of a face is cut so that none is longer than `step`."""
+    """Count the parts (F,) into which each side of a face is cut so that none exceeds `step`."""
     parts = np.empty(len(corners), np.int64)
     for f in range(len(corners)):
         longest = 0.0
@@ -121,7 +121,7 @@ def sample_counts(points, corners, step):
 
 @kernel
 def samples(points, corners, parts):
-    """Points (S, 3) spread over faces, and the face (S,) of each: n^2 where a side has n parts."""
+    """Return points (S, 3) spread over faces, and the face (S,) of each: n^2 where a side has n parts."""
     total = 0
     for f in range(len(corners)):
         total += parts[f] * parts[f]
@@ -149,7 +149,7 @@ def samples(points, corners, parts):
 
 @kernel
 def cell_keys(spots, low, cell, shape):
-    """Key (S,) of the cube of side `cell` that holds each point."""
+    """Return key (S,) of the cube of side `cell` that holds each point."""
     keys = np.empty(len(spots), np.int64)
     for s in range(len(spots)):
         key = 0
@@ -161,7 +161,7 @@ def cell_keys(spots, low, cell, shape):
 
 @kernel
 def touching(spots, group, order, keys, shape, reach):
-    """Rows (K, 2) of samples of different groups within `reach`.
+    """Return rows (K, 2) of samples of different groups within `reach`.
 
     Of each sample and each other group only the nearest counts. `order` sorts the samples by their
     `keys`, which come sorted; cells are as large as `reach`, `shape` cells a side.
@@ -201,7 +201,7 @@ def touching(spots, group, order, keys, shape, reach):
 
 @kernel
 def nearest(queries, spots):
-    """Row (N,) of the point of `spots` (S, 3) that is nearest to each point asked for (N, 3)."""
+    """Return row (N,) of the point of `spots` (S, 3) that is nearest to each point asked for (N, 3)."""
     out = np.zeros(len(queries), np.int64)
     for i in range(len(queries)):
         best = np.inf
