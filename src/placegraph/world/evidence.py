@@ -126,10 +126,10 @@ class IndoorMatch:
         kinds = _score_room_kinds(sentence, columns)
         rooms: dict[str, dict[str, float]] = {}
         for row, name in enumerate(library.names):
-            units = np.flatnonzero((columns.scene == row) & ~columns.whole)
+            units = np.flatnonzero((columns.scene == row) & ~columns.is_scene)
             share = np.exp(totals[units] - totals[units].max()) * kinds[units]
             rooms[name] = {}
-            names = [u.name for u in library.texts.units(row) if not u.whole]
+            names = [u.name for u in library.texts.units(row) if not u.is_scene]
             for room, p in zip(names, (share / share.sum()).tolist(), strict=True):
                 rooms[name][room] = rooms[name].get(room, 0.0) + p
         return cls(library, sentence, dict(zip(library.names, best.tolist(), strict=True)), rooms)
@@ -147,7 +147,7 @@ def _score_room_kinds(sentence: Sentence, columns: Columns) -> Floats:
     """Return how well (U,) units are of the kind of room that the speaker is in."""
     out = np.ones(len(columns.scene))
     for s in sentence.statements:
-        named = sentence.mentions[s.things[0]].room
+        named = sentence.mentions[s.mentions[0]].room
         if s.kind is Kind.ROOM and named and not s.negated:
             fits = np.minimum(columns.rooms[:, table().kinds.index(named)], 1.0)
             out *= MISTAKEN + (1.0 - MISTAKEN) * fits
@@ -157,7 +157,7 @@ def _score_room_kinds(sentence: Sentence, columns: Columns) -> Floats:
 def list_rooms(library: SceneLibrary, name: str) -> tuple[str, ...]:
     """Return the names of a scene's rooms; a single empty one where the scene has no rooms."""
     units = library.texts.units(library.names.index(name))
-    return tuple(dict.fromkeys(u.name for u in units if not u.whole))
+    return tuple(dict.fromkeys(u.name for u in units if not u.is_scene))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ import numpy as np
 
 from placegraph.core.estimate import Evidence
 from placegraph.indoor.language import read as read_inside
-from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
+from placegraph.indoor.language.likeness import EXACT, match_labels, room_kind, table
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.io.osm.indoor_osm import levels_of
 from placegraph.language.text import Ignored, check_text
@@ -195,7 +195,7 @@ class ParsedSentence:
         outside = dict.fromkeys(s.text.strip() for d in self.outside.values() for s in d.statements)
         inside = [f"floor: {floor.text}" for floor in self.floors]
         for s in self.inside.statements if self.inside else ():
-            words = (self.inside.mentions[t].words for t in s.things) if self.inside else ()
+            words = (self.inside.mentions[t].words for t in s.mentions) if self.inside else ()
             inside.append(f"{s.kind.value}: {' and '.join(words)}")
         return {
             "text": self.text,
@@ -259,7 +259,7 @@ def parse_sentence(
     if not towns and inside is not None:
         ignored = inside.ignored
     if sentence is not None:  # the other wing could use these
-        used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.things}
+        used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.mentions}
         ignored = tuple(i for i in ignored if _plain(i.text) not in used)
     # names of scenes and buildings count wherever they are spoken (`evidence`)
     ignored = tuple(i for i in ignored if not any(f" {n} " in f" {_plain(i.text)} " for n in own))
@@ -307,7 +307,9 @@ def _find_outdoors(
             whole = " " in words and words in {_plain(s.label.partition("=")[2]) for s in m.senses}
             is_out = known and (whole or room_kind(words) not in held)  # a post office is no office
         else:  # rooms of this world hold such things, or homes
-            is_out = not any((fits(words, t) >= EXACT).any() for t in (things, table().things) if t)
+            is_out = not any(
+                (match_labels(words, t) >= EXACT).any() for t in (things, table().labels) if t
+            )
         if is_out:
             out.add(m.id)
         elif known and not room_kind(words):
@@ -352,12 +354,12 @@ def _keep_inside(said: Sentence, outside: Collection[str]) -> Sentence | None:
     away = {i for i, m in enumerate(mentions) if m is None}
     kept: list[Statement] = []
     for s in said.statements:
-        there = [t for t in s.things if t not in away]
-        if len(there) == len(s.things):
+        there = [t for t in s.mentions if t not in away]
+        if len(there) == len(s.mentions):
             new = any(mentions[t] is not said.mentions[t] for t in there)
             kept.append(replace(s, kind=Kind.ROOM) if new and len(there) == 1 else s)
-        elif s.kind is Kind.RELATED and s.things[1] in there:
-            kept.append(replace(s, kind=Kind.NEAR, things=(s.things[1],), relation="next to"))
+        elif s.kind is Kind.RELATED and s.mentions[1] in there:
+            kept.append(replace(s, kind=Kind.NEAR, mentions=(s.mentions[1],), relation="next to"))
     both = (new or old for new, old in zip(mentions, said.mentions, strict=True))
     return replace(said, mentions=tuple(both), statements=tuple(kept)) if kept else None
 

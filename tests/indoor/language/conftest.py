@@ -16,7 +16,7 @@ def thing(mention):
 
 def statement(sentence, s):
     """One statement: ``not towards(door) 90° 2m wide ~0.6``."""
-    things = ", ".join(thing(sentence.mentions[t]) for t in s.things)
+    things = ", ".join(thing(sentence.mentions[t]) for t in s.mentions)
     line = f"{'not ' if s.negated else ''}{s.kind}({things})"
     if s.relation:
         line += f" {s.relation}"

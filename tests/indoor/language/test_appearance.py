@@ -16,7 +16,7 @@ from placegraph.indoor.language.appearance import (
     named,
     with_colours,
 )
-from placegraph.indoor.language.likeness import fits
+from placegraph.indoor.language.likeness import match_labels
 from placegraph.indoor.language.prior import Referents
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
@@ -125,6 +125,6 @@ def test_colours_are_called_by_their_names():
     ],
 )  # fmt: skip
 def test_everyday_words_fit_labels(said, label, least):
-    (fit,) = fits(said, [label])
+    (fit,) = match_labels(said, [label])
     assert fit >= least
     assert least or not fit

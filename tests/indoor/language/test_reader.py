@@ -180,7 +180,7 @@ def test_what_a_room_holds_comes_back(room, things, form):
     ]
     sentence = read(form.format(room=room, things=" and ".join(named)))
     held = [s for s in sentence.statements if s.kind is Kind.HOLDS]
-    found = [(sentence.mentions[s.things[0]].label, sentence.mentions[s.things[0]].count, s.negated)
+    found = [(sentence.mentions[s.mentions[0]].label, sentence.mentions[s.mentions[0]].count, s.negated)
              for s in held]  # fmt: skip
     wanted = [
         (f"{thing}s".lower() if n and not no else thing.lower(), None if no else COUNTS[n], no)
@@ -188,7 +188,7 @@ def test_what_a_room_holds_comes_back(room, things, form):
     ]
     assert found == wanted
     (where,) = [s for s in sentence.statements if s.kind is Kind.ROOM]
-    assert sentence.mentions[where.things[0]].room == room
+    assert sentence.mentions[where.mentions[0]].room == room
     assert not sentence.ignored
 
 
@@ -206,7 +206,7 @@ def test_how_things_lie_comes_back(one, relation, other, form):
     (s,) = [s for s in sentence.statements if not s.wide]
     assert s.kind is Kind.RELATED
     assert s.relation == RELATIONS[relation]
-    assert [sentence.mentions[t].label for t in s.things] == [one.lower(), other.lower()]
+    assert [sentence.mentions[t].label for t in s.mentions] == [one.lower(), other.lower()]
 
 
 @given(
@@ -219,7 +219,7 @@ def test_how_things_lie_comes_back(one, relation, other, form):
 def test_where_things_are_seen_comes_back(seen, joint):
     sentence = read(joint.join(form.format(t=thing, d=way) for thing, way, form in seen))
     found = {
-        (sentence.mentions[s.things[0]].label, round(s.bearing * 180 / pi))
+        (sentence.mentions[s.mentions[0]].label, round(s.bearing * 180 / pi))
         for s in sentence.statements
         if s.kind is Kind.TOWARDS
     }
@@ -241,8 +241,8 @@ def test_no_text_breaks_it(text):
     except DescriptionError:
         return
     for s in sentence.statements:
-        assert all(0 <= t < len(sentence.mentions) for t in s.things)
-        assert len(s.things) == (2 if s.kind in (Kind.RELATED, Kind.BETWEEN) else 1)
+        assert all(0 <= t < len(sentence.mentions) for t in s.mentions)
+        assert len(s.mentions) == (2 if s.kind in (Kind.RELATED, Kind.BETWEEN) else 1)
         assert s.text in text
     assert sentence.statements or sentence.ignored
     assert sentence.to_dict()["text"] == text

@@ -66,7 +66,7 @@ _OF_ROOMS = {
     "large": ("volume", 1.0), "small": ("volume", -1.0), "long": ("longest", 1.0),
     "narrow": ("longest", 1.0), "empty": ("height", 1.0), "full": ("height", -1.0),
 }  # fmt: skip
-"""Column of `room_seen` and its sign, where words are of rooms."""
+"""Column of `describe_room` and its sign, where words are of rooms."""
 _FAINT = 0.02
 _MEASURED = {"tall": "height", "low": "height", "long": "longest", "short": "longest"}
 _STEEP = 2.5  # of sizes: e-fold of what is usual
@@ -77,10 +77,10 @@ _KNOWN = 2.0  # things by which what is usual of all things is outweighed
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
+class AppearanceWords:
     """Words for looks."""
 
-    shown: Mapping[str, Sequence[str]]
+    swatches: Mapping[str, Sequence[str]]
     """sRGB codes of each basic colour."""
     alike: Floats
     """(12, 12) how readily a colour (row) is called by the name of another (column)."""
@@ -94,7 +94,7 @@ class Looks:
         """Basic colours that a word names."""
         return self.classes["colours"]
 
-    def said(self, words: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    def classify(self, words: Iterable[str]) -> dict[str, tuple[str, ...]]:
         """Return the entries that words stand under, by class; two colours of one thing are both its."""
         out: dict[str, tuple[str, ...]] = {}
         for word in words:
@@ -105,7 +105,7 @@ class Looks:
 
 
 @cache
-def looks() -> Looks:
+def appearance_words() -> AppearanceWords:
     """Read the words for looks that placegraph knows, from looks.toml."""
     table = tomllib.loads(files(__package__).joinpath("data", "looks.toml").read_text("utf-8"))
     alike = np.eye(len(COLOURS))
@@ -119,8 +119,8 @@ def looks() -> Looks:
         for entry, value in entries.items():
             for word in value["words"] if isinstance(value, dict) else value:
                 known[word] = (*known.get(word, ()), entry)
-    return Looks(
-        shown={name: table["colours"][name]["shown"] for name in COLOURS},
+    return AppearanceWords(
+        swatches={name: table["colours"][name]["shown"] for name in COLOURS},
         alike=alike,
         material_colours={name: e["colours"] for name, e in table["materials"].items()},
         classes=classes,
@@ -129,7 +129,7 @@ def looks() -> Looks:
 
 @cache
 def _words() -> frozenset[str]:
-    classes = [known for kind, known in looks().classes.items() if kind != "places"]
+    classes = [known for kind, known in appearance_words().classes.items() if kind != "places"]
     return frozenset(word for known in classes for word in known)
 
 
@@ -155,11 +155,11 @@ def leading(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
 def trailing(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
     """Return colours that words end in ("sideboard pale green"), and how many words stand before."""
     end = len(words)
-    while end > 1 and words[end - 1] in looks().colours:
+    while end > 1 and words[end - 1] in appearance_words().colours:
         end -= 1
     if end == len(words):
         return (), end
-    while end > 1 and words[end - 1] in looks().classes["shades"]:
+    while end > 1 and words[end - 1] in appearance_words().classes["shades"]:
         end -= 1
     return tuple(words[end:]), end
 
@@ -200,7 +200,7 @@ def colours_of(scene: Scene) -> Floats:
 
 def named(colours: NDArray[np.uint8]) -> Floats:
     """Return how readily (n, 12) colours (n, 3) uint8 sRGB are called by each basic name; rows sum to 1."""
-    shown, names = _shown()
+    shown, names = _swatches()
     distance = np.linalg.norm(_lab(colours)[:, None] - shown, axis=2)
     nearest = np.stack([distance[:, names == i].min(axis=1) for i in range(len(COLOURS))], axis=1)
     share = np.exp(-(nearest - nearest.min(axis=1, keepdims=True)) / _SOFT)
@@ -208,9 +208,11 @@ def named(colours: NDArray[np.uint8]) -> Floats:
 
 
 @cache
-def _shown() -> tuple[Floats, NDArray[np.int64]]:
+def _swatches() -> tuple[Floats, NDArray[np.int64]]:
     """Return L*a*b* (n, 3) of the colours that looks.toml shows, and the basic colour (n,) of each."""
-    entries = [(i, code) for i, name in enumerate(COLOURS) for code in looks().shown[name]]
+    entries = [
+        (i, code) for i, name in enumerate(COLOURS) for code in appearance_words().swatches[name]
+    ]
     rgb = np.array([list(bytes.fromhex(code[1:])) for _, code in entries], np.uint8)
     return _lab(rgb), np.array([i for i, _ in entries])
 
@@ -240,7 +242,7 @@ def from_words(attributes: Mapping[str, str]) -> Floats:
         if name in COLOURS and tenths.isdecimal() and len(tenths) < 4:
             out[COLOURS.index(name)] += int(tenths)
     for word in attributes.get("color", "").lower().replace(",", " ").split():
-        for name in looks().colours.get(word, ()):
+        for name in appearance_words().colours.get(word, ()):
             out[COLOURS.index(name)] += 10.0
     return out / out.sum() if out.any() else np.full(len(COLOURS), np.nan)
 
@@ -248,7 +250,7 @@ def from_words(attributes: Mapping[str, str]) -> Floats:
 # looks of objects, as columns that words are held to
 
 
-def seen(
+def describe_objects(
     graph: SceneGraph, rows: Sequence[int], attributes: Sequence[Mapping[str, str]] = ()
 ) -> Floats:
     """Return looks (n, C) of the objects in `rows`, which stand in one room; C `COLUMNS`."""
@@ -278,7 +280,7 @@ def seen(
 def _read_looks(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
     """Return what a label, and values of attributes ("wooden, metal"), say of looks."""
     values = [value.strip() for text in attributes for value in text.lower().split(",")]
-    return looks().said([*split_label(label), *values])
+    return appearance_words().classify([*split_label(label), *values])
 
 
 def _places(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
@@ -305,7 +307,7 @@ def _places(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
     return np.stack([near.prod(axis=1), middle, near.max(axis=1), rows], axis=1)
 
 
-def room_seen(graph: SceneGraph, rows: Sequence[int]) -> Floats:
+def describe_room(graph: SceneGraph, rows: Sequence[int]) -> Floats:
     """Return looks (C,) of a room that holds these objects: its size, and nothing else."""
     out = np.full(len(COLUMNS), np.nan)
     extents, positions = graph.extents, graph.positions
@@ -323,24 +325,24 @@ def room_seen(graph: SceneGraph, rows: Sequence[int]) -> Floats:
 # fit of looks to words, as a ratio to what is usual
 
 
-def ratios(words: Iterable[str], found: Table, usual: Table, like: Floats) -> Floats:
+def ratios(words: Iterable[str], rows: Table, library: Table, like: Floats) -> Floats:
     """Return how much better (n,) than usual things look as words say.
 
     Parameters
     ----------
     words
         Attributes of one thing: "dark", "blue", "in the corner".
-    found
+    rows
         (n, C) looks of the things (`COLUMNS`).
-    usual, like
+    library, like
         (m, C) looks of all that is known, and (m,) how well each is the thing that is spoken of:
         what is usual is usual of these.
 
     """
-    out = np.ones(len(found))
-    for kind, entries in looks().said(words).items():
-        fit = _fit(kind, entries, found, usual, like)
-        every = None if fit is None else _fit(kind, entries, usual, usual, like)
+    out = np.ones(len(rows))
+    for kind, entries in appearance_words().classify(words).items():
+        fit = _fit(kind, entries, rows, library, like)
+        every = None if fit is None else _fit(kind, entries, library, library, like)
         if fit is None or every is None or np.isnan(every).all():
             continue
         known = ~np.isnan(every)
@@ -353,21 +355,21 @@ def ratios(words: Iterable[str], found: Table, usual: Table, like: Floats) -> Fl
     return out
 
 
-def room_ratios(words: Iterable[str], found: Table, usual: Table) -> Floats:
+def room_ratios(words: Iterable[str], rows: Table, library: Table) -> Floats:
     """Return how much better (n,) than usual rooms (m, C) the rooms (n, C) fit words for their size."""
-    out = np.ones(len(found))
-    for entries in looks().said(words).values():
+    out = np.ones(len(rows))
+    for entries in appearance_words().classify(words).values():
         for entry in dict.fromkeys(entries):
             if entry not in _OF_ROOMS:
                 continue
             column, sign = _OF_ROOMS[entry]
-            size = usual[:, AT[column]]
+            size = library[:, AT[column]]
             known = size[~np.isnan(size)]
             if not len(known):
                 continue
             fit, mean = (
                 1.0 / (1.0 + np.exp(-sign * _STEEP * (x - known.mean())))
-                for x in (found[:, AT[column]], known)
+                for x in (rows[:, AT[column]], known)
             )
             ratio = (1.0 - TASTE) * fit / mean.mean() + TASTE
             out *= np.where(np.isnan(fit), 1.0, ratio)
@@ -375,47 +377,47 @@ def room_ratios(words: Iterable[str], found: Table, usual: Table) -> Floats:
 
 
 def _fit(
-    kind: str, entries: tuple[str, ...], found: Table, usual: Table, like: Floats
+    kind: str, entries: tuple[str, ...], rows: Table, library: Table, like: Floats
 ) -> Floats | None:
     """Return how well (n,) looks are what entries of a class say; NaN where nobody knows."""
     match kind:
         case "colours":
-            return _fit_colours(entries, found)
+            return _fit_colours(entries, rows)
         case "shades":
-            light = found[:, : len(COLOURS)] @ _LIGHT
+            light = rows[:, : len(COLOURS)] @ _LIGHT
             return light if "light" in entries else 1.0 - light
         case "materials":  # by the material where it is known, else by the colours that it has
-            fit = found[:, [AT[e] for e in entries if e in MATERIALS]].max(axis=1)
-            colours = sum((tuple(looks().material_colours[e]) for e in entries), ())
+            fit = rows[:, [AT[e] for e in entries if e in MATERIALS]].max(axis=1)
+            colours = sum((tuple(appearance_words().material_colours[e]) for e in entries), ())
             if not colours:
                 return np.asarray(fit)
-            return np.asarray(np.where(np.isnan(fit), _fit_colours(colours, found), fit))
+            return np.asarray(np.where(np.isnan(fit), _fit_colours(colours, rows), fit))
         case "shapes":
-            return np.asarray(found[:, [AT[e] for e in entries if e in SHAPES]].max(axis=1))
+            return np.asarray(rows[:, [AT[e] for e in entries if e in SHAPES]].max(axis=1))
         case "patterns":
-            return np.asarray(found[:, AT["patterned"]])
+            return np.asarray(rows[:, AT["patterned"]])
         case "places":
-            return np.asarray(found[:, [AT[e] for e in entries if e in PLACES]].max(axis=1))
+            return np.asarray(rows[:, [AT[e] for e in entries if e in PLACES]].max(axis=1))
         case "sizes":
-            return _fit_sizes(entries, found, usual, like)
+            return _fit_sizes(entries, rows, library, like)
     return None
 
 
-def _fit_colours(entries: tuple[str, ...], found: Table) -> Floats:
-    alike = looks().alike[[COLOURS.index(e) for e in entries]].max(axis=0)
-    return np.asarray(found[:, : len(COLOURS)] @ alike)
+def _fit_colours(entries: tuple[str, ...], rows: Table) -> Floats:
+    alike = appearance_words().alike[[COLOURS.index(e) for e in entries]].max(axis=0)
+    return np.asarray(rows[:, : len(COLOURS)] @ alike)
 
 
-def _fit_sizes(entries: tuple[str, ...], found: Table, usual: Table, like: Floats) -> Floats:
+def _fit_sizes(entries: tuple[str, ...], rows: Table, library: Table, like: Floats) -> Floats:
     """Return how well (n,) sizes fit, against the mean of things that are alike."""
-    out = np.ones(len(found))
+    out = np.ones(len(rows))
     for entry in dict.fromkeys(entries):
         column = AT[_MEASURED.get(entry, "volume")]
-        known = ~np.isnan(usual[:, column])
+        known = ~np.isnan(library[:, column])
         weight = like[known].sum()
         if weight <= 0.0:
-            return np.full(len(found), np.nan)
-        over = found[:, column] - float((like * usual[:, column])[known].sum() / weight)
+            return np.full(len(rows), np.nan)
+        over = rows[:, column] - float((like * library[:, column])[known].sum() / weight)
         over = -over if entry in ("small", "narrow", "low", "short") else over
         out *= 1.0 / (1.0 + np.exp(-_STEEP * over))
     return out

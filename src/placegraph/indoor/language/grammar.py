@@ -92,19 +92,19 @@ def find_chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
     i = 0
     while i < len(sentence):
         i += _take_phrase(sentence, lower, i, text, found)
-    return list(_deny_both(_mark_pairs(list(_settle_chunks(found)))))
+    return list(_deny_both(_mark_pairs(list(_resolve_types(found)))))
 
 
 def _take_phrase(
-    sentence: Sequence[Word], lower: list[str], i: int, text: str, found: list[Chunk]
+    sentence: Sequence[Word], lower: list[str], i: int, text: str, chunks: list[Chunk]
 ) -> int:
     """Append what begins at word i; return how many words it takes."""
     word = sentence[i]
     if word.kind == "measure":
-        found.append(Chunk("DIST", word.start, word.end, word.lower, word.metres))
+        chunks.append(Chunk("DIST", word.start, word.end, word.lower, word.metres))
         return 1
     if word.kind == "comma":
-        found.append(Chunk("AND", word.start, word.end, text[word.start : word.end].strip()))
+        chunks.append(Chunk("AND", word.start, word.end, text[word.start : word.end].strip()))
         return 1
     known = None if word.kind == "label" else english().longest(lower, i)
     if known and known[0] == 1:
@@ -115,42 +115,42 @@ def _take_phrase(
     words = " ".join(lower[i : i + n])
     end = sentence[i + n - 1].end
     if known:
-        found.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
+        chunks.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
     elif (count := parse_count(words, largest=_MOST)) is not None:
         kind = "SOME" if words in ("few", "several") else "NUM"
-        found.append(Chunk(kind, word.start, end, words, count))
+        chunks.append(Chunk(kind, word.start, end, words, count))
     else:
         # "KitchenTable" is two words, and so is "kitchen_table"
         written = text[word.start : word.start + len(words)]
         parts = [] if written[:-1].isupper() else split_label(written)  # "TVs" is one
-        found.append(Chunk("WORD", word.start, end, " ".join(parts) or words))
+        chunks.append(Chunk("WORD", word.start, end, " ".join(parts) or words))
     return n
 
 
-def _settle_chunks(found: list[Chunk]) -> Iterator[Chunk]:
+def _resolve_types(chunks: list[Chunk]) -> Iterator[Chunk]:
     """Decide what ambiguous chunks are by their neighbours; drop those that say nothing."""
     before: Chunk | None = None
-    for i, chunk in enumerate(found):
-        after = found[i + 1].type if i + 1 < len(found) else ""
-        settled = _settle(chunk, before.type if before else "", after)
-        if settled is None:
+    for i, chunk in enumerate(chunks):
+        after = chunks[i + 1].type if i + 1 < len(chunks) else ""
+        resolved = _resolve_type(chunk, before.type if before else "", after)
+        if resolved is None:
             continue
-        if settled.words in _STANDS:
-            end = next((k for k in range(i, 0, -1) if found[k - 1].type != "WORD"), 0)
-            count = found[end - 1] if end else chunk
+        if resolved.words in _STANDS:
+            end = next((k for k in range(i, 0, -1) if chunks[k - 1].type != "WORD"), 0)
+            count = chunks[end - 1] if end else chunk
             if count.type in ("NUM", "SOME") and count.value != 1:
-                settled = replace(settled, type="WORD")  # "two tv stands in the kitchen"
-        if settled.type == "DIR" and before is not None and before.type == "DIR":
+                resolved = replace(resolved, type="WORD")  # "two tv stands in the kitchen"
+        if resolved.type == "DIR" and before is not None and before.type == "DIR":
             # "behind me on my left": between the two
-            one, other = before.value, settled.value
+            one, other = before.value, resolved.value
             before.value = atan2(sin(one) + sin(other), cos(one) + cos(other))
-            before.end = settled.end
+            before.end = resolved.end
             continue
-        before = settled
-        yield settled
+        before = resolved
+        yield resolved
 
 
-def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
+def _resolve_type(chunk: Chunk, before: str, after: str) -> Chunk | None:
     """Return what a chunk is between two types; None where it says nothing."""
     kind, words = chunk.type, chunk.words
     single = " " not in words
@@ -175,33 +175,33 @@ def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
     return None if kind == "BE" and before in _DETERMINERS else chunk
 
 
-def _mark_pairs(found: list[Chunk]) -> list[Chunk]:
+def _mark_pairs(chunks: list[Chunk]) -> list[Chunk]:
     """Mark the "and" of "between the table and the fridge": it joins no clauses."""
-    for i, chunk in enumerate(found):
+    for i, chunk in enumerate(chunks):
         if chunk.type != "BETWEEN":
             continue
-        for k in range(i + 1, len(found) - 1):
-            if found[k].type == "AND" and k > i + 1:
-                if found[k].words in ("and", "&") and found[k + 1].type in _NOUNS:
-                    found[k] = replace(found[k], type="BOTH")
+        for k in range(i + 1, len(chunks) - 1):
+            if chunks[k].type == "AND" and k > i + 1:
+                if chunks[k].words in ("and", "&") and chunks[k + 1].type in _NOUNS:
+                    chunks[k] = replace(chunks[k], type="BOTH")
                 break
-            if found[k].type not in _NOUNS | {"OF", "PART"}:
+            if chunks[k].type not in _NOUNS | {"OF", "PART"}:
                 break
-    return found
+    return chunks
 
 
-def _deny_both(found: list[Chunk]) -> Iterator[Chunk]:
+def _deny_both(chunks: list[Chunk]) -> Iterator[Chunk]:
     """Say no of both: "no tub or shower", "neither a sofa nor table"."""
     no = False
-    for i, chunk in enumerate(found):
+    for i, chunk in enumerate(chunks):
         yield chunk
         no = chunk.type == "NO" or (no and chunk.type in ("WORD", "AND"))
-        after = found[i + 1] if i + 1 < len(found) else None
+        after = chunks[i + 1] if i + 1 < len(chunks) else None
         if no and chunk.words in ("or", "nor") and after is not None and after.type == "WORD":
             yield Chunk("NO", after.start, after.start, "no")
 
 
-def cut_clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
+def cut_clauses(chunks: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
     """Cut the chunks of a sentence into clauses, each with its certainty.
 
     A joint (a comma, "and") cuts where a finite verb follows before the next one, and what came
@@ -209,11 +209,11 @@ def cut_clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
     """
     current: list[Chunk] = []
     certainty, verb = 1.0, False
-    for i, chunk in enumerate(found):
+    for i, chunk in enumerate(chunks):
         if (
             chunk.type == "CUT"
             or len(current) >= LONGEST_CLAUSE
-            or (chunk.type == "AND" and _begins_clause(current, found[i + 1 :], verb=verb))
+            or (chunk.type == "AND" and _begins_clause(current, chunks[i + 1 :], verb=verb))
             or (verb and chunk.type == "EXISTS")
         ):
             if current:
@@ -230,9 +230,9 @@ def cut_clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
         yield current, certainty
 
 
-def _begins_clause(current: Sequence[Chunk], rest: Sequence[Chunk], *, verb: bool) -> bool:
+def _begins_clause(current: Sequence[Chunk], behind: Sequence[Chunk], *, verb: bool) -> bool:
     """Tell whether a clause of its own begins at the joint after `current`."""
-    kinds = [chunk.type for chunk in rest]
+    kinds = [chunk.type for chunk in behind]
     end = next((i for i, kind in enumerate(kinds) if kind in ("AND", "CUT")), len(kinds))
     if VERBS.isdisjoint(kinds[:end]):
         return False

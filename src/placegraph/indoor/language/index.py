@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.indoor.language.appearance import COLUMNS, room_seen, seen
+from placegraph.indoor.language.appearance import COLUMNS, describe_objects, describe_room
 from placegraph.indoor.language.likeness import (
     EXACT,
     Floats,
     Floats32,
-    fits,
     kind_by_name,
     kinds_of,
     likenesses,
+    match_labels,
 )
 from placegraph.indoor.map.floor import STRUCTURE_WORDS, is_nameless, split_label
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, normalize_relation
@@ -44,14 +44,14 @@ class Described:
     """How many things at most lie so to one other."""
     name: str = ""
     """Name of the room, where it has one."""
-    whole: bool = False
+    is_scene: bool = False
     """Whether it is a scene of several rooms, which are units too."""
     undivided: bool = False
     """Whether nobody told its rooms apart."""
-    looks: dict[str, Floats] = field(default_factory=dict)
+    appearance: dict[str, Floats] = field(default_factory=dict)
     """(C,) of each label how the things of that name look, each column the most of any of them."""
     room: Floats = field(default_factory=lambda: np.full(len(COLUMNS), np.nan))
-    """(C,) of the room itself (`appearance.room_seen`)."""
+    """(C,) of the room itself (`appearance.describe_room`)."""
 
 
 def units(
@@ -76,7 +76,7 @@ def units(
         inside = set(rows)
         out.append(_unit(graph, rows, [t for t in edges if t[0] in inside], attributes, name))
     whole = _unit(graph, range(len(graph)), edges, attributes, "")
-    return [*out, replace(whole, whole=True)]
+    return [*out, replace(whole, is_scene=True)]
 
 
 def _unit(
@@ -90,7 +90,7 @@ def _unit(
 ) -> Described:
     labels = [graph.labels[row] for row in rows]
     looks: dict[str, Floats] = {}
-    for label, own in zip(labels, seen(graph, rows, attributes), strict=True):
+    for label, own in zip(labels, describe_objects(graph, rows, attributes), strict=True):
         looks[label] = np.fmax(looks[label], own) if label in looks else own
     subjects: dict[tuple[str, str, int], set[int]] = {}
     for s, relation, t in edges:
@@ -100,8 +100,8 @@ def _unit(
         key = (one, relation, graph.labels[t])
         counts[key] = max(counts.get(key, 0), len(found))
     return Described(
-        dict(Counter(labels)), counts, name, undivided=undivided, looks=looks,
-        room=room_seen(graph, rows),
+        dict(Counter(labels)), counts, name, undivided=undivided, appearance=looks,
+        room=describe_room(graph, rows),
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def triples(graph: SceneGraph) -> Iterable[tuple[int, str, int]]:
             yield b, name, a
 
 
-class Found(NamedTuple):
+class MatchCounts(NamedTuple):
     """Counts of the words that were asked for, in each unit (U,)."""
 
     exact: Floats
@@ -168,7 +168,7 @@ class Postings(NamedTuple):
         """(E,) word of each entry."""
         return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
 
-    def many(self, weights: Floats32, total: int) -> Found:
+    def count_matches(self, weights: Floats32, total: int) -> MatchCounts:
         """Count the words that each of `total` units has.
 
         `weights`: (W,) how well each word fits what is asked for.
@@ -183,7 +183,9 @@ class Postings(NamedTuple):
         best = np.zeros(total, np.float32)
         np.maximum.at(best, rows, weight)
         exact = np.bincount(rows, counts * (weight >= EXACT), total).astype(np.float64)
-        return Found(exact, np.bincount(rows, counts, total).astype(np.float64), best, entries)
+        return MatchCounts(
+            exact, np.bincount(rows, counts, total).astype(np.float64), best, entries
+        )
 
 
 class Columns(NamedTuple):
@@ -195,7 +197,7 @@ class Columns(NamedTuple):
     of_triples: Postings
     triples: NDArray[np.int64]
     """(T, 3) rows of labels, relations, labels: subject, how, and target of each."""
-    looks: Floats32
+    appearance: Floats32
     """(E, C) looks of the entries of `of_labels` (`appearance.COLUMNS`)."""
     room_looks: Floats
     """(U, C) of the rooms."""
@@ -203,16 +205,16 @@ class Columns(NamedTuple):
     """(U,) how much there is to speak of."""
     rooms: Floats
     """(U, R) expected number of rooms of each kind (`likeness.table`)."""
-    whole: NDArray[np.bool_]
+    is_scene: NDArray[np.bool_]
     """(U,)"""
     scene: NDArray[np.int32]
     """(U,) row of the scene of each unit, ascending."""
     scenes: int
     """How many."""
 
-    def fits(self, asked: str) -> Floats32:
+    def match_labels(self, query: str) -> Floats32:
         """Return how well (L,) the labels fit what is asked for."""
-        return fits(asked, self.labels)
+        return match_labels(query, self.labels)
 
 
 def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
@@ -231,7 +233,7 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
     looks: dict[str, list[Floats]] = {label: [] for label in label_row}
     for unit in flat:
         for label in unit.labels:
-            looks[label].append(unit.looks.get(label, np.full(len(COLUMNS), np.nan)))
+            looks[label].append(unit.appearance.get(label, np.full(len(COLUMNS), np.nan)))
     entries = [own for listed in looks.values() for own in listed]
     scene = np.repeat(np.arange(len(scenes), dtype=np.int32), [len(s) for s in scenes])
     return Columns(
@@ -240,11 +242,11 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
         of_labels=of_labels,
         of_triples=of_triples,
         triples=np.array(edges, np.int64).reshape(-1, 3),
-        looks=np.array(entries, np.float32).reshape(-1, len(COLUMNS)),
+        appearance=np.array(entries, np.float32).reshape(-1, len(COLUMNS)),
         room_looks=np.array([unit.room for unit in flat]).reshape(-1, len(COLUMNS)),
         much=np.array([_much(unit) for unit in flat]),
         rooms=_rooms(flat, tuple(label_row), of_labels, scene),
-        whole=np.array([unit.whole for unit in flat], np.bool_),
+        is_scene=np.array([unit.is_scene for unit in flat], np.bool_),
         scene=scene,
         scenes=len(scenes),
     )
@@ -254,12 +256,12 @@ def _rooms(
     flat: Sequence[Described], labels: Sequence[str], of_labels: Postings, scene: NDArray[np.int32]
 ) -> Floats:
     """Return the expected number (U, R) of rooms of each kind; of a whole the sum of its rooms'."""
-    held = [of_labels.many(likeness, len(flat)).best for likeness in likenesses(labels).T]
+    held = [of_labels.count_matches(likeness, len(flat)).best for likeness in likenesses(labels).T]
     out = kinds_of(np.stack(held, axis=1), np.array([unit.undivided for unit in flat], np.bool_))
     for row, unit in enumerate(flat):
         if unit.name:
             out[row] = kind_by_name(unit.name, out[row])
-    whole = np.array([unit.whole for unit in flat], np.bool_)
+    whole = np.array([unit.is_scene for unit in flat], np.bool_)
     for kind in range(out.shape[1]):
         sums = np.bincount(scene[~whole], out[~whole, kind], int(scene.max(initial=-1)) + 1)
         out[whole, kind] = sums[scene[whole]]

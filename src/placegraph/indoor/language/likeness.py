@@ -32,33 +32,33 @@ _ABSENT = 0.5  # weight of what is not there: a map does not hold all that a roo
 _NAMED = 0.97  # a room is what it is called
 
 
-def fits(asked: str, labels: Sequence[str]) -> Floats32:
+def match_labels(query: str, labels: Sequence[str]) -> Floats32:
     """Return how well labels (n,) fit what is asked for, in [0, 1]: 1 the same thing, 0 no kin of it.
 
     A "desk" is a "table" by half. Labels that name nothing fit nothing.
     """
-    return _fits(asked, tuple(labels))
+    return _match_labels(query, tuple(labels))
 
 
 @lru_cache(maxsize=1024)
-def _fits(asked: str, labels: tuple[str, ...]) -> Floats32:
-    out = _fits_by_tree(asked, labels)
-    for word, weight in everyday(asked):
-        out = np.maximum(out, weight * _fits_by_tree(word, labels))
+def _match_labels(query: str, labels: tuple[str, ...]) -> Floats32:
+    out = _match_by_tree(query, labels)
+    for word, weight in everyday(query):
+        out = np.maximum(out, weight * _match_by_tree(word, labels))
     out.flags.writeable = False
     return out
 
 
-def _fits_by_tree(asked: str, labels: tuple[str, ...]) -> Floats32:
-    """Return `fits` by the tree of things alone, without everyday words."""
+def _match_by_tree(query: str, labels: tuple[str, ...]) -> Floats32:
+    """Return `match_labels` by the tree of things alone, without everyday words."""
     if not labels:
         return np.zeros(0, np.float32)
-    cosines = _vectors(labels) @ _vector(asked)
+    cosines = _vectors(labels) @ _vector(query)
     out = SYNONYM * np.clip((cosines - LEAST) / (1.0 - LEAST), 0.0, 1.0)
-    start = _start(asked)
+    start = _start(query)
     for i, label in enumerate(labels):
-        if _start(label) == start and start and matches_label(asked, label):
-            said, own = set(split_label(asked)[:-1]), set(split_label(label)[:-1])
+        if _start(label) == start and start and matches_label(query, label):
+            said, own = set(split_label(query)[:-1]), set(split_label(label)[:-1])
             out[i] = 1.0 if said <= own else max(out[i], GENERAL)
     return np.asarray(out, np.float32)
 
@@ -79,9 +79,9 @@ def _start(label: str) -> str:
 
 
 @lru_cache(maxsize=_MEMORY)
-def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
+def everyday(query: str) -> tuple[tuple[str, np.float32], ...]:
     """Return what maps may call a thing by everyday words for it, and how well: the longest last words."""
-    words = split_label(asked)
+    words = split_label(query)
     for first in range(len(words)):
         for last in singular_forms(words[-1]):
             found = _everyday().get(" ".join([*words[first:-1], last]))
@@ -109,9 +109,9 @@ class _RoomTable(NamedTuple):
     kind_of: Mapping[tuple[str, ...], str]
     """Kind of room that words name."""
     kinds: tuple[str, ...]
-    usual: Floats
+    share: Floats
     """(R,) shares of kinds among the rooms of homes; they sum to 1."""
-    things: tuple[str, ...]
+    labels: tuple[str, ...]
     present: Floats
     """(R, T) log of how much more probably a kind of room holds a thing than the average room."""
     absent: Floats
@@ -137,8 +137,8 @@ def table() -> _RoomTable:
             for name in (kind, *entry.get("names", []))
         },
         kinds=tuple(entries),
-        usual=usual,
-        things=things,
+        share=usual,
+        labels=things,
         present=np.log(held / average),
         absent=np.log((1 - held) / (1 - average)),
         average=average,
@@ -165,12 +165,12 @@ def kind_by_name(name: str, else_: Floats) -> Floats:
     return np.where(np.array(kinds) == named, _NAMED, (1.0 - _NAMED) / (len(kinds) - 1))
 
 
-def kinds_of(held: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_) -> Floats:
+def kinds_of(contents: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_) -> Floats:
     """Return how probably (U, R) rooms are of each kind by what is in them.
 
     Parameters
     ----------
-    held
+    contents
         (U, T) how well the things of the table are among what each holds.
     undivided
         (U,) which may be homes whose rooms nobody told apart: they have a room of a kind as their
@@ -180,13 +180,13 @@ def kinds_of(held: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_
     known = table()
     # what is there, and to a lesser degree what is not
     telling = known.present - _ABSENT * known.absent
-    logs = np.log(known.usual) + _ABSENT * known.absent.sum(axis=1) + held @ telling.T
+    logs = np.log(known.share) + _ABSENT * known.absent.sum(axis=1) + contents @ telling.T
     share = np.exp(logs - logs.max(axis=1, keepdims=True))
     share /= share.sum(axis=1, keepdims=True)
-    of_thing = known.usual[:, None] * np.exp(known.present)
-    homes = np.flatnonzero(np.broadcast_to(undivided, len(held)))
+    of_thing = known.share[:, None] * np.exp(known.present)
+    homes = np.flatnonzero(np.broadcast_to(undivided, len(contents)))
     for kind, of_it in enumerate(of_thing if len(homes) else ()):
-        most = (held[homes] * of_it).max(axis=1, initial=0.0)
+        most = (contents[homes] * of_it).max(axis=1, initial=0.0)
         share[homes, kind] = np.maximum(share[homes, kind], most)
     return np.asarray(share)
 
@@ -194,17 +194,17 @@ def kinds_of(held: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_
 def likenesses(labels: Sequence[str]) -> Floats32:
     """Return how well (L, T) labels fit the things of the table; kin counts for less than by half."""
     if not labels:
-        return np.zeros((0, len(table().things)), np.float32)
+        return np.zeros((0, len(table().labels)), np.float32)
     return np.stack([_likeness(label) for label in labels])
 
 
 @cache
 def _likeness(label: str) -> Floats32:
-    fit = fits(label, table().things)
+    fit = match_labels(label, table().labels)
     return np.where(fit >= EXACT, 1.0, np.where(fit >= 0.4, 0.3, 0.0)).astype(np.float32)
 
 
-def usual(label: str) -> float:
+def base_rate(label: str) -> float:
     """Return how probably an average room holds what is called so; a tenth where nobody told."""
     likeness = _likeness(label)
     best = int(likeness.argmax())

@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.estimate import Evidence, ObjectRef
-from placegraph.indoor.language.appearance import COLUMNS, ratios, seen, with_colours
+from placegraph.indoor.language.appearance import COLUMNS, describe_objects, ratios, with_colours
 from placegraph.indoor.language.index import triples
 from placegraph.indoor.language.likeness import (
     EXACT,
     Floats,
     Floats32,
-    fits,
     kind_by_name,
     kinds_of,
     likenesses,
+    match_labels,
     table,
 )
 from placegraph.indoor.language.score import TOLD, sayings
@@ -114,7 +114,7 @@ def evidence(
         weight = float(ratio[row, heading % ratio.shape[1]])
         verdict = "for" if weight > TOLD else "against" if weight < -TOLD else "silent"
         # the most probable objects, at most one of each thing
-        rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
+        rows = [int(things.weights[t].argmax()) for t in s.mentions if things.weights[t].any()]
         served: tuple[ObjectRef, ...] = tuple([make_object_ref(scene, r) for r in rows])
         out.append(Evidence(s.text, verdict, weight, served))
     return tuple(out)
@@ -149,12 +149,12 @@ class Referents:
 
     @cached_property
     def weights(self) -> list[Floats32]:
-        """Of each mention how well (N,) the objects are it, as what is said of pairs narrows it."""
+        """Fit (N,) of the objects to each mention, narrowed by the statements of two things."""
         labels = list(dict.fromkeys(self.scene.graph.labels))
         row = np.array([labels.index(label) for label in self.scene.graph.labels])
         out = []
         for mention in self.sentence.mentions:
-            own = fits(mention.label, labels)[row]
+            own = match_labels(mention.label, labels)[row]
             exact = own >= EXACT
             out.append(np.where(exact, own, _KIN_TOO * own) if exact.any() else own)
         for i, mention in enumerate(self.sentence.mentions):
@@ -172,24 +172,24 @@ class Referents:
         spoken = weights > 0.0
         if not spoken.any():
             return weights
-        ratio = ratios(attributes, self._seen, self._seen, weights.astype(np.float64))
+        ratio = ratios(attributes, self._appearance, self._appearance, weights.astype(np.float64))
         ratio /= ratio[spoken].max()
         return (weights * np.maximum(ratio, _UNLIKE)).astype(np.float32)
 
     @cached_property
-    def _seen(self) -> Floats:
+    def _appearance(self) -> Floats:
         """(N, C) what the objects look like, and where in their rooms they stand."""
         out = np.empty((len(self.scene), len(COLUMNS)))
         attributes = with_colours(self.scene)
         of = self.rooms[0]
         for room in np.unique(of):
             rows = np.flatnonzero(of == room)
-            out[rows] = seen(self.scene.graph, rows.tolist(), attributes)
+            out[rows] = describe_objects(self.scene.graph, rows.tolist(), attributes)
         return out
 
     def _narrow(self, s: Statement, weights: list[Floats32]) -> None:
         """Weaken objects that do not lie as a statement of two things says."""
-        a, b = s.things
+        a, b = s.mentions
         pairs = self.pairs(s.relation, weights[a], weights[b])
         for mention, rows in ((a, pairs[:, 0]), (b, pairs[:, 1])):
             if len(rows):
@@ -221,8 +221,8 @@ class Referents:
         names = list(dict.fromkeys(name for name in named if name))
         number = {name: i for i, name in enumerate(names)}
         of = np.array([number.get(name, -1) for name in named], np.int32)
-        held = np.zeros((len(names), self.telling.shape[1]), np.float32)
-        np.maximum.at(held, of[of >= 0], self.telling[of >= 0])
+        held = np.zeros((len(names), self.room_clues.shape[1]), np.float32)
+        np.maximum.at(held, of[of >= 0], self.room_clues[of >= 0])
         kinds = kinds_of(held, np.False_)
         names = [name.partition(" ")[2] for name in names]
         for row, name in enumerate(names):
@@ -230,7 +230,7 @@ class Referents:
         return of, names, kinds
 
     @cached_property
-    def telling(self) -> Floats32:
+    def room_clues(self) -> Floats32:
         """(N, T) how well objects are the things by which rooms are told (`likeness.table`)."""
         labels = list(dict.fromkeys(self.scene.graph.labels))
         row = [labels.index(label) for label in self.scene.graph.labels]
@@ -245,7 +245,7 @@ class Referents:
     def missing(self, s: Statement) -> str:
         """Return why a statement says nothing on this map, or an empty string."""
         if s.kind is Kind.ROOM:
-            mention = self.sentence.mentions[s.things[0]]
+            mention = self.sentence.mentions[s.mentions[0]]
             if not mention.room:
                 return "says nothing of where you are"
             kinds = self.rooms[2]
@@ -254,7 +254,7 @@ class Referents:
             if kinds[:, table().kinds.index(mention.room)].max() <= _NO_ROOM:
                 return f"the map has no {mention.label}"
             return ""
-        for t in s.things:
+        for t in s.mentions:
             if not self.weights[t].any():
                 return f"the map has no {self.sentence.mentions[t].label}"
         if s.kind is Kind.RELATED and s.negated:
@@ -267,31 +267,29 @@ class PoseFits:
 
     Parameters
     ----------
-    things
+    referents
         Objects that are spoken of.
     views
         Panoramas at the positions.
     """
 
-    def __init__(self, things: Referents, views: VisibilityTable) -> None:
-        self._things, self._views = things, views
-        spoken = [weights > 0 for weights in things.weights]
+    def __init__(self, referents: Referents, views: VisibilityTable) -> None:
+        self._referents, self._views = referents, views
+        spoken = [weights > 0 for weights in referents.weights]
         self._rows = np.flatnonzero(np.any(spoken, axis=0))
 
     @cached_property
-    def _sightings(self) -> tuple[Floats32, NDArray[np.int16], NDArray[np.bool_]]:
-        """How near (J, K) the things spoken of are seen, in which bin, and whether cut off below."""
-        slot = np.full(len(self._things.scene) + 1, -1, np.int32)
+    def _nearest_views(self) -> tuple[Floats32, NDArray[np.int16], NDArray[np.bool_]]:
+        """Distance (J, K) at which each object is seen, azimuth bin, and whether the panorama cuts it off."""
+        slot = np.full(len(self._referents.scene) + 1, -1, np.int32)
         slot[self._rows] = np.arange(len(self._rows))
         pano = self._views.panoramas
-        found: tuple[Floats32, NDArray[np.int16], NDArray[np.bool_]] = look_for(
-            pano.objects, pano.ranges, slot, _LEVEL, len(self._rows)
-        )
-        return found
+        near, at, cut = look_for(pano.objects, pano.ranges, slot, _LEVEL, len(self._rows))
+        return near, at, cut
 
     @property
     def _near(self) -> Floats32:
-        return self._sightings[0]
+        return self._nearest_views[0]
 
     def fit(self, s: Statement) -> Floats32:
         """Return how well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
@@ -299,23 +297,24 @@ class PoseFits:
             case Kind.TOWARDS:
                 fit = self._towards(s)
             case Kind.ROOM:
-                fit = self._room(s)[:, None]
+                fit = self._room(s)
             case Kind.NEAR:
-                fit = self._close(s.things[0], NEAR.get(s.relation, NEAR[""]), s.distance)[:, None]
+                fit = self._close(s.mentions[0], NEAR.get(s.relation, NEAR[""]), s.distance)
             case Kind.FAR:
-                fit = 1.0 - self._close(s.things[0], DISTANT, None)[:, None]
+                fit = 1.0 - self._close(s.mentions[0], DISTANT, None)
             case Kind.BETWEEN:
-                fit = self._between(*s.things)[:, None]
+                fit = self._between(*s.mentions)
             case Kind.RELATED:
-                fit = self._related(s)[:, None]
+                fit = self._related(s)
             case _:
-                fit = self._held(s.things[0])[:, None]
-        return np.asarray(1.0 - fit if s.negated else fit, np.float32)
+                fit = self._presence(s.mentions[0])
+        fit = np.asarray(1.0 - fit if s.negated else fit, np.float32)
+        return fit if fit.ndim == 2 else fit[:, None]
 
     # one thing
     def _weights(self, t: int) -> Floats32:
         """Return how well (J,) what is looked for is a thing."""
-        return self._things.weights[t][self._rows]
+        return self._referents.weights[t][self._rows]
 
     def _in_sight(self, t: int) -> Floats32:
         """Return how well (K,) a thing in sight is the thing, and how readily it is spoken of."""
@@ -323,21 +322,20 @@ class PoseFits:
 
     @cached_property
     def _readily(self) -> Floats32:
-        """How readily (J, K) things are spoken of: 0 of what is out of sight."""
+        """Chance (J, K) that objects are mentioned: 0 for those out of sight."""
         return np.asarray(1.0 / (1.0 + np.square(self._near / SPOKEN)), np.float32)
 
-    def _held(self, t: int) -> Floats32:
-        mention = self._things.sentence.mentions[t]
+    def _presence(self, t: int) -> Floats32:
+        mention = self._referents.sentence.mentions[t]
         least = mention.count or (2 if mention.several else 1)
         seen = self._in_sight(t)
         if mention.negated:
-            return np.asarray(
-                np.isfinite(self._near[self._weights(t) >= EXACT]).any(axis=0), np.float32
-            )
+            exact = self._near[self._weights(t) >= EXACT]
+            return np.asarray(np.isfinite(exact).any(axis=0), np.float32)
         if least == 1:
             return seen
-        many = np.isfinite(self._near[self._weights(t) > 0]).sum(axis=0)
-        return np.asarray(seen * np.minimum(many / least, 1.0), np.float32)
+        count = np.isfinite(self._near[self._weights(t) > 0]).sum(axis=0)
+        return np.asarray(seen * np.minimum(count / least, 1.0), np.float32)
 
     @cached_property
     def _distance(self) -> tuple[Floats32, Floats32]:
@@ -345,26 +343,28 @@ class PoseFits:
 
         The bottom row of the panoramas shows what is nearer only in part; the box says the rest.
         """
-        graph = self._things.scene.graph
+        graph = self._referents.scene.graph
         half = graph.extents[self._rows, None, :2] / 2.0 if graph.extents is not None else 0.0
         away = np.abs(self._views.positions[None, :, :2] - graph.positions[self._rows, None, :2])
         box = np.linalg.norm(np.maximum(away - half, 0.0), axis=2).astype(np.float32)
         unseen = ~np.isfinite(self._near)
         sure = np.where(unseen, np.float32(_BELOW), np.float32(1.0))
         below = unseen & (box < 1.0)
-        return np.where(self._sightings[2] | below, np.minimum(box, self._near), self._near), sure
+        return np.where(
+            self._nearest_views[2] | below, np.minimum(box, self._near), self._near
+        ), sure
 
-    def _close(self, t: int, edge: tuple[float, float], said: float | None) -> Floats32:
+    def _close(self, t: int, edge: tuple[float, float], stated: float | None) -> Floats32:
         distance, sure = self._distance
-        if said is None:
+        if stated is None:
             with np.errstate(over="ignore"):
                 close = 1.0 / (1.0 + np.exp((distance - edge[0]) / edge[1]))
         else:
-            close = np.exp(-0.5 * np.square((distance - said) / (0.25 * said + 0.3)))
+            close = np.exp(-0.5 * np.square((distance - stated) / (0.25 * stated + 0.3)))
         return np.asarray((self._weights(t)[:, None] * sure * close).max(axis=0), np.float32)
 
     def _towards(self, s: Statement) -> Floats32:
-        weight = np.append(self._things.weights[s.things[0]], 0.0).astype(np.float32)
+        weight = np.append(self._referents.weights[s.mentions[0]], 0.0).astype(np.float32)
         if s.distance is None:
             fit = 1.0 / (1.0 + np.square(_LEVEL / SPOKEN))
         else:
@@ -387,7 +387,7 @@ class PoseFits:
 
     def _angle(self, pairs: NDArray[np.int64]) -> Floats:
         """Return the angle (P, K) from the second to the first thing of pairs, to the left [rad, +-pi]."""
-        at = self._sightings[1]
+        at = self._nearest_views[1]
         turn = (at[pairs[:, 0]] - at[pairs[:, 1]]) * STEP
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
@@ -408,9 +408,9 @@ class PoseFits:
 
     def _related(self, s: Statement) -> Floats32:
         """Return how well (K,) a thing is seen beside another, or both are in sight."""
-        a, b = s.things
+        a, b = s.mentions
         if s.relation not in ("left of", "right of", "in front of", "behind"):
-            return np.minimum(self._held(a), self._in_sight(b))
+            return np.minimum(self._presence(a), self._in_sight(b))
         pairs = self._pairs(a, b)
         left = self._angle(pairs)
         if s.relation in ("left of", "right of"):
@@ -426,8 +426,8 @@ class PoseFits:
     # rooms
     def _room(self, s: Statement) -> Floats32:
         """Return how probably (K,) a position is in a room of a kind: by its room, and by what is near."""
-        of, names, kinds = self._things.rooms
-        kind = table().kinds.index(self._things.sentence.mentions[s.things[0]].room)
+        of, names, kinds = self._referents.rooms
+        kind = table().kinds.index(self._referents.sentence.mentions[s.mentions[0]].room)
         share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _LEANING, len(names))
         chance = share @ kinds[:, kind].astype(np.float32)
         if all(name.isdigit() for name in names):  # numbers, as `rooms_of` gives them
@@ -442,15 +442,15 @@ class PoseFits:
 
     @cached_property
     def _place(self) -> Floats:
-        """How probably (K, R) a place is part of each kind of room, by what is in sight near it."""
-        telling = self._things.telling
-        rows = np.flatnonzero(telling.any(axis=1))
-        slot = np.full(len(telling) + 1, -1, np.int32)
+        """Probability (K, R) that a position is in each kind of room, by the objects in sight near it."""
+        room_clues = self._referents.room_clues
+        rows = np.flatnonzero(room_clues.any(axis=1))
+        slot = np.full(len(room_clues) + 1, -1, np.int32)
         slot[rows] = np.arange(len(rows))
         near = look_for(*self._thinned, slot, _LEVEL[1::3], len(rows))[0] < _AROUND
-        held = np.zeros((near.shape[1], telling.shape[1]), np.float32)
-        for j, t in zip(*np.nonzero(telling[rows]), strict=True):
-            np.maximum(held[:, t], telling[rows[j], t] * near[j], out=held[:, t])
+        held = np.zeros((near.shape[1], room_clues.shape[1]), np.float32)
+        for j, t in zip(*np.nonzero(room_clues[rows]), strict=True):
+            np.maximum(held[:, t], room_clues[rows[j], t] * near[j], out=held[:, t])
         return kinds_of(held, np.False_)
 
 

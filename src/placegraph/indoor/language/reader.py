@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from placegraph.indoor.language.appearance import is_look, leading, looks, trailing
+from placegraph.indoor.language.appearance import appearance_words, is_look, leading, trailing
 from placegraph.indoor.language.grammar import (
     Item,
     NounPhrase,
@@ -101,7 +101,7 @@ class StatementCollector:
 
     def begin_sentence(self) -> None:
         """Begin a sentence: a room of another kind that it names may be seen through a door."""
-        rooms = [self.mentions[s.things[0]].room for s in self.statements if s.kind is Kind.ROOM]
+        rooms = [self.mentions[s.mentions[0]].room for s in self.statements if s.kind is Kind.ROOM]
         self._room_before = rooms[0] if rooms else ""
 
     def ignore_chunks(self, left_out: Sequence[Chunk]) -> None:
@@ -112,11 +112,11 @@ class StatementCollector:
 
     def finish(self) -> None:
         """Drop what is said twice, and that a thing is there of which a place is said."""
-        placed = {t for s in self.statements for t in s.things if s.kind is not Kind.HOLDS}
+        placed = {t for s in self.statements for t in s.mentions if s.kind is not Kind.HOLDS}
         distinct: dict[Statement, Statement] = {}
         for s in self.statements:
-            thing = self.mentions[s.things[0]]
-            news = thing.count or thing.several or s.negated or s.things[0] not in placed
+            thing = self.mentions[s.mentions[0]]
+            news = thing.count or thing.several or s.negated or s.mentions[0] not in placed
             if news or s.kind is not Kind.HOLDS:
                 distinct.setdefault(replace(s, text=""), s)
         self.statements = list(distinct.values())
@@ -124,7 +124,7 @@ class StatementCollector:
     def state(
         self,
         kind: Kind,
-        things: tuple[int, ...],
+        mentions: tuple[int, ...],
         phrase: NounPhrase | Place,
         *,
         relation: str = "",
@@ -134,24 +134,24 @@ class StatementCollector:
         place: Place = phrase if isinstance(phrase, PlacePhrase) else PlacePhrase("", 0, 0)
         negated = place.negated if negated is None else negated
         certainty = self.certainty
-        if kind is Kind.ROOM and self._room_before not in ("", self.mentions[things[0]].room):
+        if kind is Kind.ROOM and self._room_before not in ("", self.mentions[mentions[0]].room):
             certainty *= _OTHER_ROOM
         self.statements.append(
             Statement(
                 kind,
-                things,
+                mentions,
                 relation,
                 place.direction or 0.0,
                 distance=None if kind is Kind.ROOM else place.distance,
-                negated=negated or any(self.mentions[t].negated for t in things),
+                negated=negated or any(self.mentions[t].negated for t in mentions),
                 certainty=certainty,
                 text=self.text[phrase.start : phrase.end],
             )
         )
 
-    def resolve(self, thing: NounPhrase, *, other_than: int = ME) -> int | None:
+    def resolve(self, noun: NounPhrase, *, other_than: int = ME) -> int | None:
         """Return the row of a thing's mention, ME, SCENE, or None where it names nothing."""
-        match thing.kind:
+        match noun.kind:
             case "ME":
                 return ME
             case "SPOT":
@@ -162,7 +162,7 @@ class StatementCollector:
                 return next(whole, spoken[0] if spoken else None)
             case "PART":
                 return None
-        mention = _mention(thing, self.text)
+        mention = _mention(noun, self.text)
         if is_look(mention.label) and mention.label not in _THINGS_TOO:
             # "two chairs, a red one and a blue one"
             attributes = (*mention.attributes, mention.label)
@@ -175,19 +175,19 @@ class StatementCollector:
         if last in _ANYTHING and not mention.room:
             self._describe_scene(mention.attributes)
             return SCENE
-        owner = thing.owner
+        owner = noun.owner
         if owner is not None and owner.kind == "thing" and owner.determiners:
             where = _mention(owner, self.text)
             if where.room:
                 self.state(Kind.ROOM, (self._find_or_add(where, owner),), owner)
             else:
                 self.ignored.append(Ignored(where.words, "of what a thing is part"))
-        self._spoken.append(self._find_or_add(mention, thing))
+        self._spoken.append(self._find_or_add(mention, noun))
         return self._spoken[-1]
 
     def _describe_scene(self, attributes: Sequence[str]) -> None:
         """Note how the room looks: the one that was named, or one of no kind."""
-        if {"sizes", "states"}.isdisjoint(looks().said(attributes)):
+        if {"sizes", "states"}.isdisjoint(appearance_words().classify(attributes)):
             return
         row = next((i for i, m in enumerate(self.mentions) if m.room and not m.negated), None)
         if row is not None:
@@ -198,9 +198,9 @@ class StatementCollector:
         row = len(self.mentions) - 1
         self.statements.append(Statement(Kind.ROOM, (row,), certainty=self.certainty, text=words))
 
-    def _find_or_add(self, mention: Mention, thing: NounPhrase) -> int:
+    def _find_or_add(self, mention: Mention, noun: NounPhrase) -> int:
         """Return the row of a mention: "the table" is the table spoken of before."""
-        if any(d.type == "DET" for d in thing.determiners) and not mention.negated:
+        if any(d.type == "DET" for d in noun.determiners) and not mention.negated:
             for row in range(len(self.mentions) - 1, -1, -1)[:_REMEMBERED]:
                 if not self.mentions[row].negated and _may_be_same(mention, self.mentions[row]):
                     return row
@@ -278,10 +278,10 @@ class Reader(StatementCollector):
         first = len(self.statements)
         self._walk(after, ME)
         seen = self.statements[first:]
-        placed = {t for s in seen if s.kind not in (Kind.HOLDS, Kind.RELATED) for t in s.things}
+        placed = {t for s in seen if s.kind not in (Kind.HOLDS, Kind.RELATED) for t in s.mentions}
         self.statements[first:] = [
             replace(s, kind=Kind.TOWARDS, wide=True)
-            if s.kind is Kind.HOLDS and s.things[0] not in placed
+            if s.kind is Kind.HOLDS and s.mentions[0] not in placed
             else s
             for s in seen
         ]
@@ -334,19 +334,19 @@ class Reader(StatementCollector):
             joint = isinstance(item, Chunk)
 
     @staticmethod
-    def _leads_on(before: Sequence[Item], thing: NounPhrase) -> bool:
+    def _leads_on(before: Sequence[Item], noun: NounPhrase) -> bool:
         """Tell whether a thing is a room behind a way out: "a door to the balcony"."""
         way = before[0] if before else None
         out = isinstance(way, NounPhrase) and bool(way.words) and way.words[-1].words in _WAYS
-        named = thing.kind == "thing" and room_kind(" ".join([c.words for c in thing.words]))
+        named = noun.kind == "thing" and room_kind(" ".join([c.words for c in noun.words]))
         return out and bool(named)
 
-    def _read_part(self, item: Place, owner: int, rest: Sequence[Item]) -> int:
+    def _read_part(self, item: Place, owner: int, following: Sequence[Item]) -> int:
         """Read "with two sinks": of the scene, or of the thing before; return what is spoken of."""
         row = self.resolve(item.targets[0])
         if row is None or row < 0:
             return owner
-        after = rest[0] if rest else None
+        after = following[0] if following else None
         goes_on = isinstance(after, PlacePhrase) and after.how in ("towards", "here", "sight")
         if owner >= 0 and owner != row and not goes_on:
             self._parts.add(row)
@@ -464,12 +464,12 @@ def _may_be_same(one: Mention, other: Mention) -> bool:
     return matches_label(one.label, other.label) and set(one.attributes) <= set(other.attributes)
 
 
-def looks_of(thing: NounPhrase) -> tuple[str, ...]:
+def looks_of(noun: NounPhrase) -> tuple[str, ...]:
     """Return the attributes that a noun phrase is nothing but: "blue", "dark wood"; else none."""
-    words = [chunk.words for chunk in thing.words]
-    if thing.owner is not None and words in ([w] for w in _MADE):
-        return looks_of(thing.owner)  # "made of dark wood"
-    if thing.kind != "thing" or not words or thing.owner is not None or thing.determiners:
+    words = [chunk.words for chunk in noun.words]
+    if noun.owner is not None and words in ([w] for w in _MADE):
+        return looks_of(noun.owner)  # "made of dark wood"
+    if noun.kind != "thing" or not words or noun.owner is not None or noun.determiners:
         return ()
     if len(words) == 1 and words[0] in _THINGS_TOO:
         return ()
@@ -477,26 +477,26 @@ def looks_of(thing: NounPhrase) -> tuple[str, ...]:
     return found if first == len(words) else ()
 
 
-def _mention(thing: NounPhrase, text: str) -> Mention:
+def _mention(noun: NounPhrase, text: str) -> Mention:
     """Return what a noun phrase says."""
-    words = [chunk.words for chunk in thing.words]
+    words = [chunk.words for chunk in noun.words]
     before, first = leading(words)
     after, last = trailing(words[first:])
-    owner = thing.owner if thing.owner is not None and thing.owner.kind == "thing" else None
+    owner = noun.owner if noun.owner is not None and noun.owner.kind == "thing" else None
     if owner is not None and words[-1] in _MADE and len(words) > first + 1:
         after, last, owner = looks_of(owner), len(words) - first - 1, None
     label = " ".join(words[first : first + last])
     if owner is not None and not owner.determiners:
         label = " ".join([label, "of", *[chunk.words for chunk in owner.words]])
-    kinds = {d.type for d in thing.determiners}
-    count = next((d.value for d in thing.determiners if d.type == "NUM"), None)
+    kinds = {d.type for d in noun.determiners}
+    count = next((d.value for d in noun.determiners if d.type == "NUM"), None)
     several = "SOME" in kinds
     # "curtains", but not "glass" and "coats"
     plural = label.endswith("s") and not label.endswith(("ss", "us")) and label not in _MANY_IN_ONE
     named_by, _, last_word = label.rpartition(" ")  # "office space"
     of_room = named_by if last_word in ("space", "area", "part") else ""
     return Mention(
-        words=text[thing.start : thing.end],
+        words=text[noun.start : noun.end],
         label=label,
         count=count,
         several=several,

@@ -20,7 +20,14 @@ from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.language.appearance import ratios, room_ratios, with_colours
 from placegraph.indoor.language.index import Columns, Described, columns_of, units
-from placegraph.indoor.language.likeness import EXACT, Floats, Floats32, fits, table, usual
+from placegraph.indoor.language.likeness import (
+    EXACT,
+    Floats,
+    Floats32,
+    base_rate,
+    match_labels,
+    table,
+)
 from placegraph.indoor.language.reader import read
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.relations import NEXT_TO, interpret_relation
@@ -53,7 +60,7 @@ class Term(NamedTuple):
     statement: int
     fit: Floats
     """(U,) how well units fit it."""
-    usual: float
+    base_rate: float
     """How well the average unit does."""
     sure: float
     """How probably it is right."""
@@ -75,11 +82,11 @@ def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> F
     """
     out = np.zeros((len(sentence.statements), len(columns.scene)))
     own = list(_terms(sentence, columns, columns if library is None else library))
-    usual_ = own
+    expected_fit = own
     if library is not None and library is not columns:
-        usual_ = list(_terms(sentence, library, library))
-    for term, of in zip(own, usual_, strict=True):
-        mean = term.usual
+        expected_fit = list(_terms(sentence, library, library))
+    for term, of in zip(own, expected_fit, strict=True):
+        mean = term.base_rate
         if library is not None:  # of few scenes drawn to what has never been seen
             where = np.ones(len(of.fit)) if of.where is None else of.where
             mean = float(((where * of.fit).sum() + 0.05) / (where.sum() + 1.0))
@@ -98,16 +105,16 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
     spoken: set[int] = set()
     for row, s in enumerate(sentence.statements):
         sure = (1.0 - WRONG) * s.certainty
-        things = [sentence.mentions[t] for t in s.things]
+        things = [sentence.mentions[t] for t in s.mentions]
         if s.kind is Kind.ROOM:
             kind = things[0].room
-            usual_ = float(table().usual[table().kinds.index(kind)]) if kind else 1.0
+            expected_fit = float(table().share[table().kinds.index(kind)]) if kind else 1.0
             fit = known.room(things[0])
             sure *= (1.0 - UNSURE_ROOM) / (1.0 - WRONG)
-            yield Term(row, *_unless(fit, usual_, not_=s.negated), sure)
+            yield Term(row, *_unless(fit, expected_fit, not_=s.negated), sure)
             continue
         paired = s.kind in (Kind.RELATED, Kind.NEAR, Kind.BETWEEN)
-        for t in s.things:
+        for t in s.mentions:
             if t in spoken:
                 continue
             spoken.add(t)
@@ -116,28 +123,30 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
             built_in = _built_in(thing.label)
             fit = known.fit(t) if not_ or built_in else known.fit(t) * known.noted
             news = 1.0 if known.claim(thing) else AGAIN
-            yield Term(row, *_unless(fit, usual(thing.label), not_=not_), news * sure)
+            yield Term(row, *_unless(fit, base_rate(thing.label), not_=not_), news * sure)
         if s.kind is Kind.RELATED and not any(thing.negated for thing in things):
             fit, both = known.related(s)
             yield Term(row, *_unless(fit, _RELATED, not_=s.negated), sure, both)
 
 
-def _unless(fit: Floats, usual_: float, *, not_: bool) -> tuple[Floats, float]:
-    return (1.0 - np.minimum(fit, 1.0), 1.0 - usual_) if not_ else (fit, max(usual_, 1e-3))
+def _unless(fit: Floats, expected_fit: float, *, not_: bool) -> tuple[Floats, float]:
+    return (
+        (1.0 - np.minimum(fit, 1.0), 1.0 - expected_fit) if not_ else (fit, max(expected_fit, 1e-3))
+    )
 
 
 def of_scenes(
     sentence: Sentence, columns: Columns, totals: Floats
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Return scores (n,) of scenes from those of their units, and the unit of each that fits best."""
-    rooms = np.bincount(columns.scene, ~columns.whole, columns.scenes)
+    rooms = np.bincount(columns.scene, ~columns.is_scene, columns.scenes)
     named = any(
-        s.kind is Kind.ROOM and not s.negated and sentence.mentions[s.things[0]].room
+        s.kind is Kind.ROOM and not s.negated and sentence.mentions[s.mentions[0]].room
         for s in sentence.statements
     )
-    several = np.bincount(columns.scene, columns.whole, columns.scenes) > 0
+    several = np.bincount(columns.scene, columns.is_scene, columns.scenes) > 0
     share = np.where(several & (not named), 0.5, 1.0)[columns.scene] / rooms[columns.scene]
-    share[columns.whole] = 0.0 if named else 0.5
+    share[columns.is_scene] = 0.0 if named else 0.5
     first = np.searchsorted(columns.scene, np.arange(columns.scenes))
     weighted = totals + np.log(np.maximum(share, 1e-300))
     top = np.maximum.reduceat(weighted, first)
@@ -165,58 +174,61 @@ class _UnitFits:
         self._claimed: dict[int, str] = {}
         self.noted = (library.much.mean() / columns.much) ** NOTED
 
-    def _fits(self, label: str) -> Floats32:
+    def _match(self, label: str) -> Floats32:
         if label not in self._labels:
-            self._labels[label] = self._columns.fits(label)
+            self._labels[label] = self._columns.match_labels(label)
         return self._labels[label]
 
-    def claim(self, thing: Mention) -> bool:
+    def claim(self, mention: Mention) -> bool:
         """Tell whether a thing is news: what is called so was not spoken of by another word."""
-        weights = self._library.fits(thing.label)
+        weights = self._library.match_labels(mention.label)
         if not weights.any():
             return True
         best = int(weights.argmax())
-        word = thing.label.rpartition(" ")[2]
+        word = mention.label.rpartition(" ")[2]
         return self._claimed.setdefault(best, word) == word
 
-    def room(self, thing: Mention) -> Floats:
+    def room(self, mention: Mention) -> Floats:
         """Return how well (U,) units are such a room, or so many."""
         columns = self._columns
         expected = np.ones(len(columns.rooms))  # of no kind: "a large room"
-        if thing.room:
-            expected = columns.rooms[:, table().kinds.index(thing.room)]
-        if thing.count is not None and thing.count > 1:
-            return np.asarray(np.exp(-np.abs(expected - thing.count)))
-        size = room_ratios(thing.attributes, columns.room_looks, self._library.room_looks)
+        if mention.room:
+            expected = columns.rooms[:, table().kinds.index(mention.room)]
+        if mention.count is not None and mention.count > 1:
+            return np.asarray(np.exp(-np.abs(expected - mention.count)))
+        size = room_ratios(mention.attributes, columns.room_looks, self._library.room_looks)
         return np.minimum(expected, 1.0) * size
 
     def fit(self, t: int) -> Floats:
         """Return how well (U,) units hold a thing that looks as was said."""
         if t not in self._held:
             thing = self._sentence.mentions[t]
-            weights = self._fits(thing.label)
-            exact, kin, best, entries = self._columns.of_labels.many(
+            weights = self._match(thing.label)
+            exact, kin, best, entries = self._columns.of_labels.count_matches(
                 weights, len(self._columns.scene)
             )
             held = np.maximum(_counted(exact, thing), best * _counted(kin, thing))
             if _built_in(thing.label):
                 held = np.ones(len(held))  # every room has walls; maps leave them out
-            self._held[t] = held * self._looks(thing, weights, entries, best)
+            self._held[t] = held * self._appearance_ratio(thing, weights, entries, best)
         return self._held[t]
 
-    def _looks(
-        self, thing: Mention, weights: Floats32, entries: NDArray[np.int64], best: Floats32
+    def _appearance_ratio(
+        self, mention: Mention, weights: Floats32, entries: NDArray[np.int64], best: Floats32
     ) -> Floats:
         """Return how much better (U,) than usual the best of such things looks as was said."""
-        if not thing.attributes or not len(entries):
+        if not mention.attributes or not len(entries):
             return np.ones(len(best))
         postings = self._columns.of_labels
         like = weights[postings.words[entries]]
-        far, usual_ = self._library, self._library.of_labels
-        fitting = far.fits(thing.label)[usual_.words].astype(np.float64)
+        far, expected_fit = self._library, self._library.of_labels
+        fitting = far.match_labels(mention.label)[expected_fit.words].astype(np.float64)
         rows = np.flatnonzero(fitting)
         ratio = ratios(
-            thing.attributes, self._columns.looks[entries], far.looks[rows], fitting[rows]
+            mention.attributes,
+            self._columns.appearance[entries],
+            far.appearance[rows],
+            fitting[rows],
         )
         out = np.zeros(len(best))
         units = postings.units[entries]
@@ -226,8 +238,8 @@ class _UnitFits:
     def related(self, s: Statement) -> tuple[Floats, Floats]:
         """Return how well (U,) two things are related as was said, and whether they are there at all."""
         columns = self._columns
-        things = [self._sentence.mentions[t] for t in s.things]
-        first, second = (self._fits(thing.label) for thing in things)
+        things = [self._sentence.mentions[t] for t in s.mentions]
+        first, second = (self._match(thing.label) for thing in things)
         subject, relation, target = columns.triples.T
         straight, turned = (
             np.array([says.get(name, 0.0) for name in columns.relations], np.float32)
@@ -237,15 +249,15 @@ class _UnitFits:
             straight[relation] * first[subject] * second[target],
             turned[relation] * first[target] * second[subject],
         )
-        fit = columns.of_triples.many(weights, len(columns.scene)).best.astype(np.float64)
-        both = np.minimum(*(np.minimum(self.fit(t), 1.0) for t in s.things))
+        fit = columns.of_triples.count_matches(weights, len(columns.scene)).best.astype(np.float64)
+        both = np.minimum(*(np.minimum(self.fit(t), 1.0) for t in s.mentions))
         return np.maximum(fit, 0.0 if s.negated else APART), both
 
 
 @cache
 def _built_in(label: str) -> bool:
     """Tell whether it is a wall, a floor or a ceiling, by whatever word."""
-    return bool(fits(label, _SHELL).max() >= EXACT)
+    return bool(match_labels(label, _SHELL).max() >= EXACT)
 
 
 @cache
@@ -261,18 +273,18 @@ def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
     return straight, turned
 
 
-def _counted(many: Floats, thing: Mention) -> Floats:
-    """Return how well numbers of things fit how many were said: one off is often a matter of taste."""
-    if thing.count is not None and thing.count > 1:
-        off = np.abs(many - thing.count)
-        return np.where(many > 0, np.where(off == 0, 1.0, np.where(off == 1, 0.4, 0.15)), 0.0)
-    if thing.several:
-        return np.select([many >= 2, many == 1], [1.0, 0.4], 0.0)
-    if thing.plural:
-        return np.select([many >= 2, many == 1], [1.0, _ONE], 0.0)
-    if thing.count == 1:
-        return np.select([many == 1, many > 1], [1.0, 0.7], 0.0)
-    return (many > 0).astype(np.float64)
+def _counted(counts: Floats, mention: Mention) -> Floats:
+    """Return how well counts of things fit what a mention says: one off is often a matter of taste."""
+    if mention.count is not None and mention.count > 1:
+        off = np.abs(counts - mention.count)
+        return np.where(counts > 0, np.where(off == 0, 1.0, np.where(off == 1, 0.4, 0.15)), 0.0)
+    if mention.several:
+        return np.select([counts >= 2, counts == 1], [1.0, 0.4], 0.0)
+    if mention.plural:
+        return np.select([counts >= 2, counts == 1], [1.0, _ONE], 0.0)
+    if mention.count == 1:
+        return np.select([counts == 1, counts > 1], [1.0, 0.7], 0.0)
+    return (counts > 0).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -454,8 +466,8 @@ def _evidence(
     labels = list(dict.fromkeys(graph.labels))
     serving = {
         label
-        for t in s.things
-        for label, fit in zip(labels, fits(mentions[t].label, labels), strict=True)
+        for t in s.mentions
+        for label, fit in zip(labels, match_labels(mentions[t].label, labels), strict=True)
         if fit >= EXACT
     }
     verdict = "for" if ratio > TOLD else "against" if ratio < -TOLD else "silent"

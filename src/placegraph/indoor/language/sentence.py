@@ -60,7 +60,7 @@ class Statement:
     """Statement of one or two things."""
 
     kind: Kind
-    things: tuple[int, ...]
+    mentions: tuple[int, ...]
     """Rows of `Sentence.mentions`."""
     relation: str = ""
     """Of RELATED, by a name that `map.relations.words` knows; of NEAR how: "in front of", "on"."""

@@ -283,8 +283,8 @@ def read_columns(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
         relations=tuple(map(str, meta["relations"])),
         of_labels=Postings(a["label_starts"], a["label_units"], a["label_counts"]),
         of_triples=Postings(a["triple_starts"], a["triple_units"], a["triple_counts"]),
-        triples=a["triples"], looks=a["looks"], room_looks=a["room_looks"], much=a["much"],
-        rooms=a["rooms"], whole=a["whole"], scene=a["scene"], scenes=int(meta["scenes"]),
+        triples=a["triples"], appearance=a["looks"], room_looks=a["room_looks"], much=a["much"],
+        rooms=a["rooms"], is_scene=a["whole"], scene=a["scene"], scenes=int(meta["scenes"]),
     )  # fmt: skip
 
 
@@ -345,8 +345,8 @@ def _check_texts(c: Columns) -> None:
         if len(of.starts) - 1 != words or len(of.counts) != len(of.units):
             raise ValueError("postings of texts")
         _check_rows("postings", of.units, count)
-    rows = len(c.looks) - len(c.of_labels.units), len(c.room_looks) - count
-    lengths = {len(c.much) - count, len(c.rooms) - count, len(c.whole) - count, *rows}
+    rows = len(c.appearance) - len(c.of_labels.units), len(c.room_looks) - count
+    lengths = {len(c.much) - count, len(c.rooms) - count, len(c.is_scene) - count, *rows}
     ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
     if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
         raise ValueError("columns of texts are of different lengths")

@@ -151,7 +151,7 @@ def learn_background(scenes: Sequence[NamedEntry], encoders: Sequence[Encoder]) 
     meta, arrays = pack_texts(scenes[:SCENES_OF_USUAL])
     for i, key in enumerate(keys):
         v = index.vocabularies[key]
-        arrays[f"vectors_{i}"], arrays[f"common_{i}"] = v.vectors[v.usual], v.common
+        arrays[f"vectors_{i}"], arrays[f"common_{i}"] = v.vectors[v.background], v.common
     return Background(meta, arrays, keys)
 
 
@@ -182,8 +182,8 @@ def pack_texts(scenes: Sequence[NamedEntry]) -> tuple[dict[str, Any], Arrays]:
         "label_starts": columns.of_labels.starts, "label_units": columns.of_labels.units,
         "label_counts": columns.of_labels.counts, "triple_starts": columns.of_triples.starts,
         "triple_units": columns.of_triples.units, "triple_counts": columns.of_triples.counts,
-        "triples": columns.triples, "looks": columns.looks, "room_looks": columns.room_looks,
-        "much": columns.much, "rooms": columns.rooms, "whole": columns.whole,
+        "triples": columns.triples, "looks": columns.appearance, "room_looks": columns.room_looks,
+        "much": columns.much, "rooms": columns.rooms, "whole": columns.is_scene,
         "scene": columns.scene,
     }  # fmt: skip
     return meta, {f"text_{name}": np.asarray(array) for name, array in found.items()}
