@@ -1,7 +1,9 @@
-"""Pages of the site that are made while it is built: commands, contributing, changelog."""
+"""Parts of the site made during the build: commands, contributing, changelog, tables of options."""
 
 from __future__ import annotations
 
+import re
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +35,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))
     return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Put the table of a dataclass of options where a comment names it."""
+    return re.sub(r"<!-- options: (\S+) -->", lambda found: _table(found[1]), markdown)
+
+
+def _table(place: str) -> str:
+    from placegraph.core.options import write_table
+
+    module, _, name = place.rpartition(".")
+    return write_table(getattr(import_module(module), name))
 
 
 def _commands() -> str:

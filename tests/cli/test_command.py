@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import click
 import pytest
 
-from placegraph.cli.command import Argument, Group, Option, command_of
+from placegraph.cli.command import Argument, Fields, Group, Option, command_of
+from placegraph.core.options import option
 
 HEAVY = {
     "numpy",
@@ -99,3 +101,38 @@ def test_help_is_light(words):
     code = f"from placegraph.cli import _run; import sys; _run({words}); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert not HEAVY & set(done.stdout.split())
+
+
+@dataclass(frozen=True)
+class Settings:
+    share: float = option(0.5, "Share.", unit="1", below=1, flag="--share")
+    count: int | None = option(None, "Count.", flag="--count")
+    heights: tuple[float, ...] = option((1.5,), "Height.", unit="m", flag="--height")
+    words: tuple[str, ...] = option(("a", "b"), "Words.", flag="--words", commas=True)
+    kind: Literal["x", "y"] | None = option(None, "Kind.", flag="--kind", panel="Kinds")
+    loud: bool = option(True, "Loud.", flag="--loud/--quiet")
+    hidden: int = option(3, "No flag.")
+
+
+NAMES = ("share", "heights", "words", "kind", "loud", "hidden")
+
+
+def configure(
+    settings: Annotated[dict[str, Any], Fields(f"{__name__}:Settings", *NAMES)],
+    few: Annotated[dict[str, Any], Fields(Settings, "count")],
+) -> None:
+    """Print the options given."""
+    click.echo(repr((settings, few)))
+
+
+def test_options_of_a_dataclass_are_those_given(capsys):
+    with command_of(configure, "configure").make_context("configure", []) as context:
+        text = context.command.get_help(context)
+    assert "Share. [1]" in text.replace("\n", " ")
+    assert "[default: a,b]" in text
+    assert "hidden" not in text
+    given = ["--height", "1", "--height", "2", "--words", "c, d", "--quiet", "--kind", "x"]
+    with command_of(configure, "configure").make_context("configure", given) as context:
+        context.command.invoke(context)
+    settings = {"heights": (1.0, 2.0), "words": ("c", "d"), "kind": "x", "loud": False}
+    assert capsys.readouterr().out.strip() == repr((settings, {}))

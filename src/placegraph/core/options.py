@@ -152,18 +152,29 @@ def in_radians(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_table(owner: type) -> str:
-    """Return a Markdown table of the options of a dataclass: name, default, help with the unit.
+    """Return a Markdown table of the options of a dataclass: name, default, values, help.
 
     Options that a base class defines stand in the table of the base class alone.
     """
-    inherited = {entry.name for base in owner.__bases__ for entry in _options_or_none(base)}
+    bases = [base for base in owner.__bases__ if hasattr(base, "__dataclass_fields__")]
+    inherited = {entry.name for base in bases for entry in options_of(base)}
     rows = [
-        f"| `{name}` | {'none' if default is None else f'`{default!r}`'} | {info.text} |"
-        for name, default, _, info in options_of(owner)
+        f"| `{name}` | `{_shorten(default)}` | {_describe(hint, info)} | {info.help} |"
+        for name, default, hint, info in options_of(owner)
         if name not in inherited
     ]
-    return "\n".join([f"| `{owner.__name__}` | default | meaning |", "|---|---|---|", *rows])
+    header = f"| `{owner.__name__}` | default | values | meaning |"
+    return "\n".join([header, "|---|---|---|---|", *rows])
 
 
-def _options_or_none(base: type) -> tuple[OptionField, ...]:
-    return options_of(base) if hasattr(base, "__dataclass_fields__") else ()
+def _shorten(default: Any) -> str:  # noqa: ANN401
+    if isinstance(default, tuple):
+        return f"({', '.join(map(_shorten, default))}{',' * (len(default) == 1)})"
+    if isinstance(default, float):
+        return f"{default:g}"
+    if hasattr(default, "__dataclass_fields__"):
+        plain, names = type(default)(), [entry.name for entry in options_of(type(default))]
+        changed = [n for n in names if getattr(default, n) != getattr(plain, n)]
+        values = (f"{name}={_shorten(getattr(default, name))}" for name in changed)
+        return f"{type(default).__name__}({', '.join(values)})"
+    return repr(default)

@@ -9,27 +9,24 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 from rich import progress as rich
 from rich.console import Console
 
-from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, Quiet, bare
+from placegraph.cli.command import Argument, Fields, Option
+from placegraph.cli.common import INTERRUPTED, AsJson, Quiet, bare
 from placegraph.core.plugins import load_plugin, plugins
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph_learn.training import Progress, draw_curves, rows_of
+from placegraph_learn.training import Progress, draw_curves, refuse_twins, rows_of
 
 if TYPE_CHECKING:
     from placegraph_learn.scenegraphloc.lessons import Teacher, World
     from placegraph_learn.scenegraphloc.network import Widths
 
-INTERRUPTED = 130
-"""Exit code of shells for a process that Ctrl-C ended."""
 WORLDS, HOMES = "placegraph.training_worlds", "homes"
 """Entry point of another distribution that draws places to learn from."""
-NETWORK = "The network and its losses"
 HELD_OUT = "right, in places not learned"
 """Title of the curves of `scene train`."""
 
@@ -44,46 +41,11 @@ def train_city(  # options of a command
     maps: Annotated[list[Path], Argument(help="City maps (.city) to train on, one or several.")],
     out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.weights.")],
     work: WorkFolder,
-    epochs: Annotated[int, Option(least=1, help="Rounds; each brings new descriptions.")] = 5,
-    examples: Annotated[
-        int, Option(least=1, help="New descriptions of a city in each epoch.")
-    ] = 1200,
-    steps: Annotated[int, Option(least=1, help="Batches an epoch.")] = 300,
-    batch: Annotated[int, Option(least=1, help="Descriptions a batch.")] = 32,
-    check: Annotated[
-        int, Option(least=1, help="Descriptions of a city, never learned, for the curves.")
-    ] = 500,
-    rate: Annotated[float, Option(help="Largest learning rate.")] = 2e-3,
-    losses: Annotated[
-        str,
-        Option(
-            help="With commas: match, similarity, embedding, fusion; eq17, eq18 are the paper's "
-            "as printed.",
-            panel=NETWORK,
-        ),
-    ] = "match,similarity,embedding,fusion",
-    layers: Annotated[int, Option(least=0, help="GPS layers of a side.", panel=NETWORK)] = 2,
-    crossings: Annotated[
-        int, Option(least=0, help="Layers of cross attention; 0 for none.", panel=NETWORK)
-    ] = 2,
-    heads: Annotated[int, Option(least=1, help="Of attention.", panel=NETWORK)] = 4,
-    statements: Annotated[
-        bool,
-        Option(
-            "--statements/--no-statements",
-            help="Judge every statement by what its ends find; without, the paper's joint model.",
-            panel=NETWORK,
-        ),
-    ] = True,
-    seed: Annotated[
-        int, Option(least=0, help="The same seed, the same descriptions and weights.")
-    ] = 0,
+    options: Annotated[dict[str, Any], Fields("placegraph_learn.city.train:TrainOptions")],
+    shape: Annotated[dict[str, Any], Fields("placegraph.outdoor.network.network:Shape")],
     device: TrainingDevice = "auto",
     pools: Annotated[
         Path | None, Option(help="Folder of descriptions that several trainings share.")
-    ] = None,
-    word_vectors: Annotated[
-        Path | None, Option(help="File of word2vec, text or binary, whose vectors stand for words.")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -99,52 +61,22 @@ def train_city(  # options of a command
     from placegraph.outdoor.network.network import Shape
     from placegraph_learn.city.train import TrainOptions, train
 
-    options = TrainOptions(
-        epochs=epochs,
-        examples=examples,
-        steps=steps,
-        batch=batch,
-        check=check,
-        rate=rate,
-        losses=tuple(name.strip() for name in losses.split(",")),
-        seed=seed,
-        shape=Shape(layers=layers, crossings=crossings, heads=heads, statements=statements),
-        word_vectors=None if word_vectors is None else str(word_vectors),
-    )
-    names = [path.stem for path in maps]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise OptionError(
-            f"Several maps are called {min(twice)}; rename one, examples are kept by name."
-        )
+    chosen = TrainOptions(**options, shape=Shape(**shape))
+    refuse_twins([path.stem for path in maps])
     with map_writer(out):
         pass  # a folder that cannot be written to is refused now, not after hours
-    cities = {name: CityMap.open(path) for name, path in zip(names, maps, strict=True)}
-    start = perf_counter()
-    with show_training(work, epochs, table=not (quiet or as_json)) as progress:
+    cities = {path.stem: CityMap.open(path) for path in maps}
+    with show_training(work, chosen.epochs, table=not (quiet or as_json)) as progress:
         weights = train(
-            cities,
-            out,
-            folder=work,
-            pools=pools,
-            options=options,
-            device=device,
-            progress=progress,
+            cities, out, folder=work, pools=pools, options=chosen, device=device, progress=progress
         )
-    facts = {
-        "weights": str(out),
-        "bytes": out.stat().st_size,
-        "fingerprint": weights.fingerprint,
-        "curves": weights.training["curves"],
-        "picture": str(progress.draw()),
-        "seconds": round(perf_counter() - start, 1),
-    }
-    report(facts, weights.fingerprint, as_json=as_json, quiet=quiet)
+    progress.report(out, {"fingerprint": weights.fingerprint}, as_json=as_json, quiet=quiet)
 
 
 def train_scene(
     out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.safetensors.")],
     work: WorkFolder,
+    options: Annotated[dict[str, Any], Fields("placegraph_learn.scenegraphloc.train:TrainOptions")],
     maps: Annotated[
         Path | None,
         Argument(
@@ -183,16 +115,6 @@ def train_scene(
     frames: Annotated[
         int, Option(least=1, help="Images of each walk through a procedural home.")
     ] = 16,
-    epochs: Annotated[int, Option(least=1, help="Rounds over all pictures.")] = 30,
-    batch: Annotated[int, Option(least=1, help="Pictures a step.")] = 16,
-    others: Annotated[
-        int, Option(least=0, help="Other places whose objects a patch is told from.")
-    ] = 9,
-    points: Annotated[
-        int, Option(least=1, help="Points of each object that an epoch looks at.")
-    ] = 512,
-    rate: Annotated[float, Option(help="Learning rate of the first epoch.")] = 1.1e-3,
-    seed: Annotated[int, Option(least=0, help="The same seed, the same homes and weights.")] = 0,
     device: TrainingDevice = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -209,13 +131,12 @@ def train_scene(
     """
     from placegraph_learn.scenegraphloc.train import TrainOptions, train
 
-    options = TrainOptions(
-        epochs=epochs, batch=batch, others=others, points=points, rate=rate, seed=seed
-    )
-    worlds = choose_worlds(maps, synthetic, frames, seed)
+    chosen = TrainOptions(**options)
+    worlds = choose_worlds(maps, synthetic, frames, chosen.seed)
     teacher, widths = _teacher(features, feature_weights, attributes, width, rotate, device)
-    start = perf_counter()
-    with show_training(work, epochs, table=not (quiet or as_json), title=HELD_OUT) as progress:
+    with show_training(
+        work, chosen.epochs, table=not (quiet or as_json), title=HELD_OUT
+    ) as progress:
         weights = train(
             worlds,
             out,
@@ -223,20 +144,12 @@ def train_scene(
             held=held if held is not None else max(1, len(worlds) // 5),
             teacher=teacher,
             widths=widths,
-            options=options,
+            options=chosen,
             device=device,
             progress=progress,
         )
-    facts = {
-        "weights": str(out),
-        "bytes": out.stat().st_size,
-        "digest": weights.digest,
-        "notes": weights.notes,
-        "curves": rows_of(work),
-        "picture": str(progress.draw()),
-        "seconds": round(perf_counter() - start, 1),
-    }
-    report(facts, weights.digest, as_json=as_json, quiet=quiet)
+    facts = {"digest": weights.digest, "notes": weights.notes}
+    progress.report(out, facts, as_json=as_json, quiet=quiet)
 
 
 def choose_worlds(maps: Path | None, synthetic: int | None, frames: int, seed: int) -> list[World]:
@@ -278,17 +191,6 @@ def _teacher(
     return teacher, Widths(feature=found.dimension, attributes=teacher.attribute_count)
 
 
-def report(facts: Mapping[str, object], digest: str, *, as_json: bool, quiet: bool) -> None:
-    """Print the facts about written weights, as JSON or as a sentence."""
-    if as_json:
-        click.echo(json.dumps(facts))
-    elif not quiet:
-        click.echo(
-            f"{facts['weights']}: {facts['bytes']:,} bytes, {digest}, trained in "
-            f"{facts['seconds']:.0f} s. Curves: {facts['picture']}"
-        )
-
-
 @contextmanager
 def show_training(
     work: Path, epochs: int, *, table: bool, title: str | None = None
@@ -327,6 +229,7 @@ class ShownProgress(Progress):
         self, bars: rich.Progress, work: Path, epochs: int, *, table: bool, title: str | None = None
     ) -> None:
         self.bars, self.work, self.epochs, self.table, self.title = bars, work, epochs, table, title
+        self.start = perf_counter()
         self.has_header = False
         self.preparation = bars.add_task("preparing", total=None, losses="", visible=False)
         self.learning = bars.add_task("learning", total=None, losses="", visible=False)
@@ -369,3 +272,19 @@ class ShownProgress(Progress):
     def draw(self) -> Path:
         """Draw the curves so far; returns the path of the picture."""
         return draw_curves(rows_of(self.work), self.work / "curves.png", title=self.title)
+
+    def report(
+        self, weights: Path, facts: Mapping[str, object], *, as_json: bool, quiet: bool
+    ) -> None:
+        """Print the facts about written weights, whose digest comes first, as JSON or as a sentence."""
+        size, picture = weights.stat().st_size, self.draw()
+        seconds = round(perf_counter() - self.start, 1)
+        if as_json:
+            told = {"weights": str(weights), "bytes": size} | dict(facts)
+            told |= {"curves": rows_of(self.work), "picture": str(picture), "seconds": seconds}
+            click.echo(json.dumps(told))
+        elif not quiet:
+            digest = next(iter(facts.values()))
+            click.echo(
+                f"{weights}: {size:,} bytes, {digest}, trained in {seconds:.0f} s. Curves: {picture}"
+            )

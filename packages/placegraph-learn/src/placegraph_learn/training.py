@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -85,6 +85,41 @@ def add_row(folder: str | PathLike[str], row: Mapping[str, float]) -> None:
     before = [r for r in rows_of(folder) if r.get("epoch", 0) < row.get("epoch", 1)]
     temporary.write_text("".join(json.dumps(r) + "\n" for r in [*before, row]), encoding="utf-8")
     temporary.replace(path)
+
+
+class Snapshots(Protocol):
+    """Trainer that an interrupted training goes on from."""
+
+    epochs: int
+    """Finished epochs."""
+
+    def write(self, path: Path) -> None:
+        """Write the state after an epoch."""
+
+
+def run_epochs(
+    trainer: Snapshots,
+    epochs: int,
+    learn: Callable[[int], Mapping[str, float]],
+    snapshot: Path,
+    progress: Progress,
+) -> None:
+    """Learn the epochs that are left; `learn` returns the figures of one, by its number from 0."""
+    for epoch in range(trainer.epochs, epochs):
+        row = {"epoch": epoch + 1, **learn(epoch)}
+        trainer.epochs = epoch + 1
+        add_row(snapshot.parent, row)  # first: an epoch that is done again gives the same row
+        trainer.write(snapshot)
+        progress.epoch(row)
+
+
+def refuse_twins(names: Sequence[str]) -> None:
+    """Raise `OptionError` if two maps or places to learn from have the same name."""
+    twins = sorted({name for name in names if names.count(name) > 1})
+    if twins:
+        raise OptionError(
+            f"Several maps are called {twins[0]}; rename one, examples are kept by name."
+        )
 
 
 WIDTH, HEIGHT = 1180, 460

@@ -8,7 +8,7 @@ network and its numbers in 16 bits, with checksums.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from importlib.resources import as_file, files
 from os import PathLike
@@ -26,9 +26,10 @@ from placegraph.core.mapfile import (
     read_map,
     write_map,
 )
+from placegraph.core.options import check_options, option
 from placegraph.core.threads import multiply_matrices
 from placegraph.core.weights import hash_weights, read_arrays, round_to_float16, to_float16
-from placegraph.errors import InputError, MapError
+from placegraph.errors import InputError, MapError, OptionError
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.network import network_kernels as kernels
@@ -59,28 +60,44 @@ from placegraph.outdoor.network.network_kernels import (
 from placegraph.vectors import EmbeddedStore, Origin, Vectors, VectorStore, load_store
 from placegraph.vectors.stores import Address
 
+NETWORK = "The network and its losses"
+
 
 @dataclass(frozen=True)
 class Shape:
     """Sizes of the network."""
 
-    width: int = 48
-    """Of node states."""
-    dimension: int = 64
-    """Of graph embeddings."""
-    heads: int = 4
-    layers: int = 2
-    """GPS layers of each side."""
-    crossings: int = 2
-    """Layers in which the two graphs see each other; 0 leaves the sides alone."""
-    evidence: int = 32
-    """Numbers by which a statement is judged."""
-    subwords: float = 1.0
-    """Length of what a word's subwords add together, against 1 of the whole word (`labels`)."""
-    statements: bool = field(default=True, repr=False)  # the weights' names tell it in the print
-    """Whether statements are judged by what their ends have found, beginning with what they say
-    literally. Without, the joint model is the paper's: cross attention, and a perceptron on the two
-    joint embeddings (Eq. 14-17)."""
+    width: int = option(48, "Size of node states.", minimum=1, maximum=4096)
+    dimension: int = option(64, "Size of graph embeddings.", minimum=1, maximum=4096)
+    heads: int = option(
+        4, "Heads of attention.", minimum=1, maximum=4096, flag="--heads", panel=NETWORK
+    )
+    layers: int = option(
+        2, "GPS layers of each side.", maximum=4096, flag="--layers", panel=NETWORK
+    )
+    crossings: int = option(
+        2, "Layers of cross attention; 0: none.", maximum=4096, flag="--crossings", panel=NETWORK
+    )
+    evidence: int = option(32, "Numbers by which a statement is judged.", minimum=1, maximum=4096)
+    subwords: float = option(
+        1.0, "Length of the sum of a word's subwords, against 1 of the whole word.", maximum=4096
+    )
+    statements: bool = option(
+        True,
+        "Judge every statement by what its ends find, beginning with its literal meaning; otherwise the "
+        "joint model of the paper: cross attention, and a perceptron on both embeddings (Eq. 14-17).",
+        repr=False,  # the weights' names tell it in the print
+        flag="--statements/--no-statements",
+        panel=NETWORK,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.width % self.heads or self.width % 2:
+            raise OptionError(
+                f"There is no network of width {self.width} for {self.heads} heads; choose an even width "
+                "that the heads divide."
+            )
 
     def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
         """Shape of every weight, by PyTorch's names."""
@@ -144,15 +161,7 @@ class Shape:
     def from_dict(cls, plain: dict[str, float]) -> Shape:
         """Undo `to_dict`; raises `TypeError` or `ValueError` where it is no shape."""
         kinds = {"subwords": float, "statements": bool}
-        shape = cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
-        numbers = asdict(shape)
-        del numbers["statements"]
-        least = {"layers": 0, "crossings": 0, "subwords": 0.0}
-        if any(not least.get(k, 1) <= v <= 4096 for k, v in numbers.items()):
-            raise ValueError(f"sizes {numbers}")
-        if shape.width % shape.heads or shape.width % 2:
-            raise ValueError(f"width {shape.width} for {shape.heads} heads")
-        return shape
+        return cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
 
 
 KIND = "graph-transformer"

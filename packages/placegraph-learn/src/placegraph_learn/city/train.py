@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -15,69 +15,76 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from placegraph.core.mapfile import pack_strings, read_map, write_map
+from placegraph.core.options import check_options, option
 from placegraph.core.weights import hash_weights
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.graphs import TextGraphs, WordVectors, WordWeights
 from placegraph.outdoor.network.graphs import split_label as words_of
-from placegraph.outdoor.network.network import Shape, Weights, trained, write_weights
+from placegraph.outdoor.network.network import NETWORK, Shape, Weights, trained, write_weights
 from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
 from placegraph_learn.city.network import Network, Scores, Truth
 from placegraph_learn.city.word2vec import read_word2vec
 from placegraph_learn.torch_files import select_device
-from placegraph_learn.training import Progress, add_row, open_folder, rows_of
+from placegraph_learn.training import Progress, open_folder, rows_of, run_epochs
 
-LOSSES = ("match", "similarity", "embedding", "fusion")
-PRINTED = ("eq17", "eq18")
-"""Losses (`losses`): those that teach, and the paper's as printed (Eq. 17-18)."""
+Loss = Literal["match", "similarity", "embedding", "fusion", "eq17", "eq18"]
+"""Losses (`losses`); ``eq17`` and ``eq18`` are the paper's as printed (Eq. 17-18)."""
+LOSSES: tuple[Loss, ...] = ("match", "similarity", "embedding", "fusion")
 
 
 @dataclass(frozen=True)
 class TrainOptions:
     """Options of a training; raises `OptionError` where one is out of range."""
 
-    epochs: int = 5
-    examples: int = 1200
-    """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
-    steps: int = 300
-    """Batches an epoch."""
-    batch: int = 32
-    """Descriptions a batch."""
-    share: float = 0.4
-    """Share of a description's candidates that a batch looks at."""
-    rate: float = 2e-3
-    """Largest learning rate; a cosine leads to nearly nothing."""
-    decay: float = 1e-3
-    losses: tuple[str, ...] = LOSSES
-    """Losses that are added up (`losses`); ``eq17`` and ``eq18`` are the paper's as printed."""
-    seed: int = 0
-    descriptions: int | None = None
-    """Seed of the descriptions, so that trainings of several seeds may share them; `seed` where not
-    given."""
-    check: int = 500
-    """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
-    shape: Shape = field(default_factory=Shape)
-    word_vectors: str | None = None
-    """File of word2vec, text or binary: its vectors stand for the words it knows, as in the paper."""
+    epochs: int = option(5, "Rounds; each brings new descriptions.", minimum=1, flag="--epochs")
+    examples: int = option(
+        1200,
+        "New descriptions of a city in each epoch; those of earlier epochs are learned again.",
+        minimum=1,
+        flag="--examples",
+    )
+    steps: int = option(300, "Batches per epoch.", minimum=1, flag="--steps")
+    batch: int = option(32, "Descriptions per batch.", minimum=1, flag="--batch")
+    share: float = option(
+        0.4, "Share of a description's candidates in a batch.", above=0, maximum=1
+    )
+    rate: float = option(
+        2e-3, "Largest learning rate, of a cosine schedule.", above=0, maximum=1, flag="--rate"
+    )
+    decay: float = option(1e-3, "Weight decay.")
+    losses: tuple[Loss, ...] = option(
+        LOSSES,
+        "Losses, separated by commas: match, similarity, embedding, fusion; eq17, eq18 are the paper's "
+        "as printed.",
+        flag="--losses",
+        panel=NETWORK,
+        commas=True,
+    )
+    seed: int = option(0, "The same seed gives the same descriptions and weights.", flag="--seed")
+    descriptions: int | None = option(
+        None, "Seed of the descriptions, to share them among trainings; `seed` if not given."
+    )
+    check: int = option(
+        500,
+        "Descriptions of a city, from tiles not trained on, for the curves and the last two weights.",
+        minimum=1,
+        flag="--check",
+    )
+    shape: Shape = option(Shape(), "Sizes of the network.")
+    word_vectors: str | None = option(
+        None,
+        "File of word2vec, text or binary, whose vectors stand for the words it knows, as in the paper.",
+        flag="--word-vectors",
+    )
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "examples", "steps", "batch", "check"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} is {getattr(self, name)}; choose at least 1.")
-        if not 0.0 < self.rate <= 1.0 or not 0.0 < self.share <= 1.0:
-            raise OptionError(
-                f"rate is {self.rate}, share {self.share}; choose above 0 and at most 1."
-            )
-        known = (*LOSSES, *PRINTED)
-        if not set(self.losses) <= set(known) or not self.losses:
-            raise OptionError(f"losses are {self.losses}; choose among {', '.join(known)}.")
-        try:
-            Shape.from_dict(asdict(self.shape))
-        except ValueError as error:
-            raise OptionError(f"There is no network of these {error}.") from error
+        check_options(self)
+        if not self.losses:
+            raise OptionError("losses is empty; name at least one.")
 
 
 NEVER = -1e9
@@ -253,6 +260,7 @@ class Trainer:
         self, options: TrainOptions, device: str, progress: Progress, known: int = 0
     ) -> None:
         self.options, self.device, self.progress = options, device, progress
+        self.epochs = 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
             self.network = Network(options.shape, known)
@@ -305,7 +313,7 @@ class Trainer:
             self.progress.step(epoch, step + 1, options.steps, now)
         return total
 
-    def write(self, path: Path, epoch: int) -> None:
+    def write(self, path: Path) -> None:
         """Write the network and the optimizer after an epoch."""
         arrays: dict[str, NDArray[Any]] = {}
         for name, p in self.module.named_parameters():
@@ -314,12 +322,14 @@ class Trainer:
             for moment in ("exp_avg", "exp_avg_sq"):
                 arrays[f"{moment}:{name}"] = state[moment].cpu().numpy()
             steps = int(state["step"])
-        write_map(path, "training", VERSION, {"epoch": epoch, "steps": steps}, arrays, quick=True)
+        write_map(
+            path, "training", VERSION, {"epoch": self.epochs, "steps": steps}, arrays, quick=True
+        )
 
-    def read(self, path: Path) -> int:
-        """Restore them; returns the number of finished epochs, 0 where there is no file."""
+    def read(self, path: Path) -> None:
+        """Restore the network, the optimizer and the number of finished epochs, if there is a file."""
         if not path.exists():
-            return 0
+            return
         file = read_map(path, "training", VERSION)
 
         def tensor(key: str, p: Tensor) -> Tensor:
@@ -331,7 +341,7 @@ class Trainer:
                 moments = {m: tensor(f"{m}:{name}", p) for m in ("exp_avg", "exp_avg_sq")}
                 steps = torch.tensor(float(file.meta["steps"]))
                 self.optimizer.state[p] = {"step": steps, **moments}
-        return int(file.meta["epoch"])
+        self.epochs = int(file.meta["epoch"])
 
 
 def train(
@@ -393,19 +403,18 @@ def train(
     at = Path(folder)
     plan = open_folder(at, plan)
     trainer = Trainer(options, device, progress, known.vectors.shape[1] if known else 0)
-    begun = trainer.read(at / "state")
+    trainer.read(at / "state")
     examples = Examples(cities, vocabulary, options, progress, Path(pools or at / "pools"), known)
     held = examples.held_out()
-    past = [lessons for epoch in range(begun) for lessons in examples.lessons(epoch)]
-    for epoch in range(begun, options.epochs):
-        fresh = examples.lessons(epoch)
-        past += fresh
-        row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
+    past = [lessons for epoch in range(trainer.epochs) for lessons in examples.lessons(epoch)]
+
+    def learn(epoch: int) -> dict[str, float]:
+        past.extend(examples.lessons(epoch))
+        means = trainer.epoch(epoch, past)
         judged = [score_viewpoints(trainer.network, lessons, device) for lessons in held]
-        row |= mean_recalls(judged)
-        add_row(at, row)  # first: an epoch that is done again gives the same row
-        trainer.write(at / "state", epoch + 1)
-        progress.epoch(row)
+        return means | mean_recalls(judged)
+
+    run_epochs(trainer, options.epochs, learn, at / "state", progress)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
     fitted = fit_prior(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from placegraph.core.files import write_file
+from placegraph.core.options import check_options, option
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import POINTS, Room, together
@@ -29,7 +30,7 @@ from placegraph_learn.scenegraphloc.weights import (
     write_weights,
 )
 from placegraph_learn.torch_files import select_device
-from placegraph_learn.training import Progress, add_row, open_folder
+from placegraph_learn.training import Progress, open_folder, refuse_twins, run_epochs
 
 
 @dataclass(frozen=True)
@@ -39,31 +40,27 @@ class TrainOptions:
     Raises `OptionError` where a number is out of its range.
     """
 
-    epochs: int = 30
-    batch: int = 16
-    """Pictures a step."""
-    others: int = 9
-    """Other rooms whose objects a patch is told from."""
-    points: int = 512
-    """Of each object, drawn anew in each epoch; the encoder then looks at as many."""
-    rate: float = 1.1e-3
-    weight_decay: float = 1e-6
-    decay: float = 0.97
-    """Of the rate, each epoch."""
-    elastic: bool = True
-    """Whether points are distorted (`distort`)."""
-    seed: int = 0
+    epochs: int = option(30, "Rounds over all pictures.", minimum=1, flag="--epochs")
+    batch: int = option(16, "Pictures per step.", minimum=1, flag="--batch")
+    others: int = option(
+        9, "Other places whose objects are wrong answers for a patch.", flag="--others"
+    )
+    points: int = option(
+        512,
+        "Points of each object, drawn anew in each epoch; the encoder then takes as many.",
+        minimum=1,
+        flag="--points",
+    )
+    rate: float = option(
+        1.1e-3, "Learning rate of the first epoch.", above=0, maximum=1, flag="--rate"
+    )
+    weight_decay: float = option(1e-6, "Weight decay.")
+    decay: float = option(0.97, "Decay of the rate per epoch.", above=0, maximum=1)
+    elastic: bool = option(True, "Distort points (`distort`).")
+    seed: int = option(0, "The same seed gives the same homes and weights.", flag="--seed")
 
     def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("others", 0),
-                            ("points", 1), ("seed", 0)):  # fmt: skip
-            if getattr(self, name) < least:
-                raise OptionError(f"{name} is {getattr(self, name)}; choose at least {least}.")
-        if not (0.0 < self.rate <= 1.0 and self.weight_decay >= 0.0 and 0.0 < self.decay <= 1.0):
-            raise OptionError(
-                f"rate is {self.rate}, weight_decay {self.weight_decay}, decay {self.decay}; rate and "
-                "decay are above 0 and at most 1, weight_decay is not negative."
-            )
+        check_options(self)
 
 
 TEMPERATURE = 0.1
@@ -480,13 +477,13 @@ def train(
     learned, asked = split(_lessons(worlds, at, teacher, progress), held)
     trainer = Trainer(learned, widths, options, device)
     trainer.read(at / SNAPSHOT)
-    while trainer.epochs < options.epochs:
+
+    def learn(_epoch: int) -> dict[str, float]:
         loss = trainer.epoch(progress)
-        row = {"epoch": float(trainer.epochs), "loss": loss}
-        row |= evaluate(trainer.network, asked, device, points=options.points).row()
-        add_row(at, row)  # first: an epoch that is done again gives the same row
-        trainer.write(at / SNAPSHOT)
-        progress.epoch(row)
+        figures = evaluate(trainer.network, asked, device, points=options.points).row()
+        return {"loss": loss} | figures
+
+    run_epochs(trainer, options.epochs, learn, at / SNAPSHOT, progress)
     network = trainer.network.cpu()
     judged = evaluate(network, asked, "cpu", points=options.points)
     notes = {
@@ -523,10 +520,7 @@ def _check(worlds: Sequence[World], out: Path, held: int, teacher: Teacher, widt
         raise OptionError(
             f"{len(worlds)} places, {held} held out: at least two are learned and one is held out."
         )
-    names = [world.name for world in worlds]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise OptionError(f"Several places are called {min(twice)}; rename one.")
+    refuse_twins([world.name for world in worlds])
     if widths.feature != teacher.features.dimension:
         raise OptionError(
             f"widths: made for {widths.feature} numbers a feature, {teacher.features.key} has "
