@@ -152,7 +152,7 @@ class Column:
 
     def cell(self, row: Any) -> str:
         """Write the value of a row."""
-        found = self.value(row) if callable(self.value) else _lookup(row, self.value)
+        found = self.value(row) if callable(self.value) else lookup(row, self.value)
         if callable(self.write):
             return self.write(found)
         if self.write is None:
@@ -160,7 +160,8 @@ class Column:
         return number(found if found is None else self.scale * found, self.write, self.unit)
 
 
-def _lookup(row: Any, path: str) -> Any:
+def lookup(row: Any, path: str) -> Any:
+    """Follow a path of keys, attributes and indices; None where it ends at None."""
     for key in path.split("."):
         if isinstance(row, Mapping):
             row = row.get(key)
@@ -252,8 +253,6 @@ def _processor() -> str:
 
 
 Item = TypeVar("Item")
-
-
 LAB = Path(__file__).parents[3]  # folder of the lab in the repository
 
 

@@ -10,8 +10,8 @@ from placegraph_lab.tables.named.outdoor_ablation import (
     OURS,
     Task,
     evaluate,
-    printed,
     recall,
+    report,
 )
 from placegraph_lab.tables.outdoor.matchers import STAGES, medians, run
 from placegraph_lab.tables.outdoor.queries import load, make_queries
@@ -72,6 +72,6 @@ def test_a_network_is_evaluated_on_given_cells_and_its_own(city, network, town, 
         assert (table[own][:, 2] <= table["among 10"][:, 0]).all()
     twice = recall([table, table])
     assert twice["dense"] == pytest.approx(table["dense"].mean(axis=0))
-    text = printed({OURS: [[table]], "other": [[table], [table]]}, 0)
+    text = report({OURS: [[table]], "other": [[table], [table]]}, 0)
     assert "| other |     2 |" in text
     assert "+0.000 to +0.000" in text

@@ -4,12 +4,13 @@ import pytest
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph_lab.tables.named.patch_accuracy import (
+    COLUMNS,
     accuracy,
     drawn_home,
     mean,
-    report,
     true_objects,
 )
+from placegraph_lab.tables.runner import render
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_tables(place):
     assert both.patches == 2 * told.patches
     assert both.nats == pytest.approx(told.nats)
     assert mean([None]) is None
-    text = report({"homes": {"knowing": told, "silent": None}})
+    text = render(COLUMNS, [("homes, knowing", told), ("homes, silent", None)])
     assert "| homes, knowing" in text
     assert f"{told.nats:.2f}" in text
     assert "–" in text.splitlines()[3]

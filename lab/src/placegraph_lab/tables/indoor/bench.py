@@ -203,8 +203,6 @@ QUICK = (
     "none: depth + colour", "b in a: depth + colour", "a in b: depth + colour",
 )  # fmt: skip
 """Rows of a first impression."""
-
-
 Row = TypeVar("Row", bound=Any)  # has a `name`
 
 

@@ -21,8 +21,6 @@ from placegraph_lab.tables.runner import INDOOR, code_key
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int32]
-
-
 SPACING = 0.02  # distance between samples of the colour of a surface [m]
 MOST_SAMPLES = 4_000_000
 

@@ -213,11 +213,7 @@ def _off(pose: Floats, truth: Floats) -> bool:
 
 
 _TERMS = {"labels": "semantic", "depth": "depth", "colour": "colour"}
-
-
 Make = Callable[[Shot, float, Generator], Shot]
-
-
 FRAMES = 10
 BOTH = ("depth", "colour")
 

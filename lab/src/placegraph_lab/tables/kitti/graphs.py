@@ -33,28 +33,15 @@ EDGE_DISTANCE = 15.0
 BEARINGS = {"north": 0.0, "east": 0.5 * pi, "south": pi, "west": 1.5 * pi}
 
 OSM = {
-    "building": "building=yes",
-    "pole": "power=pole",
-    "traffic light": "highway=traffic_signals",
-    "traffic sign": "traffic_sign=yes",
-    "garage": "building=garage",
-    "stop": "highway=bus_stop",
-    "smallpole": "barrier=bollard",
-    "lamp": "highway=street_lamp",
-    "trash bin": "amenity=waste_basket",
-    "vending machine": "amenity=vending_machine",
-    "box": "man_made=street_cabinet",
-    "road": "highway=residential",
-    "sidewalk": "footway=sidewalk",
-    "parking": "amenity=parking",
-    "wall": "barrier=wall",
-    "fence": "barrier=fence",
-    "guard rail": "barrier=guard_rail",
-    "bridge": "man_made=bridge",
-    "tunnel": "tunnel=yes",
-    "vegetation": "natural=scrub",
-    "terrain": "landuse=grass",
-}
+    "building": "building=yes", "pole": "power=pole", "traffic light": "highway=traffic_signals",
+    "traffic sign": "traffic_sign=yes", "garage": "building=garage", "stop": "highway=bus_stop",
+    "smallpole": "barrier=bollard", "lamp": "highway=street_lamp",
+    "trash bin": "amenity=waste_basket", "vending machine": "amenity=vending_machine",
+    "box": "man_made=street_cabinet", "road": "highway=residential",
+    "sidewalk": "footway=sidewalk", "parking": "amenity=parking", "wall": "barrier=wall",
+    "fence": "barrier=fence", "guard rail": "barrier=guard_rail", "bridge": "man_made=bridge",
+    "tunnel": "tunnel=yes", "vegetation": "natural=scrub", "terrain": "landuse=grass",
+}  # fmt: skip
 """Tags for the labels, for a network that learned from OpenStreetMap."""
 
 

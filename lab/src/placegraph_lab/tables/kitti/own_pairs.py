@@ -153,8 +153,6 @@ class _Line:
 
 
 Progress = Callable[[str, int], None]
-
-
 TEXTS = "descriptions.jsonl"
 MAPS = tuple(f"map{ending}" for ending in SUFFIXES)
 

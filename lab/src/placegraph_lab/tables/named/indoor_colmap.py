@@ -9,7 +9,8 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,8 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Run, table
 from placegraph_learn.xfeat import XFeatMatcher
 
 WORDS = 64  # of VLAD
@@ -68,20 +71,21 @@ class Peer:
         count = sum(len(view.points) for view in self.views)
         return (count * self.bytes_a_feature + self.images.nbytes) / 1e6
 
-    def ask(self, frame: Frame) -> Floats | None:
-        """map_from_camera (4, 4) of a frame; None where too few features agree."""
+    def ask(self, frame: Frame) -> tuple[Floats | None, bool]:
+        """map_from_camera (4, 4) of a frame, and whether enough features agree on one."""
         found = self.features(frame)
         if not len(found):
-            return None
-        near = np.argsort(-self.images @ vlad(found.vectors, self.words), kind="stable")
+            return None, False
+        nearest = np.argsort(-self.images @ vlad(found.vectors, self.words), kind="stable")
         pixels, points = [np.zeros((0, 2))], [np.zeros((0, 3))]
-        for row in near[:CANDIDATES]:
+        for row in nearest[:CANDIDATES]:
             view = self.views[row]
             its = Features(np.zeros((len(view.points), 2)), view.vectors)
             ours, theirs, _ = mutual(found, its, ratio=self.ratio, apart=-1.0)
             pixels.append(found.points[ours])
             points.append(view.points[theirs])
-        return pnp(np.concatenate(pixels), np.concatenate(points), frame.camera)
+        pose = pnp(np.concatenate(pixels), np.concatenate(points), frame.camera)
+        return pose, pose is not None
 
 
 def peer(
@@ -271,16 +275,14 @@ OURS = {
 
 @dataclass(frozen=True)
 class Answer:
+    """Result of one frame."""
+
     frame: int
     position: float  # error [m]; infinite of no pose
     rotation: float  # error [deg]; infinite of no pose
     sure: bool  # whether the pose was given as certain: `OK`, or enough inliers of PnP
     wrong: bool  # sure, and farther off than `NEAR`
     milliseconds: float  # CPU time
-
-    @property
-    def right(self) -> bool:
-        return self.position <= LIMITS[0] and self.rotation <= LIMITS[1]
 
 
 @dataclass(frozen=True)
@@ -292,13 +294,34 @@ class Row:
     megabytes: float
     answers: tuple[Answer, ...]
 
+    @property
+    def median(self) -> str:
+        metres, degrees = np.median([(a.position, a.rotation) for a in self.answers], axis=0)
+        return f"{lab.number(100 * metres, 1)} cm, {lab.number(degrees, 2)}°"
+
+    @property
+    def right(self) -> float:
+        """Share of the answers within `LIMITS`."""
+        metres, degrees = LIMITS
+        return float(
+            np.mean([a.position <= metres and a.rotation <= degrees for a in self.answers])
+        )
+
+
+COLUMNS = (
+    Col("map, and who asks it", "method"), Col("median", "median"), Col("10 cm, 5°", "right", lab.share),
+    Col("sure", lambda r: f"{sum(a.sure for a in r.answers)} of {len(r.answers)}"),
+    Col("sure and wrong", lambda r: sum(a.wrong for a in r.answers)), Col("MB", "megabytes", 2),
+    Col("ms", lambda r: float(np.median([a.milliseconds for a in r.answers])), 0),
+)  # fmt: skip
+
 
 def rows_of(asked: Set, data: Path, cache: Path, weights: Path, count: int, seed: int) -> list[Row]:
     """Every method in one set, asked by `count` frames spread over it."""
     folder = data / asked.folder
     capture = open_capture(folder)
-    told = (folder / "trajectory.tum").exists()
-    truth = true_poses(folder) if told else capture.odometry
+    has_truth = (folder / "trajectory.tum").exists()
+    truth = true_poses(folder) if has_truth else capture.odometry
     every = range(len(capture))
     made, asking = list(every[asked.made]), list(every[asked.asked])
     chosen = [asking[i] for i in np.unique(np.linspace(0, len(asking) - 1, count).astype(int))]
@@ -306,28 +329,35 @@ def rows_of(asked: Set, data: Path, cache: Path, weights: Path, count: int, seed
     mapped, poses = [capture[i] for i in made], truth[made]
     out = []
 
-    def row(
-        method: str, megabytes: float, ask: Callable[[Frame], tuple[Floats | None, bool]]
-    ) -> None:
+    def row(method: str, megabytes: float, ask: Ask) -> None:
         ask(frames[0])  # compiles
         answers = [_answer(frame, truth[i], ask) for frame, i in zip(frames, chosen, strict=True)]
         out.append(Row(asked.name, method, megabytes, tuple(answers)))
 
     scene, size, of_landmarks = _scene(asked, folder, cache)
+    bare = replace(scene, landmarks=None)
     for senses, options in OURS.items():
-        bare = replace(scene, landmarks=None)
-        row(senses, size - of_landmarks, _localizer(bare, options, seed))
-        row(f"{senses}, landmarks", size, _localizer(scene, options, seed))
+        row(senses, size - of_landmarks, partial(_localize, bare, options, seed))
+        row(f"{senses}, landmarks", size, partial(_localize, scene, options, seed))
     peers = {
-        "*COLMAP, SIFT*": lambda: colmap_peer(mapped, poses, np.random.default_rng(seed)),
-        "*XFeat, by depth*": lambda: xfeat_peer(
-            mapped, poses, weights, np.random.default_rng(seed)
-        ),
+        "*COLMAP, SIFT*": partial(colmap_peer, mapped, poses),
+        "*XFeat, by depth*": partial(xfeat_peer, mapped, poses, weights),
     }
     for method, make in peers.items():
-        peer = make()
-        row(method, peer.megabytes, _asker(peer))
+        peer = make(np.random.default_rng(seed))
+        row(method, peer.megabytes, peer.ask)
     return out
+
+
+Ask = Callable[[Frame], tuple[Floats | None, bool]]
+
+
+def _localize(
+    scene: SceneMap, options: PoseSearchOptions, seed: int, frame: Frame
+) -> tuple[Floats | None, bool]:
+    found = scene.localize([frame], options=options, seed=seed)
+    pose = None if found.best is None else found.best.map_from_camera
+    return pose, found.status is Status.OK
 
 
 def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, float]:
@@ -340,56 +370,19 @@ def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, floa
     return SceneMap.open(path), sum(parts.values()) / 1e6, parts["landmarks"] / 1e6
 
 
-def _localizer(
-    scene: SceneMap, options: PoseSearchOptions, seed: int
-) -> Callable[[Frame], tuple[Floats | None, bool]]:
-    def ask(frame: Frame) -> tuple[Floats | None, bool]:
-        found = scene.localize([frame], options=options, seed=seed)
-        best = found.best
-        return None if best is None else best.map_from_camera, found.status is Status.OK
-
-    return ask
-
-
-def _asker(peer: Peer) -> Callable[[Frame], tuple[Floats | None, bool]]:
-    def ask(frame: Frame) -> tuple[Floats | None, bool]:
-        pose = peer.ask(frame)
-        return pose, pose is not None
-
-    return ask
-
-
-def _answer(
-    frame: Frame, truth: Floats, ask: Callable[[Frame], tuple[Floats | None, bool]]
-) -> Answer:
+def _answer(frame: Frame, truth: Floats, ask: Ask) -> Answer:
     start = time.process_time()
     pose, sure = ask(frame)
-    took = 1e3 * (time.process_time() - start)
+    milliseconds = 1e3 * (time.process_time() - start)
     if pose is None:
-        return Answer(frame.index, np.inf, np.inf, sure, False, took)
+        return Answer(frame.index, np.inf, np.inf, sure, False, milliseconds)
     off = position_error(pose, truth), rotation_error(pose, truth)
-    return Answer(frame.index, *off, sure, sure and not near(pose, truth, NEAR), took)
+    return Answer(frame.index, *off, sure, sure and not near(pose, truth, NEAR), milliseconds)
 
 
-def to_dict(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    def plain(answer: Answer) -> dict[str, Any]:
-        values = asdict(answer)
-        return {k: None if v == np.inf else v for k, v in values.items()}
-
-    return [
-        {
-            "set": r.set,
-            "method": r.method,
-            "megabytes": r.megabytes,
-            "answers": [plain(a) for a in r.answers],
-        }
-        for r in rows
-    ]
-
-
-@lab.table()
+@table()
 def indoor_colmap(
-    run: lab.Run,
+    run: Run,
     only: Annotated[str, lab.option("Sets, with semicolons between.")] = "",
     frames: Annotated[int, lab.option("Single frames asked of each set.")] = 24,
     seed: lab.Seed = 0,
@@ -399,28 +392,11 @@ def indoor_colmap(
     """How near do single frames come, beside COLMAP and XFeat? Centimetres, recall, MB, milliseconds."""
     wanted = lab.known(lab.parts(only, ";"), [one.name for one in SETS], "set")
     rows: list[Row] = []
+    weights = run.shared / "weights/xfeat.pt"
     for one in SETS:
         if one.name in wanted:
             run.say(one.name)
-            count = 6 if quick else frames
-            weights = run.shared / "weights/xfeat.pt"
-            rows += rows_of(one, run.data, run.cache, weights, count, seed)
-    header = ["map, and who asks it", "median", "10 cm, 5°", "sure", "sure and wrong", "MB", "ms"]
-    lines: list[list[str]] = []
-    for row in rows:
-        if row is rows[0] or row.set != rows[rows.index(row) - 1].set:
-            lines.append([f"**{row.set}**", *[""] * 6])
-        told = row.answers
-        off = np.array([(a.position, a.rotation) for a in told])
-        middle = np.median(off, axis=0)
-        lines.append([
-            row.method,
-            f"{lab.number(100 * middle[0], 1)} cm, {lab.number(middle[1], 2)}°",
-            lab.share(float(np.mean([a.right for a in told]))),
-            f"{sum(a.sure for a in told)} of {len(told)}",
-            str(sum(a.wrong for a in told)),
-            lab.number(row.megabytes, 2),
-            lab.number(float(np.median([a.milliseconds for a in told]))),
-        ])  # fmt: skip
-    print(lab.markdown(header, lines))
-    run.save({"rows": to_dict(rows)}, whole=not only)
+            found = rows_of(one, run.data, run.cache, weights, 6 if quick else frames, seed)
+            lab.show(one.name, COLUMNS, found)
+            rows += found
+    run.save({"rows": rows}, whole=not only)

@@ -156,8 +156,6 @@ class SemanticBench(Bench):
 
 LIMITS = ((0.10, 5.0), (0.25, 10.0), (0.25, 2.0))
 """Recalls that are shown; the first two are the paper's."""
-
-
 PUBLISHED = (
     ("Table 8", "semantic", (1.20, 21.44), (0.66, 8.77), (0.08, 0.26)),
     ("Table 8", "depth", (1.44, 39.01), (0.96, 6.42), (0.09, 0.32)),

@@ -27,13 +27,12 @@ from placegraph_lab.tables.outdoor.matchers import BagMatcher, matched
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, load
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import paired_interval
 from placegraph_learn.city.train import TrainOptions, train
 
 Hits = dict[str, NDArray[np.bool_]]
 """By what was done (Q, 3): whether the true cell is the best, one of three, one of five."""
-
-
 GIVEN = (5, 10, 20, 50)  # numbers of cells, the true one among them, that every network ranks
 CANDIDATES = 10  # the paper's n of Eq. 12.
 
@@ -189,39 +188,44 @@ def averaged(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
     ]
 
 
-def printed(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
-    rows, leads = [], []
+def lead(runs: Sequence[Sequence[Hits]], ours: Sequence[Sequence[Hits]], seed: int) -> list[str]:
+    """Cells of the differences to ours: recall@1 and its interval, by what is compared."""
+    cells = []
+    for key in COMPARED:
+        pairs = list(zip(averaged(runs, key), averaged(ours, key), strict=True))
+        found = paired_interval(pairs, np.random.default_rng(seed))
+        cells += [f"{found.mean:+.3f}", f"{found.low:+.3f} to {found.high:+.3f}"]
+    return cells
+
+
+COLUMNS = (
+    Col("", "name"), Col("seeds", "seeds", 0),
+    Col("/".join(map(str, GIVEN)) + " given, logit @1",
+        lambda r: lab.shares(r["mean"][f"{n} given"][0] for n in GIVEN)),
+    Col("seeds, 20 given", lambda r: "-".join(map(lab.share, r["spread"]))),
+    Col("the same by cosine", lambda r: lab.shares(r["mean"][f"{n} given, cosine"][0] for n in GIVEN)),
+    Col("dense alone @1/3/5", "mean.dense", lab.shares),
+    Col("true one of ten", lambda r: r["mean"]["among 10"][0], lab.share),
+    Col("paper's pipeline: ten, cosine @1/3/5", lambda r: r["mean"]["10 candidates, cosine"], lab.shares),
+    Col("ten, logit @1/3/5", lambda r: r["mean"]["10 candidates"], lab.shares),
+)  # fmt: skip
+
+
+def report(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
+    """Markdown: recall where cells are given and in the pipeline, then differences to ours."""
+    rows = []
     for name, runs in found.items():
         each = [recall(run) for run in runs]
         mean = {key: np.mean([r[key] for r in each], axis=0).tolist() for key in each[0]}
-        spread = [r["20 given"][0] for r in each]
-        rows.append(
-            [
-                name,
-                lab.number(len(runs)),
-                lab.shares(mean[f"{n} given"][0] for n in GIVEN),
-                f"{lab.share(min(spread))}-{lab.share(max(spread))}",
-                lab.shares(mean[f"{n} given, cosine"][0] for n in GIVEN),
-                lab.shares(mean["dense"]),
-                lab.share(mean["among 10"][0]),
-                lab.shares(mean["10 candidates, cosine"]),
-                lab.shares(mean["10 candidates"]),
-            ]
-        )
-        if name != OURS and OURS in found:
-            line = [name]
-            for key in COMPARED:
-                pairs = list(zip(averaged(runs, key), averaged(found[OURS], key), strict=True))
-                lead = paired_interval(pairs, np.random.default_rng(seed))
-                line += [f"{lead.mean:+.3f}", f"{lead.low:+.3f} to {lead.high:+.3f}"]
-            leads.append(line)
-    header = ["", "seeds", "/".join(map(str, GIVEN)) + " given, logit @1", "seeds, 20 given"]
-    header += ["the same by cosine", "dense alone @1/3/5", "true one of ten"]
-    header += ["paper's pipeline: ten, cosine @1/3/5", "ten, logit @1/3/5"]
-    text = lab.markdown(header, rows)
-    if leads:
-        columns = [part for key in COMPARED for part in (f"{key} @1", "95 % interval")]
-        text += "\n\nMinus ours:\n\n" + lab.markdown(["", *columns], leads)
+        best = [r["20 given"][0] for r in each]
+        spread = min(best), max(best)
+        rows.append({"name": name, "seeds": len(runs), "mean": mean, "spread": spread})
+    text = lab.render(COLUMNS, rows)
+    others = [name for name in found if OURS in found and name != OURS]
+    if others:
+        header = ["", *(part for key in COMPARED for part in (f"{key} @1", "95 % interval"))]
+        leads = [[name, *lead(found[name], found[OURS], seed)] for name in others]
+        text += "\n\nMinus ours:\n\n" + lab.markdown(header, leads)
     return text
 
 
@@ -266,7 +270,7 @@ def outdoor_ablation(
         options = replace(every[name], seed=int(its))
         network = trained(name, options, {n: cities[n] for n in names}, work, device)
         found.setdefault(name, []).append(judging.hits(network))
-    print(printed(found, seed))
+    print(report(found, seed))
     rows = [
         {
             "name": name,

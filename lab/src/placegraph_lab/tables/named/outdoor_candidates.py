@@ -38,6 +38,7 @@ from placegraph_lab.tables.outdoor.matchers import (
 )
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import peak
 
 PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
@@ -88,54 +89,16 @@ def measure(
     }
 
 
-def slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Seconds a cell at the paper's sizes, and how much steeper the line without candidates is."""
-    small = [r for r in rows if r["cells"] in PAPER and r["without_s"]]
-    if len(small) < 2:
-        return {}
-    cells = [r["cells"] for r in small]
-    with_, without = (slope(cells, [r[k]["total"] for r in small]) for k in ("with_s", "without_s"))
-    return {
-        "with": with_,
-        "without": without,
-        "default": slope(cells, [r["default_p50_s"] for r in small]),
-    }
-
-
-def printed(rows: Sequence[dict[str, Any]]) -> str:
-    header = ["cells", "paper: without", "with", "without candidates", "@1 50 m", "queries"]
-    header += [
-        "with: all",
-        "@1 50 m",
-        *STAGES,
-        "default, p50",
-        "p95",
-        "@1 50 m",
-        "prepared in",
-        "peak",
-    ]
-    lines = []
-    for row in rows:
-        theirs = PAPER.get(row["cells"], (None, None))
-        slow, fast = row["without_s"], row["with_s"]
-        lines.append(
-            [
-                lab.number(row["cells"]),
-                *(lab.number(t, 2, "s") for t in theirs),
-                lab.number(1e3 * slow["total"], 1, "ms") if slow else "–",
-                lab.share(row["without_recall"]),
-                lab.number(row["without_queries"]),
-                lab.number(1e3 * fast["total"], 2, "ms"),
-                lab.share(row["with_recall"]),
-                *(lab.number(1e3 * fast[s], 2) for s in STAGES),
-                lab.number(1e3 * row["default_p50_s"], 1, "ms"),
-                lab.number(1e3 * row["default_p95_s"], 1, "ms"),
-                lab.share(row["default_recall"]),
-                lab.number(row["prepare_s"], 1, "s"),
-                lab.number(1e-6 * row["peak_bytes"], 0, "MB"),
-            ]
-        )
-    return lab.markdown(header, lines)
+COLUMNS = (
+    Col("cells", "cells", 0), Col("paper: without", lambda r: PAPER.get(r["cells"], (None, None))[0], 2, "s"),
+    Col("with", lambda r: PAPER.get(r["cells"], (None, None))[1], 2, "s"),
+    Col("without candidates", "without_s.total", 1, "ms", 1e3), Col("@1 50 m", "without_recall", lab.share),
+    Col("queries", "without_queries", 0), Col("with: all", "with_s.total", 2, "ms", 1e3),
+    Col("@1 50 m", "with_recall", lab.share), *(Col(s, f"with_s.{s}", 2, "", 1e3) for s in STAGES),
+    Col("default, p50", "default_p50_s", 1, "ms", 1e3), Col("p95", "default_p95_s", 1, "ms", 1e3),
+    Col("@1 50 m", "default_recall", lab.share), Col("prepared in", "prepare_s", 1, "s"),
+    Col("peak", "peak_bytes", 0, "MB", 1e-6),
+)  # fmt: skip
 
 
 @lab.table("GOTLoc, Table IV")
@@ -172,9 +135,12 @@ def outdoor_candidates(
         rows.append(
             measure(sized(whole, n, middle, seed), asked, without=few, candidates=candidates)
         )
-    print(printed(rows))
-    found = slopes(rows)
-    if found:
+    print(lab.render(COLUMNS, rows))
+    found = {}
+    if len(small := [r for r in rows if r["cells"] in PAPER and r["without_s"]]) > 1:
+        seconds = {"with": "with_s.total", "without": "without_s.total", "default": "default_p50_s"}
+        cells = [r["cells"] for r in small]
+        found = {k: slope(cells, [lab.lookup(r, s) for r in small]) for k, s in seconds.items()}
         flat = found["with"] <= 0.0  # measured times scatter by more than they grow
         ratio = "flat" if flat else f"{found['without'] / found['with']:,.0f} times"
         print(

@@ -8,7 +8,7 @@ extract, answers. Prints a Markdown table and writes JSON.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -33,7 +33,8 @@ from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, relations
 from placegraph_lab.tables.outdoor.outdoor_kernels import holds
 from placegraph_lab.tables.outdoor.places import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, render, share, table
 
 SIGHT = 35.0  # the speaker sees things up to this far [m]
 RIGHT = 50.0  # an answer is right within this distance of the truth [m]
@@ -51,40 +52,26 @@ class Speaker:
 
     def answer(self, question: Question) -> Answer:
         """Answer truthfully from the raw data; "don't know" where the question has no such answer."""
-        city = self.bins.city
-        around = self.bins.around(self.viewpoint[None], SIGHT)
-        inside = standing_in(city, self.viewpoint)
-        seen = [
-            (
-                f"{KEYS[city.key[i]]}={self._value(int(i))}",
-                city.labels[city.named[i]].replace("_", " "),
-                self._wind(point - self.viewpoint),
-            )
-            for i, point in zip(
-                [*around.objects, *inside],
-                [*around.points, *[self.viewpoint] * len(inside)],
-                strict=True,
-            )
-        ]
+        visible = list(self._visible())
         if question.options == (YES, NO):
             thing = question.things[0]
-            found = any(
-                tag == thing.label and (not thing.wind or wind == thing.wind)
-                for tag, _, wind in seen
-            )
+            found = any(t == thing.label and thing.wind in ("", wind) for t, _, wind in visible)
             return question.answer(YES if found else NO)
-        names = {name for _, name, _ in seen}
-        chosen = [thing.words for thing in question.things if thing.words in names]
-        options = chosen or [NONE]
-        return question.answer(options[0] if options[0] in question.options else UNKNOWN)
+        names = {name for _, name, _ in visible}
+        option = next((thing.words for thing in question.things if thing.words in names), NONE)
+        return question.answer(option if option in question.options else UNKNOWN)
 
-    def _value(self, i: int) -> str:
-        label = self.bins.city.labels[self.bins.city.label[i]]
-        return "yes" if label == KEYS[self.bins.city.key[i]] else label
-
-    @staticmethod
-    def _wind(delta: Floats) -> str:
-        return DIRECTIONS[int(relations(delta))] if np.hypot(*delta) >= 1.0 else ""
+    def _visible(self) -> Iterator[tuple[str, str, str]]:
+        """Yield tag, name and direction of each object in sight, and of the areas around."""
+        city, around = self.bins.city, self.bins.around(self.viewpoint[None], SIGHT)
+        inside = standing_in(city, self.viewpoint)
+        points = [*around.points, *[self.viewpoint] * len(inside)]
+        for i, point in zip([*around.objects.tolist(), *inside], points, strict=True):
+            key, label = KEYS[city.key[i]], city.labels[city.label[i]]
+            delta = point - self.viewpoint
+            wind = DIRECTIONS[int(relations(delta))] if np.hypot(*delta) >= 1.0 else ""
+            tag = f"{key}={'yes' if label == key else label}"
+            yield tag, city.labels[city.named[i]].replace("_", " "), wind
 
 
 def standing_in(city: RawCity, viewpoint: Floats) -> list[int]:
@@ -169,14 +156,12 @@ def outdoor_dialogue(
                     right.append([hits[min(k, len(hits) - 1)] for k in AFTER])
                     asked.append(len(course) - 1)
                     progress.advance(task)
-                share_after = dict(zip(AFTER, np.mean(right, axis=0).tolist(), strict=True))
-                row = {"city": name, "asking": asking, "right_after": share_after}
+                row = {"city": name, "asking": asking, "right_after": np.mean(right, axis=0)}
                 rows.append(row | {"questions": float(np.mean(asked))})
-    header = ["city", "questions", *[f"right after {k}" for k in AFTER], "asked on average"]
-    print(markdown(header, [line(row) for row in rows]))
+    columns = (
+        Col("city", "city"), Col("questions", "asking"),
+        *(Col(f"right after {k}", f"right_after.{i}", share) for i, k in enumerate(AFTER)),
+        Col("asked on average", "questions", 1),
+    )  # fmt: skip
+    print(render(columns, rows))
     run.save({"rows": rows})
-
-
-def line(row: dict[str, Any]) -> list[str]:
-    right = [share(v) for v in row["right_after"].values()]
-    return [row["city"], row["asking"], *right, f"{row['questions']:.1f}"]

@@ -70,14 +70,9 @@ def hits(row: Row, measure: str) -> list[bool]:
 
 
 COMPARED = (
-    (PAPER_TRANSFORMER, DENSE),
-    (LOGIT_DENSE, PAPER_TRANSFORMER),
-    (PAPER_TRANSFORMER, PAPER_EDITS),
-    (LOGIT, COSINE),
-    (RELATIONAL, PAPER_TRANSFORMER),
-    (RELATIONAL, LOGIT),
-    (FUSED, RELATIONAL),
-)
+    (PAPER_TRANSFORMER, DENSE), (LOGIT_DENSE, PAPER_TRANSFORMER), (PAPER_TRANSFORMER, PAPER_EDITS),
+    (LOGIT, COSINE), (RELATIONAL, PAPER_TRANSFORMER), (RELATIONAL, LOGIT), (FUSED, RELATIONAL),
+)  # fmt: skip
 """Matchers whose recall@1 is set off against that of another, chosen before anything was measured."""
 
 

@@ -22,7 +22,7 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
-from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
+from placegraph_lab.tables.outdoor.metrics import Answer, measure, score
 from placegraph_lab.tables.outdoor.queries import (
     CELL,
     FEWEST,
@@ -33,6 +33,7 @@ from placegraph_lab.tables.outdoor.queries import (
     Teller,
     load,
 )
+from placegraph_lab.tables.runner import Column as Col
 
 Shape = Literal["straight", "bent"]
 """On in the same direction, give or take `STRAIGHT`, or with turns to any side."""
@@ -175,49 +176,31 @@ def follow(city: CityMap, walk: Walk, method: Method) -> tuple[CityEstimate, lis
 SETTINGS: tuple[Setting, ...] = ("none", "replaced")
 
 
-def ask(city: CityMap, walks: list[Walk], method: Method) -> tuple[Score, list[float]]:
-    """Score a method on walks; also the seconds of all its calls."""
+def ask(city: CityMap, walks: list[Walk], method: Method) -> dict[str, Any]:
+    """Score a method on walks, and the percentiles of the time of all its calls."""
     answers: list[Answer] = []
     seconds: list[float] = []
     for walk in walks:
-        estimate, took = follow(city, walk, method)
-        seconds += took
+        estimate, spent = follow(city, walk, method)
+        seconds += spent
         last = walk.last
-        answers.append(measure(estimate, last.longitude, last.latitude, seconds=max(took)))
-    return score(answers), seconds
+        answers.append(measure(estimate, last.longitude, last.latitude, seconds=max(spent)))
+    return {"score": score(answers), "ms_a_call": np.percentile(1e3 * np.array(seconds), (50, 95))}
 
 
-def row_of(
-    name: str, setting: Setting, method: Method, found: Score, s: list[float]
-) -> dict[str, Any]:
-    told = found.to_dict()
-    for key in ("exact", "own_cell", "p50_ms", "p95_ms"):
-        del told[key]
-    ms = np.percentile(1e3 * np.array(s), (50, 95)).round(2).tolist()
-    return {"city": name, "setting": setting, "method": method} | told | {"ms_a_call_p50_p95": ms}
-
-
-def printed(rows: list[dict[str, Any]]) -> str:
-    return lab.markdown(
-        ["city", "relations", "method", "25 m", "50 m", "5 in 50 m", "median", "OK", "right of OK",
-         "calibration", "of perfect", "ms a call"],
-        [
-            [
-                r["city"],
-                "true" if r["setting"] == "none" else "20 % wrong",
-                r["method"],
-                *(lab.share(r["within"][radius]["1"]) for radius in ("25 m", "50 m")),
-                lab.share(r["within"]["50 m"]["5"]),
-                lab.number(np.inf if r["median_m"] is None else r["median_m"], 0, "m"),
-                lab.share(r["status"].get("OK", 0.0)),
-                lab.share(r["right"].get("OK")),
-                lab.shares([r["calibration_error"]]),
-                lab.shares([r["calibration_error_of_perfect"]]),
-                "/".join(f"{ms:.0f}" for ms in r["ms_a_call_p50_p95"]),
-            ]
-            for r in rows
-        ],
-    )  # fmt: skip
+COLUMNS = (
+    Col("city", "city"), Col("relations", lambda r: "true" if r["setting"] == "none" else "20 % wrong"),
+    Col("method", "method"),
+    Col("25 m", lambda r: r["score"].within[25.0][1], lab.share),
+    Col("50 m", lambda r: r["score"].within[50.0][1], lab.share),
+    Col("5 in 50 m", lambda r: r["score"].within[50.0][5], lab.share),
+    Col("median", "score.median", 0, "m"),
+    Col("OK", lambda r: r["score"].status.get("OK", 0.0), lab.share),
+    Col("right of OK", "score.right.OK", lab.share),
+    Col("calibration", "score.calibration.error", lab.share),
+    Col("of perfect", "score.calibration.floor", lab.share),
+    Col("ms a call", "ms_a_call", lambda times: "/".join(f"{ms:.0f}" for ms in times)),
+)  # fmt: skip
 
 
 @lab.table()
@@ -245,7 +228,8 @@ def outdoor_track(
             for setting in SETTINGS:
                 made = make_walks(osm, n=walks, statements=statements, setting=setting, seed=seed)
                 for method in METHODS:
-                    rows.append(row_of(name, setting, method, *ask(city, made, method)))
+                    head = {"city": name, "setting": setting, "method": method}
+                    rows.append(head | ask(city, made, method))
                     progress.advance(task)
-    print(printed(rows))
+    print(lab.render(COLUMNS, rows))
     run.save({"rows": rows})

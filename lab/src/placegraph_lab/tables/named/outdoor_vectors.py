@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.util import find_spec
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.vectors import EmbeddedStore
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, show, table
 
 Floats = NDArray[np.float32]
 Search = Callable[[Floats, int], NDArray[np.int64]]  # one query (D,) and n to ids (n,)
@@ -154,25 +154,35 @@ def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
             yield "usearch, HNSW, 8 bits", usearch_graph("i8")
 
 
-@dataclass(frozen=True)
-class Row:
-    count: int
-    name: str
-    build_s: float
-    bytes: int
-    ms: dict[int, float]  # median of a query, by n
-    recall: dict[int, float]  # share of the exact neighbours found, by n
+COLUMNS = (
+    Col("store", "name"), Col("build", "build_s", 2, "s"), Col("MB", "bytes", 1, "", 1e-6),
+    *(column for n in NEIGHBOURS
+      for column in (Col(f"top {n}", f"ms.{n}", 3, "ms"), Col("recall", f"recall.{n}", 3))),
+)  # fmt: skip
 
 
-def printed(rows: list[Row]) -> str:
-    header = ["store", "build", "MB", "top 10", "recall", "top 50", "recall"]
-    lines = []
-    for row in rows:
-        line = [row.name, number(row.build_s, 2, "s"), number(row.bytes / 1e6, 1)]
-        for n in NEIGHBOURS:
-            line += [number(row.ms[n], 3, "ms"), f"{row.recall[n]:.3f}"]
-        lines.append(line)
-    return markdown(header, lines)
+def time_store(name: str, build: Build, vectors: Floats, queries: Floats) -> dict[str, Any]:
+    """Time building and asking one store; share of the exact neighbours that are found."""
+    warm, _ = build(vectors[:400])
+    warm(queries[0], 10)
+    start = time.perf_counter()
+    search, size = build(vectors)
+    row = {
+        "count": len(vectors),
+        "name": name,
+        "build_s": time.perf_counter() - start,
+        "bytes": size,
+    }
+    ms, recall = {}, {}
+    for n in NEIGHBOURS:
+        times, hits = [], 0
+        for query in queries:
+            start = time.perf_counter()
+            found = search(query, n)
+            times.append(time.perf_counter() - start)
+            hits += len(np.intersect1d(found, np.argsort(-(vectors @ query), kind="stable")[:n]))
+        ms[str(n)], recall[str(n)] = 1e3 * float(np.median(times)), hits / (n * len(queries))
+    return row | {"ms": ms, "recall": recall}
 
 
 @table()
@@ -193,7 +203,7 @@ def outdoor_vectors(
     """Which vector store? Build time, query time, memory and recall against map size."""
     if quick:
         sizes, queries = "447", 20
-    rows: list[Row] = []
+    rows: list[dict[str, Any]] = []
     worlds: list[Callable[[], tuple[Floats, Floats]]] = [
         partial(clustered, np.random.default_rng(seed), int(s), queries) for s in parts(sizes)
     ]
@@ -201,28 +211,9 @@ def outdoor_vectors(
         worlds.append(partial(of_city, city, run, queries, seed))
     for world in worlds:
         vectors, asked = world()
-        count = len(vectors)
-        wanted = np.stack(
-            [np.argsort(-(vectors @ q), kind="stable")[: max(NEIGHBOURS)] for q in asked]
-        )
-        done: list[Row] = []
+        first, count = len(rows), len(vectors)
         for name, build in contenders(count, graphs):
             run.say(f"{count:,}: {name}")
-            warm, _ = build(vectors[:400])
-            warm(asked[0], 10)
-            start = time.perf_counter()
-            search, size = build(vectors)
-            build_s = time.perf_counter() - start
-            ms, recall = {}, {}
-            for n in NEIGHBOURS:
-                times, hits = [], 0
-                for query, best in zip(asked, wanted[:, :n], strict=True):
-                    start = time.perf_counter()
-                    found = search(query, n)
-                    times.append(time.perf_counter() - start)
-                    hits += len(np.intersect1d(found, best))
-                ms[n], recall[n] = 1e3 * float(np.median(times)), hits / (n * len(asked))
-            done.append(Row(len(vectors), name, build_s, size, ms, recall))
-        print(f"### {count:,} vectors\n\n{printed(done)}\n", flush=True)
-        rows += done
-    run.save({"dimension": DIMENSION, "rows": [asdict(row) for row in rows]})
+            rows.append(time_store(name, build, vectors, asked))
+        show(f"{count:,} vectors", COLUMNS, rows[first:])
+    run.save({"dimension": DIMENSION, "rows": rows})

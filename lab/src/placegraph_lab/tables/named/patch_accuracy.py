@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +20,8 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, Frame, open_capture
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, parts, share, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, option, parts, render, share, table
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
 
 HOMES = 8
@@ -58,16 +59,11 @@ def house(data: Path, cache: Path, every: int = 1) -> Place:
     path = place(cache, "house_default")
     if not path.exists():
         build_scene(data / "house/map/house.glb", path)
-    folders = sorted((data / "house").glob("seq[0-9]*"))
-    asked = [(open_capture(f)[::every], true_poses(f)[::every]) for f in folders[1:]]
-    return Place(
-        kind="house",
-        name="house",
-        scene=SceneMap.open(path),
-        frames=tuple(frame for capture, _ in asked for frame in capture),
-        map_from_camera=np.concatenate([poses for _, poses in asked]),
-        captures=(posed(open_capture(folders[0]), true_poses(folders[0])),),
-    )
+    first, *others = sorted((data / "house").glob("seq[0-9]*"))
+    frames = tuple(frame for f in others for frame in open_capture(f)[::every])
+    poses = np.concatenate([true_poses(f)[::every] for f in others])
+    shown = posed(open_capture(first), true_poses(first))
+    return Place("house", "house", SceneMap.open(path), frames, poses, (shown,))
 
 
 def office(data: Path, cache: Path, half: str, every: int = 1) -> Place:
@@ -78,14 +74,9 @@ def office(data: Path, cache: Path, half: str, every: int = 1) -> Place:
         build_scene(data / "office", path, capture=FromCapture(frames=slice(low, high)))
     capture, truth = open_capture(data / "office"), true_poses(data / "office")
     rows = slice(first, last, every)
-    return Place(
-        kind="office",
-        name=f"office, {half}",
-        scene=SceneMap.open(path),
-        frames=capture[rows].frames,
-        map_from_camera=truth[rows],
-        captures=(posed(capture[low:high:3], truth[low:high:3]),),
-    )
+    shown = posed(capture[low:high:3], truth[low:high:3])
+    scene = SceneMap.open(path)
+    return Place("office", f"office, {half}", scene, capture[rows].frames, truth[rows], (shown,))
 
 
 def drawn_home(number: int) -> Place:
@@ -98,25 +89,14 @@ def drawn_home(number: int) -> Place:
     asked, shown = (
         record(interior, walk, rng, daylight=float(rng.uniform(0.1, 0.9))) for walk in walks
     )
-    return Place(
-        kind="homes",
-        name=f"home {number}",
-        scene=scene,
-        frames=asked.frames,
-        map_from_camera=walks[0].map_from_camera,
-        captures=(posed(shown, walks[1].map_from_camera),),
-    )
+    poses, captures = walks[0].map_from_camera, (posed(shown, walks[1].map_from_camera),)
+    return Place("homes", f"home {number}", scene, asked.frames, poses, captures)
 
 
 def posed(capture: Capture, map_from_camera: Floats) -> Capture:
     """Capture whose odometry is map_from_camera (T, 4, 4): images of the map itself."""
-    return replace(
-        capture,
-        frames=tuple(
-            replace(frame, odometry=pose)
-            for frame, pose in zip(capture, map_from_camera, strict=True)
-        ),
-    )
+    pairs = zip(capture, map_from_camera, strict=True)
+    return replace(capture, frames=tuple(replace(frame, odometry=pose) for frame, pose in pairs))
 
 
 RAYS = 6  # rays cast through a patch, across and down
@@ -140,9 +120,6 @@ class Accuracy:
     ideal: float  # temperature of `TEMPERATURES` with the most nats here
     ideal_nats: float
     milliseconds: float  # to encode a frame and compare it with the objects
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def accuracy(
@@ -234,43 +211,24 @@ def nats(
         return np.asarray(np.log(own) - np.log(ratio @ background))
 
 
-def report(found: Mapping[str, Mapping[str, Accuracy | None]]) -> str:
-    header = (
-        "place, encoder", "patches", "that tell", "best is true", "AUC", "nats a patch",
-        "softmax alone", "temperature", "best of all", "ms a frame",
-    )  # fmt: skip
-    rows = [
-        (f"{place}, {name}", *_cells(told))
-        for place, encoders in found.items()
-        for name, told in encoders.items()
-    ]
-    return markdown(header, rows)
-
-
 def mean(found: Iterable[Accuracy | None]) -> Accuracy | None:
     """Mean over places of one kind, each counting alike; None where nothing was said in any."""
-    told = [f for f in found if f is not None]
-    if not told:
+    known = [f for f in found if f is not None]
+    if not known:
         return None
-    columns = {name: [getattr(f, name) for f in told] for name in told[0].to_dict()}
+    columns = {f.name: [getattr(k, f.name) for k in known] for f in fields(Accuracy)}
     means = {name: float(np.mean(values)) for name, values in columns.items()}
     return Accuracy(**means | {"patches": sum(columns["patches"])})
 
 
-def _cells(told: Accuracy | None) -> tuple[str, ...]:
-    if told is None:
-        return ("–",) * 9
-    return (
-        f"{told.patches:,}",
-        share(told.telling),
-        share(told.best),
-        share(told.auc),
-        number(told.nats, 2),
-        number(told.bare, 2),
-        f"{told.temperature:.2g}",
-        f"{told.ideal_nats:.2f} at {told.ideal:.2g}",
-        number(told.milliseconds, 1),
-    )
+COLUMNS = (
+    Col("place, encoder", "0"), Col("patches", "1.patches", 0), Col("that tell", "1.telling", share),
+    Col("best is true", "1.best", share), Col("AUC", "1.auc", share), Col("nats a patch", "1.nats", 2),
+    Col("softmax alone", "1.bare", 2),
+    Col("temperature", "1.temperature", lambda t: f"{t:.2g}" if t else "–"),
+    Col("best of all", lambda r: r[1] and f"{r[1].ideal_nats:.2f} at {r[1].ideal:.2g}"),
+    Col("ms a frame", "1.milliseconds", 1),
+)  # fmt: skip
 
 
 @table()
@@ -295,11 +253,11 @@ def patch_accuracy(
             tied = bind_encoder(one, where.scene, where.captures)
             told = accuracy(tied, where.scene, where.frames, where.map_from_camera)
             found.setdefault(where.kind, {}).setdefault(spec, []).append(told)
-            row = None if told is None else told.to_dict()
-            rows.append({"place": where.name, "encoder": spec, "key": one.key, "accuracy": row})
-    means = {
-        kind: {spec: mean(told) for spec, told in by_encoder.items()}
+            rows.append({"place": where.name, "encoder": spec, "key": one.key, "accuracy": told})
+    means = [
+        (f"{kind}, {spec}", mean(told))
         for kind, by_encoder in found.items()
-    }
-    print(report(means))
+        for spec, told in by_encoder.items()
+    ]
+    print(render(COLUMNS, means))
     run.save({"rows": rows})

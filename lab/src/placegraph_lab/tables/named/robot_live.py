@@ -13,7 +13,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from pathlib import Path
 from time import perf_counter, process_time
@@ -35,6 +35,7 @@ from placegraph_lab.tables.indoor.metrics import NEAR, near
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.named.serve_load import Served, served
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
@@ -213,21 +214,28 @@ class Row:
         """Figures of what was seen on each of some walks."""
         every = [seen for walk in walks for seen in walk]
         after = [b for walk in walks for a, b in pairwise(walk) if a.sure and not b.kidnapped]
-        took = [s.milliseconds for s in every]
+        milliseconds = [s.milliseconds for s in every]
+
+        def mean(field: str, of: Sequence[Seen] = every) -> float:
+            return float(np.mean([getattr(s, field) for s in of])) if of else float("nan")
+
         return cls(
-            place, degrees, len(every),
-            right=_mean(s.right for s in every),
-            sure=_mean(s.sure for s in every),
-            tracked=_mean(s.right for s in every if s.sure),
-            foretold=_mean(s.foretold for s in after),
-            false=_mean(s.false for s in every),
-            longest=max(longest(walk, lambda s: s.false) for walk in walks),
+            place, degrees, len(every), right=mean("right"), sure=mean("sure"),
+            tracked=mean("right", [s for s in every if s.sure]), foretold=mean("foretold", after),
+            false=mean("false"), longest=max(longest(walk, lambda s: s.false) for walk in walks),
             recovered=[r for walk in walks for r in recoveries(walk)],
-            milliseconds=float(np.median(took)), worst=max(took),
+            milliseconds=float(np.median(milliseconds)), worst=max(milliseconds),
         )  # fmt: skip
 
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+    @property
+    def found(self) -> list[int]:
+        """Frames until the pose is found again, of kidnappings after which it is."""
+        return [r for r in self.recovered if r is not None]
+
+    @property
+    def most(self) -> str:
+        lost = len(self.recovered) - len(self.found)
+        return f"{max(self.found)}{f', {lost} never' * bool(lost)}" if self.found else "–"
 
 
 def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
@@ -236,11 +244,6 @@ def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
         run = run + 1 if which(one) else 0
         most = max(most, run)
     return most
-
-
-def _mean(values: Iterator[bool]) -> float:
-    found = list(values)
-    return float(np.mean(found)) if found else float("nan")
 
 
 ODOMETRY = 100.0  # samples a second
@@ -408,10 +411,6 @@ class Life:
     memory: list[tuple[int, float]]  # frames, and what the process holds then [MB], resident
     kidnapped: int
 
-    def to_dict(self) -> dict[str, Any]:
-        own = {"wall_ms": self.wall, "memory": self.memory, "kidnapped": self.kidnapped}
-        return self.row.to_dict() | own
-
 
 def lived(
     scene: SceneMap,
@@ -451,8 +450,26 @@ PARTS = ("walks", "paced", "ways", "lifelong")
 DRIFTS = (0.2, 0.5, 1.0)  # degrees a frame
 RATES = (10.0, 30.0)  # images a second
 SECONDS = 20.0  # of each
-WALKED = ["", "drift", "frames", "right", "OK", "right of OK", "foretold", "false OK", "longest",
-          "found after", "most", "CPU ms", "worst"]  # fmt: skip
+WALKED = (
+    Col("", "place"), Col("drift", lambda r: f"{r.degrees:g}°"), Col("frames", "frames"),
+    Col("right", "right", lab.share), Col("OK", "sure", lab.share), Col("right of OK", "tracked", 3),
+    Col("foretold", "foretold", lab.share), Col("false OK", "false", 3), Col("longest", "longest"),
+    Col("found after", lambda r: float(np.median(r.found)) if r.found else None, 0),
+    Col("most", "most"), Col("CPU ms", "milliseconds", 0), Col("worst", "worst", 0),
+)  # fmt: skip
+PACED = (
+    Col("images", lambda p: f"{p['rate']:g} Hz"),
+    Col("looked at", lambda p: (p["images"] - p["dropped"]) / p["seconds"], 1, "Hz"),
+    Col("dropped", lambda p: p["dropped"] / p["images"], lab.share),
+    Col("odometry", lambda p: p["moves"] / p["seconds"], 0, "Hz"),
+    Col("ms a call", "move_ms.p50", 2), Col("99 %", "move_ms.p99", 1), Col("most", "move_ms.most", 1),
+    Col("age of poses, ms", "age_ms.p50", 0), Col("95 %", "age_ms.p95", 0), Col("cores", "cores", 2),
+)  # fmt: skip
+WAYS = (
+    Col("frames by", "way"), Col("ms, median", "wall_ms.p50", 0), Col("95 %", "wall_ms.p95", 0),
+    Col("CPU ms", "cpu_ms.p50", 0), Col("a second", lambda w: 1e3 / w["wall_ms"]["p50"], 1),
+    Col("within 100 ms", "in_time", lab.share), Col("OK", "sure", lab.share),
+)  # fmt: skip
 
 
 @lab.table()
@@ -471,8 +488,8 @@ def robot_live(
     record: dict[str, Any] = {"load": os.getloadavg()}
     if "walks" in wanted:
         rows = walked(run, places, seed, DRIFTS[1:2] if quick else DRIFTS)
-        print(f"{lab.markdown(WALKED, map(cells, rows))}\n")
-        record["walks"] = [row.to_dict() for row in rows]
+        lab.show("", WALKED, rows)
+        record["walks"] = rows
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "maps").mkdir()
@@ -480,7 +497,7 @@ def robot_live(
         if "paced" in wanted:
             file = folder / "maps/house.scene"
             every = [apart(paced, run.data, run.cache, file, r, SECONDS, cores=2) for r in RATES]
-            print(f"{pacing(every)}\n")
+            lab.show("", PACED, every)
             record["paced"] = every
         if "ways" in wanted:
             paths = sorted((run.data / "house").glob("seq[0-9]*"))
@@ -495,13 +512,13 @@ def robot_live(
                 "MCAP": from_files(scene, out),
                 "WebSocket": from_server(folder / "maps", paths),
             }
-            print(f"{ways_table(found)}\n")
+            lab.show("", WAYS, [{"way": name} | way for name, way in found.items()])
             record["ways"] = found
     if "lifelong" in wanted:
         recordings = places.recordings("house")["house"]
         life = lived(house, recordings, lifelong, seed, run.say)
         print(told(life))
-        record["lifelong"] = life.to_dict()
+        record["lifelong"] = life
     run.save(record, whole=not only)
 
 
@@ -519,59 +536,19 @@ def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -
     return rows
 
 
-def cells(row: Row) -> list[str]:
-    found = [r for r in row.recovered if r is not None]
-    lost = len(row.recovered) - len(found)
-    most = "–" if not found else str(max(found)) + (f", {lost} never" if lost else "")
-    return [
-        row.place, f"{row.degrees:g}°", str(row.frames), lab.share(row.right), lab.share(row.sure),
-        f"{row.tracked:.3f}", lab.share(row.foretold), f"{row.false:.3f}", str(row.longest),
-        lab.number(float(np.median(found)) if found else None), most, lab.number(row.milliseconds),
-        lab.number(row.worst),
-    ]  # fmt: skip
-
-
-def pacing(every: list[dict[str, Any]]) -> str:
-    """Images and odometry by the clock."""
-    header = ["images", "looked at", "dropped", "odometry", "ms a call", "99 %", "most",
-              "age of poses, ms", "95 %", "cores"]  # fmt: skip
-    rows = [
-        [f"{p['rate']:g} Hz", lab.number((p["images"] - p["dropped"]) / p["seconds"], 1, "Hz"),
-         lab.share(p["dropped"] / p["images"]), lab.number(p["moves"] / p["seconds"], 0, "Hz"),
-         lab.number(p["move_ms"]["p50"], 2), lab.number(p["move_ms"]["p99"], 1),
-         lab.number(p["move_ms"]["most"], 1), lab.number(p["age_ms"].get("p50"), 0),
-         lab.number(p["age_ms"].get("p95"), 0), lab.number(p["cores"], 2)]
-        for p in every
-    ]  # fmt: skip
-    return lab.markdown(header, rows)
-
-
-def ways_table(found: dict[str, dict[str, Any]]) -> str:
-    """From a frame to its pose."""
-    header = ["frames by", "ms, median", "95 %", "CPU ms", "a second", "within 100 ms", "OK"]
-    rows = [
-        [name, lab.number(w["wall_ms"]["p50"]), lab.number(w["wall_ms"]["p95"]),
-         lab.number(w["cpu_ms"]["p50"]), lab.number(1e3 / w["wall_ms"]["p50"], 1), lab.share(w["in_time"]),
-         lab.share(w["sure"])]
-        for name, w in found.items()
-    ]  # fmt: skip
-    return lab.markdown(header, rows)
-
-
 def told(life: Life) -> str:
-    """What became of a long run."""
-    row, found = life.row, [r for r in life.row.recovered if r is not None]
+    """Summarize a long run in sentences."""
+    row, found = life.row, life.row.found
     held = life.memory[len(life.memory) // 4 :]
     grown = (held[-1][1] - held[0][1]) / max(1, held[-1][0] - held[0][0]) * 1e4
-    memory = ", ".join(
-        f"{mb:.0f} after {n:,}" for n, mb in life.memory[:: max(1, len(life.memory) // 6)]
-    )
+    some = life.memory[:: max(1, len(life.memory) // 6)]
     return (
         f"{row.frames:,} frames, {life.kidnapped} kidnappings, {row.degrees:g}° of drift a frame: "
         f"{row.right:.1%} right, {row.sure:.1%} OK, of these {row.tracked:.2%} right; false OK "
         f"{row.false:.2%}, {row.longest} in a row at most. Found again after "
         f"{np.median(found) if found else np.nan:.0f} frames (median), {max(found, default=0)} at most, "
         f"{len(row.recovered) - len(found)} times never. CPU {row.milliseconds:.0f} ms a frame, worst "
-        f"{row.worst:.0f}; wall {life.wall['p50']:.0f}, worst {life.wall['most']:.0f}. MB: {memory}; "
+        f"{row.worst:.0f}; wall {life.wall['p50']:.0f}, worst {life.wall['most']:.0f}. MB: "
+        f"{', '.join(f'{mb:.0f} after {n:,}' for n, mb in some)}; "
         f"{grown:+.1f} MB in 10,000 frames after the first quarter."
     )

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.tum import read_tum
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import rotation_error
+from placegraph_lab.tables.runner import Column as Col
 
 GONE = ("moved", "vanished")  # kinds that say that an object is not where the map has it
 NEAR_NEW = 0.1
@@ -62,9 +63,6 @@ class Told:
     new_right: int  # appeared, where something truly stands now that did not
     new_wrong: int
     seconds: float  # of comparing, without localizing
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def changes_of(folder: Path) -> dict[str, Floats | None]:
@@ -106,52 +104,38 @@ def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0
     estimate = scene.localize(capture, seed=seed)
     begun = time.perf_counter()
     lost = estimate.status is Status.LOST
-    told = None if lost else diff_capture(scene, capture, estimate, options=options)
+    changes = None if lost else diff_capture(scene, capture, estimate, options=options)
     seconds = time.perf_counter() - begun
-    seen = {id_ for id_ in visible(scene, capture, truth, options) if id_ in changed}
-    reports = {c.id: c for c in told or () if c.kind in GONE}
-    appeared = [c.box for c in (told.of("appeared") if told else []) if c.box is not None]
+    visible_ids = sorted(visible(scene, capture, truth, options) & changed.keys())
+    reports = {c.id: c for c in changes or () if c.kind in GONE}
+    found = [id_ for id_ in visible_ids if id_ in reports]
+    removed = [id_ for id_ in found if changed[id_] is None]
+    errors = [_motion_error(scene, reports[id_], changed[id_]) for id_ in found]
+    appeared = [c.box for c in (changes.of("appeared") if changes else []) if c.box is not None]
     boxes = _new_boxes(scene, changed)
     new_right = sum(any(_meet(box, other) for other in boxes) for box in appeared)
     return Told(
-        sequence=folder.name,
-        first=first,
-        frames=len(capture),
-        status=estimate.status.name,
-        changed=bool(changed),
-        visible=tuple(sorted(seen)),
-        **_verdicts(scene, reports, changed, seen),
+        folder.name, first, len(capture), estimate.status.name, changed=bool(changed),
+        visible=tuple(visible_ids), found=tuple(found), moves=len(found) - len(removed),
+        moves_found=sum(e is not None for e in errors), removed=len(removed),
+        removed_found=sum(reports[id_].kind == "vanished" for id_ in removed),
+        errors=tuple(e for e in errors if e is not None),
         right=tuple(c.confidence for c in reports.values() if c.id in changed),
         wrong=tuple(c.confidence for c in reports.values() if c.id not in changed),
-        new_right=new_right,
-        new_wrong=len(appeared) - new_right,
-        seconds=seconds,
-    )
+        new_right=new_right, new_wrong=len(appeared) - new_right, seconds=seconds,
+    )  # fmt: skip
 
 
-def _verdicts(
-    scene: SceneMap, reports: dict[str, Change], changed: dict[str, Floats | None], seen: set[str]
-) -> dict[str, Any]:
-    found = sorted(id_ for id_ in seen if id_ in reports)
-    moves = [id_ for id_ in found if changed[id_] is not None]
-    removed = [id_ for id_ in found if changed[id_] is None]
-    errors = []
-    for id_ in moves:
-        true, said = changed[id_], reports[id_].after_from_before
-        if true is not None and said is not None:
-            middle = scene.graph.positions[scene.row_of(id_)][None]
-            off = float(
-                np.linalg.norm(transform_points(said, middle) - transform_points(true, middle))
-            )
-            errors.append((off, rotation_error(said, true)))
-    return {
-        "found": tuple(found),
-        "moves": len(moves),
-        "moves_found": len(errors),
-        "removed": len(removed),
-        "removed_found": sum(reports[id_].kind == "vanished" for id_ in removed),
-        "errors": tuple(errors),
-    }
+def _motion_error(
+    scene: SceneMap, report: Change, true: Floats | None
+) -> tuple[float, float] | None:
+    """Error of a reported motion, of the box's middle [m] and of the rotation [deg]."""
+    found = report.after_from_before
+    if true is None or found is None:
+        return None
+    middle = scene.graph.positions[scene.row_of(report.id)][None]
+    off = np.linalg.norm(transform_points(found, middle) - transform_points(true, middle))
+    return float(off), rotation_error(found, true)
 
 
 def _new_boxes(scene: SceneMap, changed: dict[str, Floats | None]) -> list[Floats]:
@@ -171,60 +155,60 @@ def _meet(box: Floats, other: Floats) -> bool:
     return bool(np.all((box[0] <= other[1] + NEAR_NEW) & (other[0] <= box[1] + NEAR_NEW)))
 
 
-def report(rows: Iterable[tuple[str, Sequence[Told]]]) -> str:
-    header = [
-        "map, frames", "windows", "recall of gone", "precision", "motions found",
-        "median error", "false, unchanged", "appeared right", "seconds",
-    ]  # fmt: skip
-    return lab.markdown(header, [[name, *_cells(told)] for name, told in rows])
-
-
 def figures(told: Sequence[Told]) -> dict[str, Any]:
     """Sums and rates of some windows."""
-    total = sum(len(t.visible) for t in told)
-    right, wrong = sum(len(t.right) for t in told), sum(len(t.wrong) for t in told)
+
+    def total(name: str) -> int:
+        values = [getattr(t, name) for t in told]
+        return sum(len(v) if isinstance(v, tuple | list) else v for v in values)
+
+    def mean(name: str) -> float | None:
+        values = [c for t in told for c in getattr(t, name)]
+        return float(np.mean(values)) if values else None
+
     errors = np.array([e for t in told for e in t.errors]).reshape(-1, 2)
-    still = [
-        t for t in told if t.sequence not in {s.sequence for s in told if s.visible or s.right}
-    ]
+    moved = {t.sequence for t in told if t.visible or t.right}
+    still = [t for t in told if t.sequence not in moved]
+    right, wrong, seen = total("right"), total("wrong"), total("visible")
     return {
         "windows": len(told),
         "lost": sum(t.status == "LOST" for t in told),
-        "visible": total,
-        "found": sum(len(t.found) for t in told),
-        "right": right,
-        "wrong": wrong,
-        "recall": sum(len(t.found) for t in told) / total if total else None,
+        **{k: total(k) for k in ("visible", "found", "right", "wrong")},
+        **{k: total(k) for k in ("moves", "moves_found", "removed", "removed_found")},
+        "recall": total("found") / seen if seen else None,
         "precision": right / (right + wrong) if right + wrong else None,
-        "moves": sum(t.moves for t in told),
-        "moves_found": sum(t.moves_found for t in told),
-        "removed": sum(t.removed for t in told),
-        "removed_found": sum(t.removed_found for t in told),
         "median_m": float(np.median(errors[:, 0])) if len(errors) else None,
         "median_deg": float(np.median(errors[:, 1])) if len(errors) else None,
         "still_windows": len(still),
         "still_false": sum(len(t.wrong) + t.new_wrong for t in still),
-        "appeared_right": sum(t.new_right for t in told),
-        "appeared_wrong": sum(t.new_wrong for t in told),
+        "appeared_right": total("new_right"),
+        "appeared_wrong": total("new_wrong"),
         "seconds": float(np.median([t.seconds for t in told])),
-        "confidence_right": float(np.mean([c for t in told for c in t.right])) if right else None,
-        "confidence_wrong": float(np.mean([c for t in told for c in t.wrong])) if wrong else None,
+        "confidence_right": mean("right"),
+        "confidence_wrong": mean("wrong"),
     }
 
 
-def _cells(told: Sequence[Told]) -> list[str]:
-    f = figures(told)
-    error = f"{lab.number(f['median_m'], 3, 'm')}, {lab.number(f['median_deg'], 1)}°"
-    return [
-        f"{f['windows']}",
-        f"{lab.share(f['recall'])} ({f['found']} of {f['visible']})",
-        f"{lab.share(f['precision'])} ({f['right']} of {f['right'] + f['wrong']})",
-        f"{f['moves_found']} of {f['moves']}",
-        error,
-        f"{f['still_false']} in {f['still_windows']}",
-        f"{f['appeared_right']} of {f['appeared_right'] + f['appeared_wrong']}",
-        lab.number(f["seconds"], 1),
-    ]
+def _of(part: str, whole: str, other: str = "") -> Callable[[dict[str, Any]], str]:
+    return lambda f: f"{f[part]} of {f[whole] + (f[other] if other else 0)}"
+
+
+COLUMNS = (
+    Col("map, frames", "name"), Col("windows", "windows"),
+    Col("recall of gone", lambda f: f"{lab.share(f['recall'])} ({_of('found', 'visible')(f)})"),
+    Col("precision", lambda f: f"{lab.share(f['precision'])} ({_of('right', 'right', 'wrong')(f)})"),
+    Col("motions found", _of("moves_found", "moves")),
+    Col("median error",
+        lambda f: f"{lab.number(f['median_m'], 3, 'm')}, {lab.number(f['median_deg'], 1)}°"),
+    Col("false, unchanged", lambda f: f"{f['still_false']} in {f['still_windows']}"),
+    Col("appeared right", _of("appeared_right", "appeared_right", "appeared_wrong")),
+    Col("seconds", "seconds", 1),
+)  # fmt: skip
+
+
+def report(rows: Iterable[tuple[str, Sequence[Told]]]) -> str:
+    """Markdown table, one row a way of asking."""
+    return lab.render(COLUMNS, [figures(told) | {"name": name} for name, told in rows])
 
 
 STARTS = {25: (0,), 10: (0, 8, 15)}  # first frames of windows, by length
@@ -247,11 +231,11 @@ def scene_changes(
                 for first in STARTS[length]:
                     key = f"{code} {folder.name} {first} {length} {seed}"
                     if key not in journal:
-                        journal.put(key, ask(scene, folder, first, length, seed=seed).to_dict())
+                        journal.put(key, ask(scene, folder, first, length, seed=seed))
                     told.append(Told(**journal[key]))
                     tick.advance(task)
             rows.append((f"{length} frames", told))
     print(report(rows))
     found = {name: figures(told) for name, told in rows}
-    windows = [t.to_dict() for _, told in rows for t in told]
+    windows = [t for _, told in rows for t in told]
     run.save({"triangles": len(scene.mesh), "rows": found, "windows": windows})

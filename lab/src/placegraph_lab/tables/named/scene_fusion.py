@@ -28,8 +28,6 @@ from placegraph_lab.tables.scene.surface import distances, spread
 from placegraph_lab.tables.statistics import apart, peak
 
 Fuser = Callable[[Sequence[Frame], Floats], Mesh]
-
-
 SEQUENCES = ("seq00", "seq03", "seq04", "seq07")  # of the house, in which nothing was moved
 SEEN = 6.0  # what cameras see nearer than this should be in the mesh [m]
 GRAIN = 0.03  # of what they see, one point in a cube of this edge counts [m]

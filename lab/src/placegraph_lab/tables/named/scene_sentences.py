@@ -47,8 +47,6 @@ from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
 Ranker = Callable[[str, Sequence[int]], NDArray[np.float64]]
-
-
 AMONG = 10  # rooms that a text is asked of
 MISSING = 1.0 / 3.0  # share of its things that a poor map misses
 OTHERS = 30  # homes that nobody described, whose rooms stand among the others

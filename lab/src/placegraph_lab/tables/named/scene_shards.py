@@ -33,6 +33,7 @@ from placegraph.indoor.library.search import (
 from placegraph.indoor.library.search_kernels import count_agreeing
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, compute_signature
 from placegraph_lab.tables import runner as lab
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.scene.search import Stock
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.statistics import apart, peak
@@ -260,24 +261,15 @@ def scene_shards(
         f"{told['peak'] / 1e6:.0f} MB at most, {told['before'] / 1e6:.0f} MB of them before; "
         f"made in {made['cpu_s'] if made else 0:.0f} s of processor.\n"
     )
-    header = [
-        "asked by",
-        "wrong",
-        "p50",
-        "p95",
-        "processor",
-        "right",
-        "among ten",
-        f"as of {WIDELY:,}",
-        f"times {min(READ, scenes):,} read",
-    ]
-    lines = [
-        [r["way"], lab.share(r["wrong"]), lab.number(r["p50_ms"], 0, "ms"), lab.number(r["p95_ms"], 0, "ms"),
-         lab.number(r["cpu_ms"], 0, "ms"), lab.share(r["recall_1"]), lab.share(r["recall_10"]),
-         lab.share(r["same_as_widely"]), f"{r['p50_ms'] / read_[r['way']]:.1f}"]
-        for r in told["rows"]
-    ]  # fmt: skip
-    print(lab.markdown(header, lines))
+
+    columns = (
+        Col("asked by", "way"), Col("wrong", "wrong", lab.share), Col("p50", "p50_ms", 0, "ms"),
+        Col("p95", "p95_ms", 0, "ms"), Col("processor", "cpu_ms", 0, "ms"),
+        Col("right", "recall_1", lab.share), Col("among ten", "recall_10", lab.share),
+        Col(f"as of {WIDELY:,}", "same_as_widely", lab.share),
+        Col(f"times {min(READ, scenes):,} read", lambda r: r["p50_ms"] / read_[r["way"]], 1),
+    )  # fmt: skip
+    print(lab.render(columns, told["rows"]))
     run.save(
         {"scenes": scenes, "objects": objects, "bytes": size_, "made": made, "read": read_, **told}
     )

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from time import perf_counter, process_time
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import torch
 
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
-from placegraph_lab.worlds.home.lessons import homes
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, render, share, table
+from placegraph_lab.worlds.home.lessons import homes as draw_homes
 from placegraph_learn.scenegraphloc.lessons import Lesson, read_lesson, split
 from placegraph_learn.scenegraphloc.train import Evaluation, Trainer, TrainOptions, evaluate, train
 from placegraph_learn.training import Progress, rows_of
 
 
-class Told(Progress):
+class EpochLines(Progress):
     """A line an epoch."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -58,50 +58,10 @@ class Alone(torch.nn.Module):
         return total.index_add(0, owner, views)
 
 
-def learn_and_ask(
-    run: Run, options: TrainOptions, *, count: int, held: int, frames: int
-) -> tuple[str, dict[str, Any]]:
-    """Train on `count` homes but those `held` out, and ask in both; Markdown and figures."""
-    torch.set_num_threads(1)
-    work = run.cache / run.name
-    start, busy = perf_counter(), process_time()
-    worlds = homes(count, seed=options.seed, frames=frames)
-    weights = train(
-        worlds, work / "trained.safetensors", folder=work, held=held, options=options,
-        device="cpu", progress=Told(run.say),
-    )  # fmt: skip
-    seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}
-    lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
-    learned, asked = split(lessons, held)
-    fresh = Trainer(learned, weights.network.widths, options, "cpu").network
-    found: dict[str, dict[str, Evaluation]] = {}
-    for where, places in (("learned", learned[: len(asked)]), ("held out", asked)):
-        found[where] = {
-            "chance": by_chance(places),
-            "features alone": evaluate(Alone(), places, "cpu", points=options.points),  # type: ignore[arg-type]
-            "untrained": evaluate(fresh, places, "cpu", points=options.points),
-            "trained": evaluate(weights.network, places, "cpu", points=options.points),
-        }
-    rows = [
-        [f"{where}: {name}", share(j.patch), share(j.changed), share(j.room)]
-        for where, of in found.items()
-        for name, j in of.items()
-    ]
-    objects = float(np.mean([len(x.room) for x in asked]))
-    text = (
-        f"{len(learned)} homes learned, {held} held out, {objects:.0f} objects each, "
-        f"{seconds['processor']:.0f} s of one core in this run.\n\n"
-        + markdown(["homes", "patch", "patch, map of before", "own home first"], rows)
-    )
-    record = {
-        "options": asdict(options) | {"homes": count, "held": held, "frames": frames},
-        "seconds": seconds,
-        "objects": objects,
-        "notes": weights.notes,
-        "curves": rows_of(work),
-        "found": {where: {n: asdict(j) for n, j in of.items()} for where, of in found.items()},
-    }
-    return text, record
+COLUMNS = (
+    Col("homes", "0"), Col("patch", "1.patch", share), Col("patch, map of before", "1.changed", share),
+    Col("own home first", "1.room", share),
+)  # fmt: skip
 
 
 @table()
@@ -120,14 +80,36 @@ def scene_train(
     quick: Quick = False,
 ) -> None:
     """Does the network of SceneGraphLoc learn? Procedural homes, and others it never saw."""
-    from placegraph_lab.tables.named.scene_train import learn_and_ask
-    from placegraph_learn.scenegraphloc.train import TrainOptions
-
     if quick:
         homes, held, frames, epochs = 4, 1, 3, 1
     options = TrainOptions(
         epochs=epochs, batch=batch, others=others, points=points, rate=rate, seed=seed
     )
-    text, record = learn_and_ask(run, options, count=homes, held=held, frames=frames)
-    print(text)
-    run.save(record)
+    torch.set_num_threads(1)
+    work = run.cache / run.name
+    start, busy = perf_counter(), process_time()
+    worlds = draw_homes(homes, seed=seed, frames=frames)
+    weights = train(
+        worlds, work / "trained.safetensors", folder=work, held=held, options=options,
+        device="cpu", progress=EpochLines(run.say),
+    )  # fmt: skip
+    seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}
+    lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
+    learned, asked = split(lessons, held)
+    fresh = Trainer(learned, weights.network.widths, options, "cpu").network
+    networks = {"features alone": Alone(), "untrained": fresh, "trained": weights.network}
+    found: list[tuple[str, Evaluation]] = []
+    for where, places in (("learned", learned[: len(asked)]), ("held out", asked)):
+        found.append((f"{where}: chance", by_chance(places)))
+        for name, network in networks.items():
+            score = evaluate(network, places, "cpu", points=options.points)  # type: ignore[arg-type]
+            found.append((f"{where}: {name}", score))
+    objects = float(np.mean([len(x.room) for x in asked]))
+    print(
+        f"{len(learned)} homes learned, {held} held out, {objects:.0f} objects each, "
+        f"{seconds['processor']:.0f} s of one core in this run.\n\n{render(COLUMNS, found)}"
+    )
+    run.save({
+        "train_options": options, "seconds": seconds, "objects": objects,
+        "notes": weights.notes, "curves": rows_of(work), "found": dict(found),
+    })  # fmt: skip

@@ -75,14 +75,10 @@ SEMANTIC = ("SG2Loc w/ semantic", "semantic", False)
 ALL = ("SG2Loc w/ semantic+depth+RGB", "paper", False)
 COARSE = (FULL[0], ("SG2Loc (Coarse)", "coarse", True), FULL[2])
 ABLATION = (
-    ("Max. raycast resolution", "stride 1", False),
-    ("Uniform sampling", "uniform", False),
-    ("w/o adaptive resampling", "fixed", False),
-    SEMANTIC,
-    ("SG2Loc w/ semantic+depth", "semantic+depth", False),
-    ALL,
-    *FULL[::2],
-)
+    ("Max. raycast resolution", "stride 1", False), ("Uniform sampling", "uniform", False),
+    ("w/o adaptive resampling", "fixed", False), SEMANTIC,
+    ("SG2Loc w/ semantic+depth", "semantic+depth", False), ALL, *FULL[::2],
+)  # fmt: skip
 ONE_SIGNAL = (
     SEMANTIC, ("SG2Loc w/ depth", "depth", False), ("SG2Loc w/ RGB", "RGB", False),
 )  # fmt: skip
@@ -115,8 +111,6 @@ SPECS = {
     ),
 }  # fmt: skip
 """By number in the paper."""
-
-
 Made = tuple[str, list[Any]]
 
 

@@ -140,8 +140,6 @@ def hybrid(city: CityMap, queries: Sequence[Query], folder: Path) -> list[dict[s
 
 Floats = NDArray[np.float32]
 Search = Callable[[Floats, int], Sequence[int]]  # one query (D,) and n to ids (n,)
-
-
 NEIGHBOURS = 10
 BATCH = 10_000
 ORIGIN = Origin("vector_scale", "clustered")

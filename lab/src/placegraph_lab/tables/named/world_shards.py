@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
 
@@ -22,10 +24,25 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.outdoor.queries import Query
 
 ALONE = "one process"
-WORKED = [
-    "shards", "by", "trips a text", "wall", "asks, CPU", "busiest worker, CPU", "together",
-    "of one process", "alike",
-]  # fmt: skip
+
+
+WORKED = (
+    Col("shards", "shards", 0), Col("by", "by"), Col("trips a text", "trips", 1),
+    *(Col(title, key, 0, "ms", 1e3) for title, key in (
+        ("wall", "seconds"), ("asks, CPU", "asks_s"), ("busiest worker, CPU", "works_s"),
+        ("together", "path_s"))),
+    Col("of one process", "of_alone", 2), Col("alike", lambda r: "yes" if r["alike"] else "no"),
+)  # fmt: skip
+
+
+def work_rows(crew: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield rows of the table of workers, seconds a text."""
+    alone = crew["by"][ALONE]["asks_s"]
+    for by, of in crew["by"].items():
+        path, names = of["asks_s"] + of["works_s"], ("seconds", "asks_s", "works_s")
+        row = {"by": by, "shards": crew["shards"], "alike": crew["alike"], "trips": of["trips"]}
+        row |= {name: of[name] / crew["texts"] for name in names}
+        yield row | {"path_s": path / crew["texts"], "of_alone": path / alone}
 
 
 def crew(world: Path, texts: list[str]) -> dict[str, Any]:
@@ -96,20 +113,6 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
         "seconds": seconds, "asks_s": cpu, "works_s": max(work, default=0.0),
         "trips": len(trips) / len(texts) if client else 0.0, "answers": answers,
     }  # fmt: skip
-
-
-def worked(row: dict[str, Any]) -> list[list[str]]:
-    """Rows of the table of workers, milliseconds a text."""
-    alone, rows = row["by"][ALONE]["asks_s"], []
-    for by, of in row["by"].items():
-        path = of["asks_s"] + of["works_s"]
-        told = (of["seconds"], of["asks_s"], of["works_s"], path)
-        rows.append([
-            lab.number(row["shards"]), by, lab.number(of["trips"], 1),
-            *(lab.number(1e3 * s / row["texts"], 0, "ms") for s in told),
-            lab.number(path / alone, 2), "yes" if row["alike"] else "no",
-        ])  # fmt: skip
-    return rows
 
 
 KINDS = {
@@ -198,6 +201,30 @@ def near(best: Any, q: Query) -> bool:
     return bool(np.hypot(east, best.latitude - q.latitude) * 111_000.0 < 50.0)
 
 
+def _median(key: str) -> Callable[[dict[str, Any]], float]:
+    return lambda row: float(np.median(row[key]))
+
+
+def _p95_of(key: str) -> Callable[[dict[str, Any]], float]:
+    return lambda row: float(np.quantile(row[key], 0.95))
+
+
+EQUAL = (
+    Col("texts", "kind"), Col("shards", "shards", 0),
+    Col("same best", lambda r: r["same"] / r["queries"], lab.share),
+    Col("within 1 %", lambda r: float((np.array(r["differ"]) <= 0.01).mean()), lab.share),
+    Col("largest", lambda r: max(r["differ"]), lab.share), Col("whole p50", _median("ms"), 1, "ms"),
+    Col("shards p50", _median("ms_shards"), 1, "ms"), Col("touched p50", _median("touched"), 0),
+)  # fmt: skip
+GROWN = (
+    Col("copies", lambda r: f"{r['copies']} x"), Col("cells", "cells", 0), Col("shards", "shards", 0),
+    Col("MB", "bytes", 0, "", 1e-6), Col("texts", "kind"), Col("p50", _median("ms"), 0, "ms"),
+    Col("p95", _p95_of("ms"), 0, "ms"), Col("touched p50", _median("touched"), 0),
+    Col("p95", _p95_of("touched"), 0), Col("@1 50 m", "right", lab.share),
+    Col("peak", "peak_bytes", 0, "MB", 1e-6), Col("handles", "handles", 0), Col("mapped", "mapped", 0),
+)  # fmt: skip
+
+
 @lab.table()
 def world_shards(
     run: lab.Run,
@@ -230,7 +257,7 @@ def world_shards(
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.say("asking both")
     rows = apart(compared, map_file, base, texts)
-    print(lab.markdown(EQUAL, [equal(row) for row in rows]))
+    print(lab.render(EQUAL, rows))
     kept = {
         "common words": texts["common words"],
         "a name": [q for q in texts["names"] if NAME.search(q.text)],
@@ -240,11 +267,11 @@ def world_shards(
     for n, world in zip(numbers, made, strict=True):
         run.say(f"{n} copies")
         grown.append({"copies": int(n)} | sizes(world) | apart(asked, world, kept))
-        print(lab.markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
+        print(lab.render(GROWN, [grown[-1] | grown[-1][kind] | {"kind": kind} for kind in kept]))
     run.say("workers")
     said = [q.text for q in texts["common words"][:20]]
     crews = [crew(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
-    print(lab.markdown(WORKED, [row for one in crews for row in worked(one)]))
+    print(lab.render(WORKED, [row for one in crews for row in work_rows(one)]))
     capacity = model(grown)
     print(lab.markdown(["", "model", "measured", "planet, extrapolated"], capacity))
     run.save({
@@ -274,26 +301,6 @@ def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> 
     return [base, *made]
 
 
-EQUAL = [
-    "texts", "shards", "same best", "within 1 %", "largest", "whole p50", "shards p50", "touched p50",
-]  # fmt: skip
-GROWN = [
-    "copies", "cells", "shards", "MB", "texts", "p50", "p95", "touched p50", "p95", "@1 50 m", "peak",
-    "handles", "mapped",
-]  # fmt: skip
-
-
-def equal(row: dict[str, Any]) -> list[str]:
-    """Row of the first table."""
-    differ = np.array(row["differ"])
-    return [
-        row["kind"], lab.number(row["shards"]), lab.share(row["same"] / row["queries"]),
-        lab.share(float((differ <= 0.01).mean())), lab.share(float(differ.max())),
-        lab.number(np.median(row["ms"]), 1, "ms"), lab.number(np.median(row["ms_shards"]), 1, "ms"),
-        lab.number(np.median(row["touched"])),
-    ]  # fmt: skip
-
-
 def sizes(folder: Path) -> dict[str, float]:
     from placegraph_scale.shards import WorldFile
 
@@ -304,17 +311,6 @@ def sizes(folder: Path) -> dict[str, float]:
         "bytes": sum(s.bytes for s in shards),
         "words_bytes": (folder / "words.table").stat().st_size,
     }
-
-
-def line(row: dict[str, Any], kind: str) -> list[str]:
-    of = row[kind]
-    return [
-        f"{row['copies']} x", lab.number(row["cells"]), lab.number(row["shards"]),
-        lab.number(1e-6 * row["bytes"], 0), kind, lab.number(np.median(of["ms"]), 0, "ms"),
-        lab.number(np.quantile(of["ms"], 0.95), 0, "ms"), lab.number(np.median(of["touched"])),
-        lab.number(np.quantile(of["touched"], 0.95)), lab.share(of["right"]),
-        lab.number(1e-6 * row["peak_bytes"], 0, "MB"), lab.number(row["handles"]), lab.number(row["mapped"]),
-    ]  # fmt: skip
 
 
 def model(grown: list[dict[str, Any]]) -> list[list[str]]:

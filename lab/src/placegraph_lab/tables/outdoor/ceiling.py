@@ -102,8 +102,6 @@ class Contest:
 
 
 MODE = 45.0  # the oracle sums the probability of viewpoints within this distance of a place's middle [m]
-
-
 SLIP = 0.05
 """Share of wrong directions that the oracle expects of noise-free texts: its viewpoints stand on
 a grid, a few metres from the true one."""

@@ -21,8 +21,6 @@ from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_q
 from placegraph_learn.city.descriptions import TILE, evaluated, held_out
 
 Where = Callable[[Floats], NDArray[np.bool_]]
-
-
 TRAINED = {
     "vancouver": "vancouver_2015.osm.pbf",
     "ankara": "ankara_2019.osm.pbf",
@@ -104,8 +102,6 @@ def unseen_queries(
 
 
 Rows = NDArray[np.int64]
-
-
 GAP = 200.0  # between copies at the least [m]
 
 

@@ -28,27 +28,10 @@ Bounds = tuple[float, float, float, float]  # west, south, east, north [deg]
 POINT, LINE, AREA = 0, 1, 2
 
 KEYS = (
-    "amenity",
-    "shop",
-    "tourism",
-    "leisure",
-    "historic",
-    "office",
-    "craft",
-    "healthcare",
-    "emergency",
-    "man_made",
-    "railway",
-    "aeroway",
-    "natural",
-    "waterway",
-    "barrier",
-    "highway",
-    "public_transport",
-    "power",
-    "building",
-    "landuse",
-)
+    "amenity", "shop", "tourism", "leisure", "historic", "office", "craft", "healthcare",
+    "emergency", "man_made", "railway", "aeroway", "natural", "waterway", "barrier", "highway",
+    "public_transport", "power", "building", "landuse",
+)  # fmt: skip
 """Keys that make an element an object. The first one it carries gives its label."""
 
 _LINEAR = {

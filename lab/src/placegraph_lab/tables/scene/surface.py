@@ -12,11 +12,7 @@ from placegraph_lab.tables.scene.surface_kernels import _CELL, Grid, _distances
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
 SAMPLES = 50_000  # points on either surface
-
-
 REACH = 1.0  # what lies farther away counts as this far [m]
 
 

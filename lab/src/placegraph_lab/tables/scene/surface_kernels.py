@@ -14,8 +14,6 @@ from placegraph.core.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
 _CELL = 0.1  # [m]
 
 
