@@ -9,7 +9,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
-from placegraph.outdoor.network.network import sizes as sizes_of
+from placegraph.outdoor.network.network import list_weight_shapes as sizes_of
 from placegraph_learn.city.descriptions import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)
@@ -92,8 +92,8 @@ def one_thread():
 def make_network():
     """Network of random weights: a seed, fields of the shape that differ, how much it adds."""
 
-    def make(seed=0, fusion=0.3, known=None, **sizes):
-        shape = Shape(**{**SMALL.to_dict(), **sizes})
+    def make(seed=0, fusion=0.3, known=None, **list_weight_shapes):
+        shape = Shape(**{**SMALL.to_dict(), **list_weight_shapes})
         arrays = adding(random_arrays(shape, seed, known), fusion)
         return GraphTransformer(shape, arrays, f"random {seed}", known)
 

@@ -372,8 +372,8 @@ def test_reset_and_what_is_not_understood(run, city):
     result = run("city", "track", city, stdin="I am next to a bench.\nreset\nzzz\n")
     first, reset, nothing = result.out.splitlines()
     assert first.startswith("AMBIGUOUS")
-    assert reset.startswith("LOST: Nothing has been said yet")
-    assert nothing.startswith("LOST: Nothing of what was said last could be understood.")
+    assert reset.startswith("LOST: There is no text yet")
+    assert nothing.startswith("LOST: The last text could not be understood.")
 
 
 def test_track_near_with_pictures(run, city, hafenstadt, tmp_path):

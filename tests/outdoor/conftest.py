@@ -7,10 +7,10 @@ from tests.cities import PLANE
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
-from placegraph.outdoor.likelihood.match_kernels import distant, look_again
+from placegraph.outdoor.likelihood.match_kernels import score_distant, score_exact
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.posterior import TOGETHER
+from placegraph.outdoor.search.posterior import PRIOR_COHERENT
 
 
 @pytest.fixture(scope="session")
@@ -87,20 +87,22 @@ def said():
     return _said
 
 
-def _score(city, description, positions, together=TOGETHER):
+def _score(city, description, positions, together=PRIOR_COHERENT):
     """Log-likelihood ratios of a description at positions (K, 2) [m], as a closer look sees them."""
     query = compile_query(description, city)
-    words = query.words(len(city.objects.labels) + len(city.objects.names))
+    words = query.token_weights(len(city.objects.labels) + len(city.objects.names))
     views, found = city.views, []
     for position in np.atleast_2d(np.asarray(positions, np.float64)):
         at = position[None]
         far = np.zeros((1, len(query.used)), np.float32)
-        if query.far is not None:
-            far = distant(query.statements, city.columns, query.far, at.astype(np.float32))
+        if query.distant is not None:
+            far = score_distant(
+                query.statements, city.columns, query.distant, at.astype(np.float32)
+            )
         nearby = np.unique(city.in_sight(views.near(position, REACH)).objects)
         seen = np.array([0, len(nearby)]), nearby
         found.append(
-            look_again(
+            score_exact(
                 query.statements, city.columns, words, at[None], seen, far[None], together, True
             )
         )

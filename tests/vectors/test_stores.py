@@ -143,7 +143,7 @@ def test_positions_are_the_centres_of_the_cells(harbour):
 
 def test_a_city_is_embedded_into_a_file(harbour, tmp_path):
     path = tmp_path / "town.vectors"
-    made = EncodedCity(harbour, Scatter()).keep(path, name="town")
+    made = EncodedCity(harbour, Scatter()).save_embeddings(path, name="town")
     origin = Origin(harbour.fingerprint, "scattered")
     with open_store(path, origin=origin) as opened:
         assert isinstance(opened, EmbeddedStore)
@@ -157,7 +157,7 @@ def test_embeddings_that_are_there_are_used(harbour, tmp_path):
     rows = np.eye(len(harbour.cells))[::-1]
     encoded = EncodedCity(harbour, Scatter())
     vars(encoded)["embeddings"] = rows
-    made = encoded.keep(tmp_path / "a", name="a")
+    made = encoded.save_embeddings(tmp_path / "a", name="a")
     cells = made.search(np.eye(len(rows))[:1], 1).ids
     assert cells.tolist() == [[harbour.cells.points[-1]]]
 

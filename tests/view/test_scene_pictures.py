@@ -39,7 +39,7 @@ from placegraph.view.scene.overlay import (
 )
 from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.top_view import look_down, section, solid
-from placegraph.world.outlines import footprints
+from placegraph.world.outlines import find_footprints
 from placegraph_lab.worlds.flat.flat import Flat
 
 # --- maps drawn where they stand: north up, on their building, the others faintly ---
@@ -76,7 +76,7 @@ def building(tmp_path):
     said = '<tag k="building" v="yes"/><tag k="name" v="Hall"/>'
     file = tmp_path / "a.osm"
     file.write_text(f'<osm version="0.6">{nodes}<way id="1">{refs}{said}</way></osm>')
-    return footprints(file, "Hall")
+    return find_footprints(file, "Hall")
 
 
 def test_a_map_stands_on_its_building_north_up(building, tmp_path):

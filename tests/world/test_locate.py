@@ -153,7 +153,7 @@ def test_an_answer_is_short_and_travels(world, films):
 def test_questions_tell_twins_apart_and_a_no_is_no_yes(world, films):
     alone = world.locate(None, films["parlour"], refine=False)
     question = alone.next_question(world)
-    asked = question.things[0].words
+    asked = question.subjects[0].words
     assert question.text == f"Are you in {asked}?"
     for option, there in (("yes", True), ("no", False)):
         told = world.locate(None, films["parlour"], refine=False, answers=[question.answer(option)])

@@ -6,7 +6,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.world import World
-from placegraph.world.sentence import ABOVE, compare_floors, parse_sentence, read_floors
+from placegraph.world.sentence import UPPER_LEVELS, compare_floors, parse_sentence, read_floors
 
 THINGS = ("sofa", "window", "desk", "bookcase", "bed", "sink", "kitchen", "bedroom")
 
@@ -85,8 +85,9 @@ def test_addresses_are_known_number_last(world):
         ("Ich bin im Hotel, 2. Stock. Ein Bett ist links.", {2}, "Ich bin im Hotel. Ein Bett ist links."),
         ("Wir sind im Erdgeschoss", {0}, ""),
         ("Im 1. OG vom Hotel", {1}, "im Hotel"),
-        ("I am on the top floor of the hotel, by the bed", set(ABOVE), "I am in the hotel, by the bed"),
-        ("Ich bin im Dachgeschoss", set(ABOVE), ""),
+        ("I am on the top floor of the hotel, by the bed", set(UPPER_LEVELS),
+         "I am in the hotel, by the bed"),
+        ("Ich bin im Dachgeschoss", set(UPPER_LEVELS), ""),
         ("A bakery is on the ground floor of the hotel.", set(), None),
         ("The floor is dark, and I am next to a bed.", set(), None),
         ("I am in the 3rd street", set(), None),

@@ -455,7 +455,7 @@ def embed(
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
         tell("embedding")
-        made = city.encoded.keep(
+        made = city.encoded.save_embeddings(
             store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
             progress=lambda step, done, total: tell(f"{step} {done:,} of {total:,} cells"),
         )  # fmt: skip

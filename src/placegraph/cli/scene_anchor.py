@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from placegraph.core.geo import Anchor
     from placegraph.indoor.pose.window import Progress
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.world import Fitted
+    from placegraph.world import AnchorFit
 
 HOW = "How it is found: one of these"
 TOLD = "What is known of the place"
@@ -149,18 +149,18 @@ def _fitted(
     tell: Progress,
     *,
     rough: bool,
-) -> Fitted:
+) -> AnchorFit:
     """Anchors by pairs, a pose or fixes, whichever is given; else none."""
     from placegraph.io.capture.capture import open_capture
-    from placegraph.world import Fitted, fit_capture, fit_points
+    from placegraph.world import AnchorFit, fit_capture, fit_points
 
     if pair:
         return fit_points(*zip(*map(_pair, pair), strict=True))
     if pose is not None:
-        return Fitted((_posed(pose, accuracy),), ())
+        return AnchorFit((_posed(pose, accuracy),), ())
     if capture is not None:
         return fit_capture(scene, open_capture(capture), rough=rough, progress=tell)
-    return Fitted((), ())
+    return AnchorFit((), ())
 
 
 def summary(anchor: Anchor) -> dict[str, object]:

@@ -221,9 +221,9 @@ def furnish(world: Path, flat: Path) -> None:
 
 def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:
     """The scene in the middle of the building that has, or holds, what has a name in a town."""
-    from placegraph.world.outlines import footprints
+    from placegraph.world.outlines import find_footprints
 
-    outline = footprints(town, building)[0]
+    outline = find_footprints(town, building)[0]
     ring = outline.rings[0]
     middle = np.append((ring.min(axis=0) + ring.max(axis=0)) / 2.0, 0.0)
     longitude, latitude, _ = outline.base.to_earth(middle).tolist()

@@ -43,7 +43,7 @@ class CityMap(HtmlRepr, City):
         """The city as the shipped network reads it; derived on first use."""
         from placegraph.outdoor.network.network import EncodedCity
 
-        return EncodedCity.shipped(self)
+        return EncodedCity.of_city(self)
 
     @property
     def embeddings(self) -> NDArray[np.float32]:
@@ -101,7 +101,7 @@ class CityMap(HtmlRepr, City):
             The store is of another map or another network.
 
         """
-        from placegraph.outdoor.locate import locate
+        from placegraph.outdoor.search.locate import locate
         from placegraph.outdoor.search.request import Hints, Matching
 
         language = matching.pop("language", None)

@@ -7,12 +7,12 @@ spoken and frames were taken. `fit_points`, `fit_building` and `fit_capture` say
 from __future__ import annotations
 
 from placegraph.world.anchor_building import fit_building
-from placegraph.world.anchor_points import Fitted, fit_capture, fit_points
+from placegraph.world.anchor_points import AnchorFit, fit_capture, fit_points
 from placegraph.world.estimate import WorldEstimate, WorldMode
 from placegraph.world.world import World, open_world
 
 __all__ = [
-    "Fitted",
+    "AnchorFit",
     "World",
     "WorldEstimate",
     "WorldMode",

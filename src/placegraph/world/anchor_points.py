@@ -25,27 +25,27 @@ from placegraph.world.outlines import Footprint
 
 UNKNOWN_HEIGHT = 100.0
 """Standard deviation of a height that nobody gave [m]; the map then stands at 0."""
-LEAST = 3
+MIN_POINTS = 3
 """Points that are needed: two fix a heading and a shift, a third checks them."""
-_NARROW = 0.5  # points that lie within so little tell no heading [m]
-_LINE = 0.05  # width by length of points that lie on a line
-_USUAL, _USUALLY = 0.15, 4.0  # of pairs [m], and how many coordinates that is worth
-_FINEST = 0.02  # no pair is better known than this [m]
-_TUKEY = 4.7  # of Tukey's biweight, in deviations
-_STARTS, _PAIRED = 400, 200  # pairs of points tried, of so many points
-_SCALE_OFF = 0.03
-_NAMED = 3  # points that are named one by one
+_MIN_EXTENT = 0.5  # points that lie within so little tell no heading [m]
+_MIN_WIDTH_RATIO = 0.05  # width by length of points that lie on a line
+_PRIOR_SIGMA, _PRIOR_WEIGHT = 0.15, 4.0  # of pairs [m], and how many coordinates that is worth
+_MIN_SIGMA = 0.02  # no pair is better known than this [m]
+_TUKEY_LIMIT = 4.7  # of Tukey's biweight, in deviations
+_MAX_PAIRS, _MAX_PAIRED_POINTS = 400, 200  # pairs of points tried, of so many points
+_MAX_SCALE_ERROR = 0.03
+_MAX_NAMED = 3  # points that are named one by one
 
-USUAL = 5.0
+DEFAULT_ACCURACY = 5.0
 """Accuracy of a fix that does not tell its own [m]; 68 % lie within."""
-_WITHIN = 1.515  # radius that holds 68 % of a round Gaussian [standard deviations]
-_COMMON = 1.5  # what all fixes of an hour share, and none of them averages out [m]
-_MATCHES = 0.02  # between a map's viewpoints and the frames that they are of [m]
-_TURNS = 3  # viewpoints that tell whether a capture's poses are the map's
-_LOST = np.radians(45.0)  # a heading known no better is not known
+_RADIUS_68 = 1.515  # radius that holds 68 % of a round Gaussian [standard deviations]
+_COMMON_SIGMA = 1.5  # what all fixes of an hour share, and none of them averages out [m]
+_SAME_VIEWPOINT = 0.02  # between a map's viewpoints and the frames that they are of [m]
+_MIN_VIEWPOINTS = 3  # viewpoints that tell whether a capture's poses are the map's
+_MAX_HEADING_SIGMA = np.radians(45.0)  # a heading known no better is not known
 
 
-class Fitted(NamedTuple):
+class AnchorFit(NamedTuple):
     """Candidates of an anchor, best first, with notes for the user."""
 
     anchors: tuple[Anchor, ...]
@@ -61,7 +61,7 @@ def fit_points(
     *,
     in_time: bool = False,
     method: str = "pairs",
-) -> Fitted:
+) -> AnchorFit:
     """Fit the anchor of a map to points of it, at least 3.
 
     Parameters
@@ -85,8 +85,8 @@ def fit_points(
 
     """
     here, there = np.array(points, np.float64), np.array(lonlath, np.float64)
-    if len(here) != len(there) or len(here) < LEAST:
-        raise OptionError(f"{method}: {len(here)} points; at least {LEAST} are needed.")
+    if len(here) != len(there) or len(here) < MIN_POINTS:
+        raise OptionError(f"{method}: {len(here)} points; at least {MIN_POINTS} are needed.")
     if not (np.isfinite(here[:, :2]).all() and np.isfinite(there[:, :2]).all()):
         raise OptionError(f"{method}: a coordinate is not a number.")
     if (np.abs(there[:, :2]) > (180.0, 90.0)).any():
@@ -96,7 +96,7 @@ def fit_points(
     base = Anchor(float(there[0, 0]), float(there[0, 1]), 0.0, 0.0)
     ground = np.where(np.isfinite(there), there, 0.0)
     targets = base.to_map(ground)[:, :2]
-    sigma = np.ones(len(here)) if accuracy is None else np.maximum(_FINEST, accuracy)
+    sigma = np.ones(len(here)) if accuracy is None else np.maximum(_MIN_SIGMA, accuracy)
     sources = here[:, :2]
     heading, weights = _fit_heading(
         sources, targets, sigma, told=accuracy is not None, method=method
@@ -110,7 +110,7 @@ def fit_points(
     # few points fit by luck: what they say of their error is joined with what is usual
     spread = max(1.0, left / max(freedom, 1.0))
     if accuracy is None:
-        spread = (left + _USUALLY * _USUAL**2) / (freedom + _USUALLY)
+        spread = (left + _PRIOR_WEIGHT * _PRIOR_SIGMA**2) / (freedom + _PRIOR_WEIGHT)
     if in_time:
         spread *= _count_correlated(away[weights > 0])
     arms = np.square(sources - middle).sum(axis=1)
@@ -122,39 +122,39 @@ def fit_points(
     centred = start.shift_origin(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
     anchor = replace(centred.shift_origin([*middle, 0.0]), height=height)
-    return Fitted((anchor,), tuple(_find_faults(sources, targets, sigma, weights, off, there)))
+    return AnchorFit((anchor,), tuple(_find_faults(sources, targets, sigma, weights, off, there)))
 
 
 def _fit_heading(
     sources: Floats, targets: Floats, sigma: Floats, *, told: bool, method: str
 ) -> tuple[float, Floats]:
     """Return heading [rad] and weights (N,) of Tukey's fit."""
-    some = np.unique(np.linspace(0, len(sources) - 1, _PAIRED).astype(int))
+    some = np.unique(np.linspace(0, len(sources) - 1, _MAX_PAIRED_POINTS).astype(int))
     i, j = some[np.stack(np.triu_indices(len(some), 1))]
     apart = np.linalg.norm(sources[i] - sources[j], axis=1)
-    if apart.max() < _NARROW:
+    if apart.max() < _MIN_EXTENT:
         raise OptionError(
             f"{method}: all points lie within {apart.max():.2f} m of the map; they tell no heading. "
             "Give points that lie farther apart."
         )
     order = np.argsort(-apart, kind="stable")
-    order = order[np.linspace(0, len(order) // 2, min(_STARTS, len(order))).astype(int)]
-    order = order[apart[order] >= _NARROW]
+    order = order[np.linspace(0, len(order) // 2, min(_MAX_PAIRS, len(order))).astype(int)]
+    order = order[apart[order] >= _MIN_EXTENT]
     i, j = i[order], j[order]
     here, there = sources @ (1.0, 1.0j), targets @ (1.0, 1.0j)
     turns = np.exp(1j * np.angle((there[j] - there[i]) / (here[j] - here[i])))[:, None]
     moved = (here - (here[i] + here[j])[:, None] / 2.0) * turns
     left = np.abs(moved - there + (there[i] + there[j])[:, None] / 2.0) / sigma
-    half = (len(sources) + 2) // 2 - 1 if len(sources) > LEAST else len(sources) - 1
+    half = (len(sources) + 2) // 2 - 1 if len(sources) > MIN_POINTS else len(sources) - 1
     halves = np.partition(left, half, axis=1)[:, half]
     k = int(halves.argmin())
     heading, scale = -float(np.angle(turns[k, 0])), float(halves[k]) / 1.177  # of a Rayleigh
     weights = np.zeros(len(sources))
     weights[[i[k], j[k]]] = 1.0
-    floor = 1.0 if told else _FINEST
+    floor = 1.0 if told else _MIN_SIGMA
     scale = max(scale, floor)
     # the widest that are still taken for good; a map is rarely wrong by less than this
-    limit = _TUKEY * max(scale, 1.0 if told else 0.1)
+    limit = _TUKEY_LIMIT * max(scale, 1.0 if told else 0.1)
     for _ in range(20):
         off = _distances(sources, targets, heading, weights) / sigma
         tukey = np.where(off < limit, (1.0 - (off / limit) ** 2) ** 2, 0.0)
@@ -187,7 +187,7 @@ def _distances(sources: Floats, targets: Floats, heading: float, weights: Floats
 def _count_correlated(away: Floats) -> float:
     """Return how many errors (N, 2) that follow each other are worth one, by their correlation (AR(1))."""
     square = float((away**2).sum())
-    if len(away) < LEAST or square == 0.0:
+    if len(away) < MIN_POINTS or square == 0.0:
         return 1.0
     # what is left of n errors correlates less than these did, by about 3 / n
     next_to = float((away[1:] * away[:-1]).sum()) / square + 3.0 / len(away)
@@ -204,7 +204,7 @@ def _fit_height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tupl
     height = float(np.median(difference))
     spread = 1.4826 * float(np.median(np.abs(difference - height)))
     # heights of GPS are worse than places, by about half
-    sure = max(spread, 1.5 * float(np.median(sigma[both])) if (sigma != 1.0).any() else _FINEST)
+    sure = max(spread, 1.5 * float(np.median(sigma[both])) if (sigma != 1.0).any() else _MIN_SIGMA)
     return height, sure**2 * 1.57 / both.sum()
 
 
@@ -214,21 +214,24 @@ def _find_faults(
     """Return sentences on points that lie off, on a line, or are exchanged."""
     mute = np.flatnonzero(weights < 0.05).tolist()
     notes = [f"Point {k + 1} is {off[k]:.1f} m off, and has no say." for k in mute]
-    if len(mute) > _NAMED:
+    if len(mute) > _MAX_NAMED:
         worst = max(float(off[k]) for k in mute)
         told = f"{len(mute)} of {len(off)} points are up to {worst:.0f} m off, and have no say."
         notes = [told]
     good = weights > 0.05
     a, b = sources[good], targets[good]
     width = np.linalg.svd(a - a.mean(axis=0), compute_uv=False)
-    if good.sum() >= 2 and width[1] < max(_LINE * width[0], _FINEST):
+    if good.sum() >= 2 and width[1] < max(_MIN_WIDTH_RATIO * width[0], _MIN_SIGMA):
         which = ", ".join(str(k + 1) for k in np.flatnonzero(good).tolist())
         notes.append(
             f"Points {which} lie on one line: nothing checks the map across it; add one beside it."
         )
-    elif good.sum() >= LEAST:
+    elif good.sum() >= MIN_POINTS:
         size = np.sqrt(np.square(b - b.mean(axis=0)).sum() / np.square(a - a.mean(axis=0)).sum())
-        if abs(size - 1.0) > _SCALE_OFF and width[0] * abs(size - 1.0) > 2 * np.median(sigma) * 0.1:
+        if (
+            abs(size - 1.0) > _MAX_SCALE_ERROR
+            and width[0] * abs(size - 1.0) > 2 * np.median(sigma) * 0.1
+        ):
             notes.append(f"The points would fit better if the map were {size:.3f} times as large.")
         notes += _find_exchanged(sources, targets, off, lonlath)
     return notes
@@ -256,7 +259,7 @@ def fit_capture(
     rough: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Fitted:
+) -> AnchorFit:
     """Fit the anchor of a map to the GPS fixes of a capture: `fixes.txt`, else the EXIF of its images.
 
     Where the map was made of the capture, its own poses are the map's; else its frames are found in
@@ -282,10 +285,10 @@ def fit_capture(
 
     """
     fixes = fixes_of(capture)
-    if len(fixes) < LEAST:
+    if len(fixes) < MIN_POINTS:
         raise InputError(
             f"{capture.path or 'The capture'}: {len(fixes)} of {len(capture)} frames have a GPS fix, "
-            f"in {FILE} or in the EXIF of their images; {LEAST} are needed. Else give --pair, --pose "
+            f"in {FILE} or in the EXIF of their images; {MIN_POINTS} are needed. Else give --pair, --pose "
             "or --in."
         )
     poses, how = _find_poses(scene, capture, seed, progress)
@@ -294,27 +297,29 @@ def fit_capture(
     for row, fix in fixes.items():
         if row in poses:
             rows.setdefault(fix, []).append(row)
-    if len(rows) < LEAST:
+    if len(rows) < MIN_POINTS:
         raise OptionError(
             f"{len(rows)} different fixes belong to frames that were found in the map; "
-            f"{LEAST} are needed. Else give --pair, --pose or --in."
+            f"{MIN_POINTS} are needed. Else give --pair, --pose or --in."
         )
     points = np.array(
         [np.mean([poses[row][:3, 3] for row in own], axis=0) for own in rows.values()]
     )
     known = np.array(list(rows), np.float64)
-    accuracy = np.where(np.isfinite(known[:, 3]), known[:, 3], USUAL) / _WITHIN
+    accuracy = np.where(np.isfinite(known[:, 3]), known[:, 3], DEFAULT_ACCURACY) / _RADIUS_68
     found = fit_points(points, known[:, :3], accuracy, in_time=True, method="gps")
     anchor = found.anchors[0]
-    covariance = anchor.covariance + np.diag([_COMMON**2, _COMMON**2, _COMMON**2, 0.0])
+    covariance = anchor.covariance + np.diag(
+        [_COMMON_SIGMA**2, _COMMON_SIGMA**2, _COMMON_SIGMA**2, 0.0]
+    )
     turn = float(np.sqrt(covariance[3, 3]))
-    if turn > _LOST and not rough:
+    if turn > _MAX_HEADING_SIGMA and not rough:
         reach = float(np.ptp(points[:, :2], axis=0).max())
         raise OptionError(
             f"The fixes (±{np.median(accuracy):.0f} m) lie within {reach:.0f} m of the map and tell "
             "no heading: walk farther, around the house too, or give --in and --building."
         )
-    return Fitted((replace(anchor, covariance=covariance),), (how, *found.notes))
+    return AnchorFit((replace(anchor, covariance=covariance),), (how, *found.notes))
 
 
 def _find_poses(
@@ -323,10 +328,12 @@ def _find_poses(
     """Return the pose (4, 4) in the map of each frame, by its row, and how the poses are known."""
     file = None if capture.path is None else capture.path / "trajectory.tum"
     posed = [] if file is None or not file.exists() else [with_poses(capture, file)]
-    for known in (*posed, capture) if len(scene.viewpoints) >= _TURNS else ():
+    for known in (*posed, capture) if len(scene.viewpoints) >= _MIN_VIEWPOINTS else ():
         at = np.array([frame.odometry[:3, 3] for frame in known])
         away = np.linalg.norm(scene.viewpoints[:, None] - at[None], axis=2).min(axis=1)
-        if (away < _MATCHES).mean() > 0.95:  # the map's viewpoints are where these frames were
+        if (
+            away < _SAME_VIEWPOINT
+        ).mean() > 0.95:  # the map's viewpoints are where these frames were
             poses = {frame.index: frame.odometry for frame in known}
             how = "The map was made of these frames: their poses are its own."
             return {row: poses[f.index] for row, f in enumerate(capture) if f.index in poses}, how

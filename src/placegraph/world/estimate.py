@@ -14,8 +14,8 @@ from placegraph.core.estimate import Estimate, Explained, Status
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph.outdoor.search.ask import NO, WORTH, YES, Answer, Question, Thing
-from placegraph.outdoor.search.request import is_count, number
+from placegraph.outdoor.search.ask import MIN_GAIN, NO, YES, Answer, Question, Subject
+from placegraph.outdoor.search.request import is_count, to_number
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Place, PoseEstimate, PoseMode
@@ -58,15 +58,17 @@ class WorldQuery:
             raise OptionError("frames: they are of a capture, and there is none.")
         for name in ("top", "most"):
             if not is_count(getattr(self, name)):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it is a number from 1 on.")
-        if self.budget is not None and not 0.0 < number(self.budget) < np.inf:
+                raise OptionError(
+                    f"{name} is {getattr(self, name)!r}; choose an integer of at least 1."
+                )
+        if self.budget is not None and not 0.0 < to_number(self.budget) < np.inf:
             raise OptionError(f"budget is {self.budget!r} s; give a time greater than 0.")
-        if self.heading is not None and not abs(number(self.heading)) < 1e6:
+        if self.heading is not None and not abs(to_number(self.heading)) < 1e6:
             raise OptionError(f"heading is {self.heading!r}; give a finite angle.")
-        if not 1.0 <= number(self.radius) <= 1e7:
+        if not 1.0 <= to_number(self.radius) <= 1e7:
             raise OptionError(f"radius is {self.radius!r} m; choose between 1 and 10,000,000 m.")
         if self.near is not None:
-            given = [number(x) for x in self.near]
+            given = [to_number(x) for x in self.near]
             if len(given) != 2 or not (abs(given[0]) <= 180.0 and abs(given[1]) <= 90.0):
                 raise OptionError(
                     f"near is {self.near!r}; give longitude and latitude in degrees, in this order."
@@ -177,9 +179,9 @@ def choose_question(modes: Sequence[WorldMode], answered: Sequence[str]) -> Ques
         for name, share in shares.items():  # of everything: where no mode is, one is elsewhere
             p = np.clip([share, 1.0 - share], 1e-12, 1.0)
             entropy = float(-(p * np.log(p)).sum())
-            if name and entropy > WORTH:
+            if name and entropy > MIN_GAIN:
                 text = f"Are you in {words.format(name)}?"
-                asked.append(Question(text, (YES, NO), (Thing(name, label),), entropy))
+                asked.append(Question(text, (YES, NO), (Subject(name, label),), entropy))
         left = [q for q in asked if q.text not in answered]
         if left:
             return max(left, key=lambda q: q.gain)
@@ -194,7 +196,7 @@ def add_answers(query: WorldQuery) -> WorldQuery:
             raise OptionError(
                 f"answers holds {answer!r}; answer questions by `question.answer(option)`."
             )
-        thing = answer.question.things[0]
+        thing = answer.question.subjects[0]
         if thing.label not in (BUILDING, ROOM):
             others.append(answer)
         elif answer.option in (YES, NO):

@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.map.scene import Scene
     from placegraph.world.estimate import WorldQuery
-    from placegraph.world.outside import BuildingMatch, TownMatch
     from placegraph.world.sentence import FloorStatement
+    from placegraph.world.towns import BuildingMatch, TownMatch
     from placegraph.world.world import World
 
 Floats = NDArray[np.float64]
 
-UNANCHORED = 0.1
+FIT_UNANCHORED = 0.1
 """How well a scene without an anchor fits a location prior, against one that stands right there."""
-WRONG_FIX = 1e-3
+WRONG_FIX_SHARE = 1e-3
 """Share of location priors that are far off."""
-MISTAKEN = 0.05
+WRONG_ROOM_SHARE = 0.05
 """Share of people who are not in such a room as they say: "in the kitchen"."""
-NAMED = 3.0
+NAME_RATIO = 3.0
 """Log-likelihood ratio of a scene whose name, or whose building's, is in the text."""
 
 
@@ -68,7 +68,7 @@ class AnchorHypothesis:
         return tuple(sorted(found, key=lambda s: -s.anywhere.probability))
 
     def fit_prior(self, lonlat: Sequence[float], radius: float) -> float:
-        """Return how well, `WRONG_FIX` to 1, the place fits a location prior."""
+        """Return how well, `WRONG_FIX_SHARE` to 1, the place fits a location prior."""
         (east, both), (_, north) = self.anywhere.covariance[:2, :2].tolist()
         place = np.array([[self.anywhere.longitude, self.anywhere.latitude]])
         return float(fit_prior(place, np.array([[east, both, north]]), lonlat, radius)[0])
@@ -77,7 +77,7 @@ class AnchorHypothesis:
 def fit_prior(
     lonlats: Floats, covariances: Floats, lonlat: Sequence[float], radius: float
 ) -> Floats:
-    """Return how well (K,), `WRONG_FIX` to 1, places fit a location prior.
+    """Return how well (K,), `WRONG_FIX_SHARE` to 1, places fit a location prior.
 
     Parameters
     ----------
@@ -95,13 +95,13 @@ def fit_prior(
     aside = (lonlats[:, 0] - there[0] + 180.0) % 360.0 - 180.0
     away = 111_000.0 * np.hypot(aside * middle, lonlats[:, 1] - there[1])
     rows = np.flatnonzero(away < 15.0 * wide + 1000.0)
-    out = np.full(len(lonlats), WRONG_FIX)
+    out = np.full(len(lonlats), WRONG_FIX_SHARE)
     off = [LocalPlane(*own).to_plane(there) for own in lonlats[rows].tolist()]
     x, y = np.reshape(off, (-1, 2)).T
     east, both, north = covariances[rows].T
     east, north = east + spread, north + spread
     squares = (north * x * x - 2.0 * both * x * y + east * y * y) / (east * north - both * both)
-    out[rows] += (1.0 - WRONG_FIX) * np.exp(-0.5 * squares)
+    out[rows] += (1.0 - WRONG_FIX_SHARE) * np.exp(-0.5 * squares)
     return out
 
 
@@ -150,7 +150,7 @@ def _score_room_kinds(sentence: Sentence, columns: Columns) -> Floats:
         named = sentence.mentions[s.mentions[0]].room
         if s.kind is Kind.ROOM and named and not s.negated:
             fits = np.minimum(columns.rooms[:, table().kinds.index(named)], 1.0)
-            out *= MISTAKEN + (1.0 - MISTAKEN) * fits
+            out *= WRONG_ROOM_SHARE + (1.0 - WRONG_ROOM_SHARE) * fits
     return out
 
 
@@ -161,7 +161,7 @@ def list_rooms(library: SceneLibrary, name: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class OtherScenes:
+class RemainingScenes:
     """Weight of the scenes of shards that are no candidates of a question."""
 
     count: int
@@ -214,7 +214,7 @@ class SceneEvidence:
 
 
 @dataclass(frozen=True)
-class OutdoorText:
+class OutdoorSearch:
     """A text, and what the towns find for its statements about the outside."""
 
     parsed: ParsedSentence | None = None
@@ -232,7 +232,7 @@ class WorldEvidence:
     inside: IndoorMatch | None
     scenes: dict[str, SceneEvidence]
     near: tuple[float, float] | None = None
-    others: OtherScenes | None = None
+    others: RemainingScenes | None = None
     obstacle: str = ""
     """Sentence that says why no town can search for the text."""
 
@@ -277,10 +277,10 @@ class WorldEvidence:
         return tuple(out)
 
 
-def match_outdoors(world: World, query: WorldQuery) -> OutdoorText:
+def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
     """Parse the text of a query, and search all towns for it; raises as `World.locate`."""
     if query.text is None:
-        return OutdoorText()
+        return OutdoorSearch()
     things: tuple[str, ...] = ()
     if world.candidates is not None:
         things, names = world.candidates.things, world.candidates.find_names(query.text)
@@ -303,10 +303,10 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorText:
             obstacles[match] = None
         else:
             found[name] = match
-    return OutdoorText(parsed, found, " ".join(filter(None, obstacles)))
+    return OutdoorSearch(parsed, found, " ".join(filter(None, obstacles)))
 
 
-def collect_evidence(world: World, query: WorldQuery, text: OutdoorText) -> WorldEvidence:
+def collect_evidence(world: World, query: WorldQuery, text: OutdoorSearch) -> WorldEvidence:
     """Weigh all scenes and towns by all but the frames; raises as `World.locate`."""
     scenes = {name: AnchorHypothesis.of_scene(world.scenes[name]) for name in world.scenes}
     parsed, towns, inside = text.parsed, text.towns, None
@@ -352,12 +352,12 @@ class _SceneWeigher:
         """Weigh one scene, and the candidates of its place."""
         names = {name, *(s.anchor.building for s in anchors)}
         is_named = any(_contains_name(self.spoken, n) for n in names)
-        penalty = NAMED * any(_contains_name(self.denied, n) for n in names)
+        penalty = NAME_RATIO * any(_contains_name(self.denied, n) for n in names)
         inside = self.inside.scenes[name] if self.inside else 0.0
         near = self.query.near
         if not anchors:
-            fits = 1.0 if near is None else UNANCHORED
-            ratio = NAMED * is_named - penalty
+            fits = 1.0 if near is None else FIT_UNANCHORED
+            ratio = NAME_RATIO * is_named - penalty
             return SceneEvidence(name, outside=ratio, inside=inside, near=fits, is_meant=is_named)
         priors = np.array([s.anywhere.probability for s in anchors])
         ratios = np.array([b.score.ratio if b else 0.0 for b in buildings])
@@ -374,8 +374,8 @@ class _SceneWeigher:
         outside = float(np.log(priors @ np.exp(ratios) + unknown))
         return SceneEvidence(
             name, tuple(anchors[i] for i in order), shares[order],
-            outside + NAMED * (is_named and best is None) - penalty, inside,
-            float(priors @ nears + unknown * UNANCHORED),
+            outside + NAME_RATIO * (is_named and best is None) - penalty, inside,
+            float(priors @ nears + unknown * FIT_UNANCHORED),
             is_named or any(b is not None and b.score.is_meant for b in buildings),
             best, self.floors, above,
         )  # fmt: skip

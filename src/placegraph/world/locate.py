@@ -1,6 +1,6 @@
 """Locating in a world: one posterior over place, room and pose, from text, frames and a location prior.
 
-Somebody who speaks of rooms is probably in one that is mapped (`MAPPED`); else in another building of
+Somebody who speaks of rooms is probably in one that is mapped (`PRIOR_MAPPED`); else in another building of
 a town, or in none of these towns. Statements about the outside tell both apart. Where there are frames,
 scenes are proposed by them and by all else; then poses are sought in the likeliest, one by one, and the
 odds of each add to what is known of its scene.
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
     from placegraph.core.estimate import Evidence, Place, PoseEstimate, PoseMode
     from placegraph.io.capture.frame import Frame
     from placegraph.world.evidence import WorldEvidence
-    from placegraph.world.outside import TownMatch
+    from placegraph.world.towns import TownMatch
     from placegraph.world.world import World
 
-MAPPED, IN_TOWN = 0.9, 0.07
+PRIOR_MAPPED, PRIOR_IN_TOWN = 0.9, 0.07
 """Probability that somebody who speaks of a room is in a mapped one; in another place of a town."""
-LEAST = 0.005
+MIN_PROBABILITY = 0.005
 """Modes of a smaller probability are left out."""
-POSES = 3
+MAX_POSES = 3
 """Largest number of modes of one scene."""
-LEFT = 0.005
+NEGLIGIBLE = 0.005
 """Scenes that together hold less of the probability are not looked into."""
-SHARPNESS, WILD = 8.0, 0.1
+COMPASS_CONCENTRATION, COMPASS_OUTLIERS = 8.0, 0.1
 """Of a compass: concentration (about 20 degrees), and the share of headings that are far off."""
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
@@ -88,7 +88,9 @@ def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) ->
             elsewhere=town.posterior.elsewhere, understood=evidence.parsed, cities=evidence.parts,
         )  # fmt: skip
     has_scenes = is_indoors and (evidence.scenes or evidence.others)
-    mapped, in_town = (MAPPED, IN_TOWN) if has_scenes else (0.0, MAPPED + IN_TOWN)
+    mapped, in_town = (
+        (PRIOR_MAPPED, PRIOR_IN_TOWN) if has_scenes else (0.0, PRIOR_MAPPED + PRIOR_IN_TOWN)
+    )
     logs = {
         name: float(np.log(mapped * evidence.prior(name))) + w.ratio
         for name, w in evidence.scenes.items()
@@ -117,7 +119,9 @@ def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) ->
 
 
 def _choose_modes(modes: list[WorldMode], query: WorldQuery) -> tuple[WorldMode, ...]:
-    return tuple(m for m in modes if m.probability >= LEAST)[: query.top] or tuple(modes[:1])
+    return tuple(m for m in modes if m.probability >= MIN_PROBABILITY)[: query.top] or tuple(
+        modes[:1]
+    )
 
 
 def _make_room_modes(
@@ -175,7 +179,9 @@ def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) 
     frames = chosen_frames(query.capture or (), query.frames)
     found = _propose_scenes(world, frames, evidence)
     left = 1.0 - found.elsewhere - np.cumsum([0.0, *(m.probability for m in found.modes)])
-    shown = replace(found, modes=found.modes[: min(query.most, max(1, int((left > LEFT).sum())))])
+    shown = replace(
+        found, modes=found.modes[: min(query.most, max(1, int((left > NEGLIGIBLE).sum())))]
+    )
     inside = evidence.parsed.inside if evidence.parsed else None
     answers = localize_in_scenes(
         world.library, frames, shown, description=inside, refine=query.refine, seed=query.seed,
@@ -222,7 +228,7 @@ def _propose_scenes(
         for m in found.modes
     ]
     gains = [t.gain for t in evidence.towns.values()]
-    in_town = IN_TOWN / (1.0 - MAPPED)
+    in_town = PRIOR_IN_TOWN / (1.0 - PRIOR_MAPPED)
     off = np.log(in_town * (np.mean(np.exp(gains)) if gains else 1.0) + 1.0 - in_town)
     weights = np.array([np.log(found.elsewhere + 1e-12) + off, *logs])
     rest = np.log(count / evidence.total_near) + others.weight if others else -np.inf
@@ -239,7 +245,7 @@ def _make_pose_modes(
     name = scene_of(answer)
     scene, w = world.scenes[name], evidence.scenes[name]
     out = []
-    for mode in answer.modes[:POSES]:
+    for mode in answer.modes[:MAX_POSES]:
         # a library's poses are in the axes of the part of a merged map, anchors in the map's
         part = mode.scene.partition("/")[2] or scene.scenes[0]
         there = np.linalg.inv(scene.scene_from_map[scene.scenes.index(part)]) @ mode.map_from_camera
@@ -271,7 +277,9 @@ def _weigh_heading(heading: float, query: WorldQuery) -> float:
     if query.heading is None:
         return 1.0
     off = float(angle_between(heading, query.heading))
-    return WILD + (1.0 - WILD) * float(np.exp(SHARPNESS * (np.cos(off) - 1.0)))
+    return COMPASS_OUTLIERS + (1.0 - COMPASS_OUTLIERS) * float(
+        np.exp(COMPASS_CONCENTRATION * (np.cos(off) - 1.0))
+    )
 
 
 def _explain(evidence: WorldEvidence, name: str, mode: PoseMode) -> tuple[Evidence, ...]:

@@ -27,18 +27,24 @@ from placegraph.io.osm.osm import POINT, read_osm
 
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
 _NAMES = ("name", "official_name", "alt_name", "short_name", "old_name", "loc_name")
-_NEAR = 5.0  # what lies this close to a building may be its neighbour, or its entrance [m]
-_BEYOND = 0.6  # what is beyond a wall is looked for this far outside of it [m]
-_PIECE, _MOST = 1.0, 400  # of walls, length [m] and number
+_NEAR_DISTANCE = 5.0  # what lies this close to a building may be its neighbour, or its entrance [m]
+_NEIGHBOR_DISTANCE = 0.6  # what is beyond a wall is looked for this far outside of it [m]
+_PIECE_LENGTH, _MAX_PIECES = 1.0, 400  # of walls, length [m] and number
 
 WALL, WINDOW, DOOR = 0, 1, 2
 """What a point of the outer walls lies in."""
-_WORDS = {"window": WINDOW, "windows": WINDOW, "door": DOOR, "doors": DOOR, "entrance": DOOR}
-_THICK = 0.7  # thicker walls between two rooms are not closed [m]
-_BESIDE = 0.5  # an opening lies no farther from the inner face of its wall [m]
-_WIDEST = 8.0  # what is wider is all the windows of a house in one object [m]
-_STEP, _MOST_POINTS = 0.1, 600  # between points [m], or so many
-_WORTH = 2.0  # of a wall, so much of it is one independent look [m]
+_OPENING_KINDS = {
+    "window": WINDOW,
+    "windows": WINDOW,
+    "door": DOOR,
+    "doors": DOOR,
+    "entrance": DOOR,
+}
+_MAX_INNER_WALL = 0.7  # thicker walls between two rooms are not closed [m]
+_MAX_OPENING_DISTANCE = 0.5  # an opening lies no farther from the inner face of its wall [m]
+_MAX_OPENING = 8.0  # what is wider is all the windows of a house in one object [m]
+_POINT_STEP, _MAX_POINTS = 0.1, 600  # between points [m], or so many
+_INDEPENDENT_LENGTH = 2.0  # of a wall, so much of it is one independent look [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,7 @@ class _MapObject(NamedTuple):
     rings: Sequence[Floats]
 
 
-def footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
+def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
     """Return the footprints of the buildings of a name, at most a few.
 
     Parameters
@@ -163,7 +169,7 @@ def _find_buildings(thing: _MapObject, buildings: Iterable[_MapObject]) -> list[
     for building in buildings:
         ring = building.rings[0]
         in_box = (ring.min(axis=0) <= middle).all() and (middle <= ring.max(axis=0)).all()
-        if in_box and within(middle[None], building.rings)[0]:
+        if in_box and contains_points(middle[None], building.rings)[0]:
             found.append(building)
     return found
 
@@ -197,7 +203,7 @@ def _make_footprint(
     def plane(points: Floats) -> Floats:
         return base.to_map(np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
-    near = _NEAR / 111e3 / np.array([np.cos(np.radians(lat)), 1.0])
+    near = _NEAR_DISTANCE / 111e3 / np.array([np.cos(np.radians(lat)), 1.0])
     low, high = building.rings[0].min(axis=0) - near, building.rings[0].max(axis=0) + near
     others = [
         [plane(ring) for ring in b.rings]
@@ -208,7 +214,7 @@ def _make_footprint(
     ]
     rings = [plane(ring) for ring in building.rings]
     length = sum(float(np.linalg.norm(np.diff(r, axis=0), axis=1).sum()) for r in rings)
-    piece, starts, ends = max(_PIECE, length / _MOST), [], []
+    piece, starts, ends = max(_PIECE_LENGTH, length / _MAX_PIECES), [], []
     for ring in rings:
         for a, b in pairwise(ring):
             count = max(1, round(float(np.linalg.norm(b - a)) / piece))
@@ -218,10 +224,10 @@ def _make_footprint(
     start, end = np.concatenate(starts), np.concatenate(ends)
     along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-9)[:, None]
     normals, middles = np.stack([along[:, 1], -along[:, 0]], axis=1), (start + end) / 2.0
-    normals[within(middles + 0.05 * normals, rings)] *= -1.0
-    beyond, shared = middles + _BEYOND * normals, np.zeros(len(start), np.bool_)
+    normals[contains_points(middles + 0.05 * normals, rings)] *= -1.0
+    beyond, shared = middles + _NEIGHBOR_DISTANCE * normals, np.zeros(len(start), np.bool_)
     for other in others:
-        shared |= within(beyond, other)
+        shared |= contains_points(beyond, other)
     at = [t.rings[0][0] for t in doors]
     places = [p for p in at if (p >= low).all() and (p <= high).all()]
     entrances = plane(np.array(places)) if places else np.zeros((0, 2))
@@ -231,7 +237,7 @@ def _make_footprint(
     )  # fmt: skip
 
 
-def within(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
+def contains_points(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
     """(N,) bool: whether points (N, 2) lie within closed rings, by the even-odd rule."""
     inside = np.zeros(len(points), np.bool_)
     x, y = points.T
@@ -263,10 +269,12 @@ class OuterWalls:
     def weights(self) -> Floats:
         """(N,) of how many independent looks each point is worth: an opening is one."""
         count = np.bincount(self.opening[self.opening >= 0], minlength=1)
-        return np.where(self.opening >= 0, 1.0 / count[self.opening], self.step / _WORTH)
+        return np.where(
+            self.opening >= 0, 1.0 / count[self.opening], self.step / _INDEPENDENT_LENGTH
+        )
 
 
-def outer_walls(scene: Scene) -> OuterWalls:
+def find_outer_walls(scene: Scene) -> OuterWalls:
     """Return the outer walls of a map of one scene: the outline of its rooms, inner walls closed.
 
     Raises
@@ -280,7 +288,7 @@ def outer_walls(scene: Scene) -> OuterWalls:
             f"The map is merged of {len(scene.scenes)} scenes; anchor each before they are merged."
         )
     rooms = find_rooms(scene.mesh, scene.graph.labels, float(scene.floors[0]))
-    reach = int(np.ceil(_THICK / 2.0 / rooms.cell))
+    reach = int(np.ceil(_MAX_INNER_WALL / 2.0 / rooms.cell))
     inside = np.pad(rooms.cells >= 0, reach + 1)
     grown = distance_transform(inside, reach)[1] >= 0
     inside |= distance_transform(~grown, reach)[1] < 0
@@ -289,7 +297,7 @@ def outer_walls(scene: Scene) -> OuterWalls:
     if not outer:
         raise OptionError("The map has no room, so it has no outer walls; give --pair or --pose.")
     length = sum(float(np.linalg.norm(np.diff(r, axis=0), axis=1).sum()) for r in outer)
-    step = max(_STEP, length / _MOST_POINTS)
+    step = max(_POINT_STEP, length / _MAX_POINTS)
     points, normals = [], []
     for ring in outer:
         for a, b in pairwise(ring if area(ring) > 0 else ring[::-1]):
@@ -306,13 +314,15 @@ def _find_openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray
     """Return kind (N,) and number (N,) of the opening that each point lies in."""
     kind, opening, number = np.zeros(len(at), np.int64), np.full(len(at), -1), 0
     for row, label in enumerate(scene.graph.labels):
-        what = _WORDS.get((split_label(label) or [""])[-1], WALL)
+        what = _OPENING_KINDS.get((split_label(label) or [""])[-1], WALL)
         if what == WALL:
             continue
         a, b = find_ends(scene, row)
-        if np.linalg.norm(b - a) > _WIDEST:
+        if np.linalg.norm(b - a) > _MAX_OPENING:
             continue
-        beside = (segment_distances(at, a[None], b[None])[:, 0] < _BESIDE) & (opening < 0)
+        beside = (segment_distances(at, a[None], b[None])[:, 0] < _MAX_OPENING_DISTANCE) & (
+            opening < 0
+        )
         if beside.any():
             kind[beside], opening[beside], number = what, number, number + 1
     return kind, opening

@@ -35,21 +35,21 @@ from placegraph.outdoor.search.request import parse as read_outside
 if TYPE_CHECKING:
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as OutdoorStatement
-    from placegraph.world.outside import Town, TownWords
+    from placegraph.world.towns import Town, TownWords
 
-WRONG = 0.12
+WRONG_FLOOR_SHARE = 0.12
 """Share of wrong statements about floors, as of other statements."""
-ON_ONE_FLOOR = 0.25
+FLOOR_PRIOR = 0.25
 """Share of people on any one floor."""
-BELOW = (-1.0, -2.0, -3.0)
+BASEMENT_LEVELS = (-1.0, -2.0, -3.0)
 """Levels of a basement."""
-ABOVE = tuple(map(float, range(1, 200)))
+UPPER_LEVELS = tuple(map(float, range(1, 200)))
 """Levels that may be the top floor of a house that has several."""
 _ON_TOP = 0.4
 """Share of people on a top floor, among those above the ground: which level it is, no map says."""
-SENSE = 0.7
+MIN_SENSE_WEIGHT = 0.7
 """Weight from which on a word means such an object of the map."""
-ENDING = 2
+MAX_ENDING = 2
 """Letters that a word may have behind the one of the table: "Fenstern", "Lampen"."""
 _EN = "first|second|third|fourth|fifth|sixth|seventh|eighth|ninth|tenth"
 _DE = "erste|zweite|dritte|vierte|fünfte|sechste|siebte|achte|neunte|zehnte"
@@ -108,8 +108,8 @@ class FloorStatement:
             return 0.0
         there = {low + n for low in base for n in range(storeys + 1)}
         meant = max(self.levels.get(at, 0.0) for at in there)
-        odds = 1.0 - meant if self.negated else meant / ON_ONE_FLOOR
-        return float(np.log((1.0 - WRONG) * odds + WRONG))
+        odds = 1.0 - meant if self.negated else meant / FLOOR_PRIOR
+        return float(np.log((1.0 - WRONG_FLOOR_SHARE) * odds + WRONG_FLOOR_SHARE))
 
     def explain(self, level: str, storeys: int = 0) -> Evidence:
         """Return the evidence of the statement for a level."""
@@ -157,7 +157,11 @@ def _read_floor(found: re.Match[str], language: str) -> FloorStatement:
     elif found["zero"]:
         levels = {0.0: 1.0}
     else:
-        levels = dict.fromkeys(ABOVE, _ON_TOP) if found["up"] else dict.fromkeys(BELOW, 1.0)
+        levels = (
+            dict.fromkeys(UPPER_LEVELS, _ON_TOP)
+            if found["up"]
+            else dict.fromkeys(BASEMENT_LEVELS, 1.0)
+        )
     return FloorStatement(
         found[0].removesuffix(found["of"] or "").strip(), levels, bool(found["no"])
     )
@@ -242,12 +246,15 @@ def parse_sentence(
     for name, town in (towns if left else {}).items():
         said = read_outside(town.words, left, heading=heading, language=language)
         full[name] = translate_rooms(resolve_addresses(said, town), town.words)
-    own = {_plain(name) for name in names}
+    own = {_normalize(name) for name in names}
     out = {name: _find_outdoors(d, towns[name].words, things, own) for name, d in full.items()}
     outside = {name: _keep_outside(d, out[name]) for name, d in full.items()}
     outside = {name: d for name, d in outside.items() if d.statements}
     spoken = {
-        word for name, d in full.items() for i in out[name] for word in _words(d.mentions[i].words)
+        word
+        for name, d in full.items()
+        for i in out[name]
+        for word in _split_words(d.mentions[i].words)
     }
     inside = None
     if left and things:
@@ -259,10 +266,12 @@ def parse_sentence(
     if not towns and inside is not None:
         ignored = inside.ignored
     if sentence is not None:  # the other wing could use these
-        used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.mentions}
-        ignored = tuple(i for i in ignored if _plain(i.text) not in used)
+        used = {_normalize(sentence.mentions[t].words) for s in sentence.statements for t in s.mentions}
+        ignored = tuple(i for i in ignored if _normalize(i.text) not in used)
     # names of scenes and buildings count wherever they are spoken (`evidence`)
-    ignored = tuple(i for i in ignored if not any(f" {n} " in f" {_plain(i.text)} " for n in own))
+    ignored = tuple(
+        i for i in ignored if not any(f" {n} " in f" {_normalize(i.text)} " for n in own)
+    )
     return ParsedSentence(text, outside, sentence, ignored, floors)
 
 
@@ -298,13 +307,15 @@ def _find_outdoors(
     """Return the mentions of something on the town's map, and not in a room."""
     out, either = set(), set()
     for m in said.mentions[LISTENER + 1 :]:
-        words = _plain(m.words)
-        known = any(s.weight >= SENSE and s.label in town.label_index for s in m.senses)
+        words = _normalize(m.words)
+        known = any(s.weight >= MIN_SENSE_WEIGHT and s.label in town.label_index for s in m.senses)
         if m.name:
             is_out = bool(town.name_index.named(m.name)) or words not in own
         elif room_kind(words):
             held = {room_kind(thing) for thing in things}
-            whole = " " in words and words in {_plain(s.label.partition("=")[2]) for s in m.senses}
+            whole = " " in words and words in {
+                _normalize(s.label.partition("=")[2]) for s in m.senses
+            }
             is_out = known and (whole or room_kind(words) not in held)  # a post office is no office
         else:  # rooms of this world hold such things, or homes
             is_out = not any(
@@ -315,9 +326,9 @@ def _find_outdoors(
         elif known and not room_kind(words):
             either.add(m.id)
     for s in said.statements:  # what both have is outside where it lies north, or by a church
-        beside = bool(_ends(s) & out) and SPEAKER not in ends(s)
-        if beside or _WINDS.intersection(_words(s.text)):
-            out |= either & _ends(s)
+        beside = bool(_list_ends(s) & out) and SPEAKER not in ends(s)
+        if beside or _WINDS.intersection(_split_words(s.text)):
+            out |= either & _list_ends(s)
     return out if things else out | either  # where no room is mapped, what is known is outside
 
 
@@ -336,12 +347,12 @@ def _keep_outside(said: Description, out: Collection[int]) -> Description:
     for s in said.statements:
         of_room = s.source in rooms and s.relation is Relation.NEAR
         moved = replace(s, source=SPEAKER, relation=Relation.INSIDE) if of_room else s
-        if _ends(moved) <= known and _ends(moved) - {SPEAKER, LISTENER}:
+        if _list_ends(moved) <= known and _list_ends(moved) - {SPEAKER, LISTENER}:
             kept.append(moved)
     return replace(said, statements=tuple(kept))
 
 
-def _ends(s: OutdoorStatement) -> set[int]:
+def _list_ends(s: OutdoorStatement) -> set[int]:
     return {*ends(s), s.target2 if s.target2 is not None else SPEAKER}
 
 
@@ -366,7 +377,7 @@ def _keep_inside(said: Sentence, outside: Collection[str]) -> Sentence | None:
 
 def _drop_words(thing: Mention, outside: Collection[str]) -> Mention | None:
     """Drop words of things outside, "the kitchen of the hotel"; return None where no room is left."""
-    words = _words(thing.label)
+    words = _split_words(thing.label)
     left = [w for w in words if w not in outside]
     if left == words:
         return thing
@@ -374,13 +385,13 @@ def _drop_words(thing: Mention, outside: Collection[str]) -> Mention | None:
     return replace(thing, label=own, room=room_kind(own)) if room_kind(own) else None
 
 
-def _words(text: str) -> list[str]:
+def _split_words(text: str) -> list[str]:
     words = "".join(c if c.isalnum() else " " for c in text.casefold()).split()
     return [w for w in words if w not in _ARTICLES]
 
 
-def _plain(text: str) -> str:
-    return " ".join(_words(text))
+def _normalize(text: str) -> str:
+    return " ".join(_split_words(text))
 
 
 def translate_rooms(said: Description, town: TownWords) -> Description:
@@ -401,7 +412,7 @@ def translate_rooms(said: Description, town: TownWords) -> Description:
 def _translate(words: str, english: Mapping[str, str]) -> str:
     """Return the English word of an object, whatever its case or number; empty where it is not known."""
     last = words.casefold().split()[-1:] or [""]
-    found = [w for w in english if last[0].startswith(w) and len(last[0]) - len(w) <= ENDING]
+    found = [w for w in english if last[0].startswith(w) and len(last[0]) - len(w) <= MAX_ENDING]
     if found:
         return english[max(found, key=len)]
     plain = words.casefold().removeprefix("the ")  # an answer to a question is English

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate
     from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery
     from placegraph.world.evidence import SceneEvidence, WorldEvidence
-    from placegraph.world.outside import TownMatch
+    from placegraph.world.towns import TownMatch
     from placegraph.world.world import World
 
-FAR_OFF = 0.01
+MIN_FIX_FIT = 0.01
 """A location prior that fits a scene no better than this contradicts it."""
-OTHER_FLOOR = -1.0
+MIN_FLOOR_RATIO = -1.0
 """Log-likelihood ratio of a level below which the floors of the text contradict it."""
-TURNED = float(np.radians(60.0))
+MAX_HEADING_ERROR = float(np.radians(60.0))
 """A compass heading so far off contradicts a pose [rad]."""
 
 
@@ -83,13 +83,13 @@ def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -
         out.append("what was said of the outside is not so there")
     if w.inside < 0 and not any(e.verdict == "for" for e in mode.evidence if not e.objects):
         out.append("what was said of the room is not so there")
-    if mode.level and compare_floors(w.floors, mode.level) < OTHER_FLOOR:
+    if mode.level and compare_floors(w.floors, mode.level) < MIN_FLOOR_RATIO:
         out.append(f"level {mode.level} is not the floor that was said")
-    if query.near is not None and w.anchors and w.near < FAR_OFF:
+    if query.near is not None and w.anchors and w.near < MIN_FIX_FIT:
         out.append("it is far from the fix")
     if query.heading is not None and mode.earth is not None:
         off = float(angle_between(mode.earth.heading, query.heading))
-        if off > TURNED:
+        if off > MAX_HEADING_ERROR:
             out.append(f"the camera looks {np.degrees(off):.0f} degrees away from the heading")
     return out
 

@@ -15,7 +15,7 @@ from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.library import hash_file
 from placegraph.io.osm.urls import is_url
 from placegraph.maps import check_map_files, is_world, open_folder, open_map
-from placegraph.world.outside import CityTown, Town
+from placegraph.world.towns import CityTown, Town
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.search import SceneCollection
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.io.capture.frame import Frame
     from placegraph.outdoor.city import CityMap
     from placegraph.world.estimate import WorldEstimate, WorldQuery
-    from placegraph.world.evidence import OtherScenes, OutdoorText
+    from placegraph.world.evidence import OutdoorSearch, RemainingScenes
 
 Map = TypeVar("Map")
 
@@ -75,7 +75,7 @@ class SceneCandidates(Protocol):
     def find_names(self, text: str) -> set[str]:
         """Return the names of scenes and buildings that stand in a text."""
 
-    def select(self, world: World, query: WorldQuery, text: OutdoorText) -> World:
+    def select(self, world: World, query: WorldQuery, text: OutdoorSearch) -> World:
         """Return a world of the scenes that a question may be about."""
 
 
@@ -97,7 +97,7 @@ class World:
 
     """
 
-    others: OtherScenes | None = None
+    others: RemainingScenes | None = None
     """Weight of the scenes that a question does not look into, where there are shards."""
 
     def __init__(
@@ -274,7 +274,7 @@ def open_world(
             f"scheduler: its workers search worlds in shards, and {given[0]} holds none; leave it out, "
             "or build one by `placegraph world build`."
         )
-    opener = opener or partial(opened, scheduler=scheduler)
+    opener = opener or partial(open_map_or_world, scheduler=scheduler)
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
@@ -296,6 +296,6 @@ def open_world(
     )  # fmt: skip
 
 
-def opened(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
+def open_map_or_world(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
     """Open a file or folder of `maps.find_map_files`; raises as `open_map` and `open_world`."""
     return open_folder(path, scheduler=scheduler) if is_world(path) else open_map(path)

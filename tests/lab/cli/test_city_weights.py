@@ -23,11 +23,11 @@ def weights(tmp_path):
     """Random weights; training is not what is tested with them."""
     import numpy as np
 
-    from placegraph.outdoor.network.network import Shape, trained, write_weights
+    from placegraph.outdoor.network.network import Shape, round_weights, write_weights
 
     shape, rng = Shape(width=8, dimension=8, heads=2, evidence=4), np.random.default_rng(3)
     state = {name: rng.normal(scale=0.3, size=size) for name, size in shape.arrays().items()}
-    write_weights(tmp_path / "a.weights", trained(shape, state, {}))
+    write_weights(tmp_path / "a.weights", round_weights(shape, state, {}))
     return tmp_path / "a.weights"
 
 
@@ -68,7 +68,7 @@ def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
 
     network = GraphTransformer.open(weights)
     vectors = tmp_path / "town.vectors"
-    EncodedCity(open_map(city), network).keep(vectors, name="town").close()
+    EncodedCity(open_map(city), network).save_embeddings(vectors, name="town").close()
     locate = ("city", "locate", city, TEXT, "--json")
     found = run(*locate, "--weights", weights, "--store", vectors)
     assert found.code == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood import bound_kernels as promise_kernels
-from placegraph.outdoor.likelihood.bound_kernels import promising_views
+from placegraph.outdoor.likelihood.bound_kernels import find_views_by_bound
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.request import parse
 
@@ -24,7 +24,7 @@ def query(request, monaco):
 
 
 def promising(query, city, weights, most, drawn=0, least=0.0):
-    return promising_views(
+    return find_views_by_bound(
         query.statements, query.mentions, city.views.columns, weights, most, drawn, least
     )
 
@@ -76,42 +76,42 @@ def test_of_small_bounds_some_stand_for_all(query, monaco, rng, weighed, drawn):
 
 def test_bounds_are_bounds(query, monaco):
     """No viewpoint scores above its bound."""
-    from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
+    from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, score_views
 
     rows, bounds, _ = promising(query, monaco, np.zeros(0), 2000)
     s = query.statements
     none = np.zeros((len(rows), len(s.op)), np.float32)
     scores, _ = score_views(
-        s, monaco.columns, monaco.views.columns, query.words(len(monaco.views.share)), rows,
+        s, monaco.columns, monaco.views.columns, query.token_weights(len(monaco.views.share)), rows,
         np.full(len(rows), 1e290), np.zeros(len(rows)), none, 0.0, 1e9,
     )  # fmt: skip
     noise = np.log(s.noise[~s.negated]).sum()
-    assert (scores <= np.log(bounds) + noise + SLACK).all()
+    assert (scores <= np.log(bounds) + noise + BOUND_SLACK).all()
 
 
 def test_what_is_given_up_does_not_depend_on_the_order(query, monaco, rng):
-    from placegraph.outdoor.likelihood.match_kernels import HOPELESS, score_views
+    from placegraph.outdoor.likelihood.match_kernels import REJECTED, score_views
 
     rows, _, _ = promising(query, monaco, np.zeros(0), 300)
     s, prior = query.statements, np.log(rng.random(len(rows)))
 
     def scores(order):
         return score_views(
-            s, monaco.columns, monaco.views.columns, query.words(len(monaco.views.share)),
+            s, monaco.columns, monaco.views.columns, query.token_weights(len(monaco.views.share)),
             rows[order], np.full(len(rows), 1e290), prior[order],
             np.zeros((len(rows), len(s.op)), np.float32), 0.3, 3.0,
         )[0]  # fmt: skip
 
     ordered, order = scores(np.arange(len(rows))), rng.permutation(len(rows))
     np.testing.assert_array_equal(scores(order), ordered[order])
-    assert 0 < (ordered > HOPELESS).sum() < len(rows)
+    assert 0 < (ordered > REJECTED).sum() < len(rows)
 
 
 def test_no_more_are_chosen_than_there_is_room_for():
     """A tile that was passed over holds a viewpoint that is, by rounding, as good as those chosen."""
     bounds, highest = np.array([3.0, 2.0, np.nextafter(2.0, 3.0)]), np.array([3.0, 2.0])
     rows = np.arange(3, dtype=np.int32)
-    chosen, _, stands = promise_kernels._chosen.py_func(
+    chosen, _, stands = promise_kernels._select_best.py_func(
         rows, bounds, np.ones(3), highest, 0.0, 2, 1
     )
     assert len(chosen) == 3

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.likelihood.match_kernels import MOST
+from placegraph.outdoor.likelihood.match_kernels import MAX_OBJECTS
 from placegraph.outdoor.map.directions_kernels import direction_table
 
 FOUNTAIN, BENCH, BAKERY = "amenity=fountain", "amenity=bench", "shop=bakery"
@@ -406,7 +406,7 @@ def test_moving_the_world_changes_nothing(make_city, said, score):
 
 def test_more_things_than_are_weighed(around, said, weight):
     """Of a crowd only so many things are looked at; that must not run over."""
-    crowd = [(0.5 * (i % 20) - 5, 0.5 * (i // 20) + 2, tags(TREE)) for i in range(3 * MOST)]
+    crowd = [(0.5 * (i % 20) - 5, 0.5 * (i // 20) + 2, tags(TREE)) for i in range(3 * MAX_OBJECTS)]
     city, p = around([*crowd, (0, -5, tags(BENCH))])
     text = said((TREE, "north", "me"), (TREE, "north", BENCH), (BENCH, "near", f"{TREE}#2"))
     assert np.isfinite(weight(city, text, p(0, 0)))

@@ -9,10 +9,10 @@ from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import (
-    MOST_MENTIONS,
-    MOST_STATEMENTS,
-    Bags,
+    MAX_MENTIONS,
+    MAX_STATEMENTS,
     PlaceGraphs,
+    SubwordBags,
     TextGraphs,
     split_label,
     weigh_words,
@@ -24,7 +24,7 @@ from placegraph.outdoor.network.network_kernels import (
     CONTAINS,
     EAST,
     INSIDE,
-    MOST_THINGS,
+    MAX_OBJECTS,
     NEAR,
     NORTH,
     OPPOSITE,
@@ -127,13 +127,13 @@ def test_a_place_holds_the_nearest_things_within_reach(build_world):
     rows = np.arange(len(city.views))
     places = PlaceGraphs.of_views(city, rows)
     counts = np.diff(places.starts)
-    assert counts.max() == MOST_THINGS
+    assert counts.max() == MAX_OBJECTS
     trees = city.objects.center.astype(np.float64)
     for k in rows:
         off = np.hypot(*(trees - city.views.positions[k]).T)
         kept = np.hypot(*places.offsets[places.starts[k] : places.starts[k + 1]].T)
         assert (np.diff(kept) >= 0).all()
-        assert kept == pytest.approx(np.sort(off[off <= REACH])[:MOST_THINGS], abs=1e-3)
+        assert kept == pytest.approx(np.sort(off[off <= REACH])[:MAX_OBJECTS], abs=1e-3)
 
 
 def test_cells_are_rows_of_the_map(harbour, places):
@@ -165,7 +165,7 @@ def test_any_scene_graph_becomes_a_place(spots, center):
     )
     places = places_of_graphs([graph, graph], np.array([center, (0.0, 0.0)]))
     assert len(places) == 2
-    assert np.diff(places.starts).tolist() == [min(n, MOST_THINGS)] * 2
+    assert np.diff(places.starts).tolist() == [min(n, MAX_OBJECTS)] * 2
     off = np.hypot(*places.offsets[: places.starts[1]].T)
     assert (np.diff(off) >= -1e-3).all()
     r = relations_of(places)
@@ -175,7 +175,7 @@ def test_any_scene_graph_becomes_a_place(spots, center):
     total = r[:4].sum(0)
     assert np.allclose(total[total > 0], 1.0, atol=1e-5)
     far = np.hypot(*(np.array(spots, np.float32) - np.float32(center)).T) > 1.0 if n else []
-    assert np.count_nonzero(total[0]) >= min(np.count_nonzero(far), MOST_THINGS)
+    assert np.count_nonzero(total[0]) >= min(np.count_nonzero(far), MAX_OBJECTS)
 
 
 # --- texts ---
@@ -231,15 +231,15 @@ def test_words_are_senses_then_names_then_the_bare_word():
 
 
 def test_the_listener_and_what_exceeds_the_limits_is_left_out(said):
-    many = [(f"thing {i}", "near", "me") for i in range(MOST_MENTIONS + 9)]
+    many = [(f"thing {i}", "near", "me") for i in range(MAX_MENTIONS + 9)]
     texts = TextGraphs.of([said(*many), said((BAKERY, "north", "you"), (BENCH, "near", "me"))])
-    assert texts.starts[1] == 1 + MOST_MENTIONS
-    assert texts.edge_starts[1] == MOST_MENTIONS  # nothing is said of what is left out
+    assert texts.starts[1] == 1 + MAX_MENTIONS
+    assert texts.edge_starts[1] == MAX_MENTIONS  # nothing is said of what is left out
     assert texts.edge_starts[2] - texts.edge_starts[1] == 1
     assert 1 not in texts.mentions
-    talk = [(BAKERY, bearing, BENCH) for bearing in np.linspace(0.0, 6.0, MOST_STATEMENTS + 5)]
+    talk = [(BAKERY, bearing, BENCH) for bearing in np.linspace(0.0, 6.0, MAX_STATEMENTS + 5)]
     texts = TextGraphs.of([said(*talk), said((BENCH, "near", "me"))])
-    assert texts.edge_starts.tolist() == [0, MOST_STATEMENTS, MOST_STATEMENTS + 1]
+    assert texts.edge_starts.tolist() == [0, MAX_STATEMENTS, MAX_STATEMENTS + 1]
 
 
 @st.composite
@@ -271,8 +271,8 @@ def test_any_description_becomes_a_graph(found):
     assert len(texts) == len(found)
     nodes, edges = np.diff(texts.starts), np.diff(texts.edge_starts)
     assert nodes.min() >= 1
-    assert nodes.max() <= 1 + MOST_MENTIONS
-    assert edges.max(initial=0) <= MOST_STATEMENTS
+    assert nodes.max() <= 1 + MAX_MENTIONS
+    assert edges.max(initial=0) <= MAX_STATEMENTS
     assert len(texts.mentions) == len(texts.counts) == texts.starts[-1]
     assert len(texts.word_starts) == texts.starts[-1] + 1
     assert texts.channels.shape == (texts.edge_starts[-1], len(CHANNELS))
@@ -308,13 +308,13 @@ def table(width=8, seed=0):
 
 def test_rows_of_words_never_change():
     for word, (buckets, weight) in GOLDEN.items():
-        bags = Bags.of([word])
+        bags = SubwordBags.of([word])
         assert bags.buckets.tolist() == buckets, word
         assert bags.weights[-1] == np.float32(weight), word
 
 
 def test_a_label_is_its_whole_its_key_and_the_letters_of_its_value():
-    bags = Bags.of(["amenity=cafe", "cafe", "~cafe"])
+    bags = SubwordBags.of(["amenity=cafe", "cafe", "~cafe"])
     label, word, name = (
         bags.buckets[a:b].tolist() for a, b in zip(bags.starts, bags.starts[1:], strict=False)
     )
@@ -343,26 +343,26 @@ def test_words_of_a_label_are_those_of_its_value(label, words):
 
 
 def test_the_length_of_subwords_is_an_option():
-    loud, still = Bags.of(["shop=bakery"], 2.0), Bags.of(["shop=bakery"], 0.0)
+    loud, still = SubwordBags.of(["shop=bakery"], 2.0), SubwordBags.of(["shop=bakery"], 0.0)
     assert (loud.weights[2:] > 0).all()
     assert not still.weights[2:].any()
-    assert np.allclose(loud.weights[2:], 2.0 * Bags.of(["shop=bakery"]).weights[2:])
+    assert np.allclose(loud.weights[2:], 2.0 * SubwordBags.of(["shop=bakery"]).weights[2:])
 
 
 @given(st.lists(words, max_size=6))
 def test_any_words_have_vectors_each_its_own_wherever_it_stands(found):
-    bags, vectors = Bags.of(found), Bags.of(found).vectors(table())
+    bags, vectors = SubwordBags.of(found), SubwordBags.of(found).vectors(table())
     assert vectors.shape == (len(found), 8) or not found
     assert np.isfinite(vectors).all()
     assert (np.diff(bags.starts) >= 1).all()
     assert len(bags.buckets) == len(bags.weights) == bags.starts[-1]
     assert ((bags.buckets >= 0) & (bags.buckets < BUCKETS)).all()
     for word, vector in zip(found, vectors, strict=True):
-        assert np.allclose(Bags.of([word]).vectors(table())[0], vector, atol=1e-5)
+        assert np.allclose(SubwordBags.of([word]).vectors(table())[0], vector, atol=1e-5)
 
 
 def cosine(a, b, width=256):
-    x, y = Bags.of([a, b]).vectors(table(width))
+    x, y = SubwordBags.of([a, b]).vectors(table(width))
     return float(x @ y / np.linalg.norm(x) / np.linalg.norm(y))
 
 

@@ -16,15 +16,15 @@ from placegraph.outdoor.network.graphs import (
     PlaceGraphs,
     TextGraphs,
     WordVectors,
-    fits_of,
-    word_fits,
+    find_word_weights,
+    make_word_fits,
 )
 from placegraph.outdoor.network.network import (
     GraphTransformer,
     Shape,
+    find_shipped_weights,
     read_weights,
-    shipped,
-    trained,
+    round_weights,
     write_weights,
 )
 from placegraph_lab.tables.kitti.matchers import places_of_graphs
@@ -39,7 +39,7 @@ BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountai
 @pytest.fixture(scope="module")
 def words(harbour, pool):
     fits = pool.fits
-    return word_fits(fits, *harbour.word_counts)
+    return make_word_fits(fits, *harbour.word_counts)
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +117,8 @@ def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, 
     for order in ([0, 1, 2, 3], [2, 3, 1, 0]):
         text = said(*(statements[i] for i in order))
         graphs = TextGraphs.of([text])
-        fits = fits_of(graphs, [compile_query(text, harbour)])
-        words = word_fits(fits, *harbour.word_counts)
+        fits = find_word_weights(graphs, [compile_query(text, harbour)])
+        words = make_word_fits(fits, *harbour.word_counts)
         found.append((network.embed_texts(graphs), network.match(graphs, 0, places, some, words)))
     (first, ours), (second, theirs) = found
     assert second == pytest.approx(first, abs=1e-5)
@@ -290,7 +290,7 @@ def test_a_gpu_says_the_same(network, batch):
 @pytest.fixture(scope="module")
 def made(make_network):
     network = make_network(width=4, dimension=4, evidence=4)
-    return trained(network.shape, network.arrays, {"note": "random"})
+    return round_weights(network.shape, network.arrays, {"note": "random"})
 
 
 @pytest.fixture(scope="module")
@@ -310,7 +310,7 @@ def knowing(make_network, tmp_path_factory):
     """A network with word vectors, its weights and their file."""
     known = WordVectors(("cafe", "öl"), np.float32([[1, 2, 3], [4, 5, 6]]))
     network = make_network(width=4, dimension=4, evidence=4, known=known)
-    made = trained(network.shape, network.arrays, {}, known)
+    made = round_weights(network.shape, network.arrays, {}, known)
     write_weights(path := tmp_path_factory.mktemp("known") / "known.weights", made)
     return network, made, path
 
@@ -394,9 +394,9 @@ def test_weights_of_before_are_those_with_statements(file, made):
 
 
 def test_the_shipped_network_is_sound():
-    if not shipped().exists():
+    if not find_shipped_weights().exists():
         pytest.skip("no weights are shipped yet")
-    assert shipped().stat().st_size <= 4_000_000
+    assert find_shipped_weights().stat().st_size <= 4_000_000
     network = GraphTransformer.default()
     assert network is GraphTransformer.default()
     assert network.shape.dimension == 64

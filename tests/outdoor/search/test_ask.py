@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
-from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
     NO,
@@ -17,13 +16,13 @@ from placegraph.outdoor.search.ask import (
     YES,
     Answer,
     Question,
-    Thing,
-    _Around,
-    _gain,
-    _which,
-    _yes_or_no,
+    Subject,
+    _make_choice_question,
+    _rank_yes_no_questions,
+    _Surroundings,
+    compute_gain,
     next_question,
-    possible_questions,
+    rank_questions,
 )
 
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
@@ -59,7 +58,7 @@ class Speaker:
 
     def answer(self, question):
         if question.options == (YES, NO):
-            thing = question.things[0]
+            thing = question.subjects[0]
             there = any(
                 label == thing.label and thing.wind in ("", wind) for label, _, wind, _ in self.seen
             )
@@ -99,7 +98,7 @@ def tables(draw):
 @given(tables())
 def test_gain_is_mutual_information(table):
     weights, answers = table
-    gain = _gain(weights, answers)
+    gain = compute_gain(weights, answers)
     joint = answers * weights
     brute = sum(
         joint[a, k] * np.log(joint[a, k] / (joint[a].sum() * weights[k]))
@@ -112,9 +111,9 @@ def test_gain_is_mutual_information(table):
 
 def test_gain_of_knowing_and_of_nothing():
     weights = np.array([0.25, 0.75])
-    assert _gain(weights, np.eye(2)) == pytest.approx(entropy(weights))
-    assert _gain(weights, np.array([[0.3, 0.3], [0.7, 0.7]])) == pytest.approx(0.0)
-    assert _gain(np.ones(1), np.array([[0.3], [0.7]])) == pytest.approx(0.0)
+    assert compute_gain(weights, np.eye(2)) == pytest.approx(entropy(weights))
+    assert compute_gain(weights, np.array([[0.3, 0.3], [0.7, 0.7]])) == pytest.approx(0.0)
+    assert compute_gain(np.ones(1), np.array([[0.3], [0.7]])) == pytest.approx(0.0)
 
 
 def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
@@ -122,11 +121,11 @@ def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
     pairs = np.array(np.nonzero(expected))
     sparse = np.zeros((5, len(pairs[0])))
     sparse[0] = expected[tuple(pairs)]
-    around = _Around(["amenity=bench", "amenity=bank"], pairs, sparse, [], np.zeros((0, 3)))
-    for question in _yes_or_no(weights, around, Vocabulary.default()):
-        row = expected[around.labels.index(question.things[0].label)]
+    around = _Surroundings(["amenity=bench", "amenity=bank"], pairs, sparse, [], np.zeros((0, 3)))
+    for question in _rank_yes_no_questions(weights, around):
+        row = expected[around.labels.index(question.subjects[0].label)]
         yes = 0.05 + 0.9 * -np.expm1(-2.0 * row)
-        assert question.gain == pytest.approx(_gain(weights, np.stack([yes, 1.0 - yes])))
+        assert question.gain == pytest.approx(compute_gain(weights, np.stack([yes, 1.0 - yes])))
 
 
 # --- questions ---
@@ -135,7 +134,7 @@ def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
 def test_the_best_question_is_asked(harbour):
     estimate = harbour.locate(SQUARES)
     question = estimate.next_question(harbour)
-    everything = list(possible_questions(estimate, harbour))
+    everything = list(rank_questions(estimate, harbour))
     assert question.gain == everything[0].gain > 0.02
     assert [q.gain for q in everything] == sorted((q.gain for q in everything), reverse=True)
     assert (
@@ -148,14 +147,14 @@ def test_the_best_question_is_asked(harbour):
         assert q.gain >= -1e-9
         assert len(q.options) >= 2
         assert len(set(q.options)) == len(q.options)
-        assert len(q.things) == (1 if q.options == (YES, NO) else len(q.options) - 1)
+        assert len(q.subjects) == (1 if q.options == (YES, NO) else len(q.options) - 1)
 
 
 def test_questions_are_about_what_is_on_the_map(real_city):
     estimate = real_city.locate("I am next to a bench.")
     known = set(real_city.objects.labels) | set(real_city.objects.names)
-    for question in possible_questions(estimate, real_city):
-        for thing in question.things:
+    for question in rank_questions(estimate, real_city):
+        for thing in question.subjects:
             assert (thing.label or thing.words) in known
 
 
@@ -172,8 +171,8 @@ def test_nothing_to_ask(harbour):
 
 # --- answers ---
 
-CHOICE = Question("Which?", ("Kern", "Brot", NONE), (Thing("Kern"), Thing("Brot")), 0.5)
-BENCH = Question("Is there a bench?", (YES, NO), (Thing("bench", "amenity=bench", "north"),), 0.5)
+CHOICE = Question("Which?", ("Kern", "Brot", NONE), (Subject("Kern"), Subject("Brot")), 0.5)
+BENCH = Question("Is there a bench?", (YES, NO), (Subject("bench", "amenity=bench", "north"),), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -317,15 +316,15 @@ def test_false_answers_do_not_crash(harbour, rng):
 def test_names_of_the_same_words_are_one_choice():
     names = ["McDonald's", "McDonalds", "Blenz", "Esso"]
     named = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0.5]])
-    around = _Around([], np.zeros((2, 0), np.int64), np.zeros((5, 0)), names, named)
-    (question,) = _which(np.array([0.3, 0.25, 0.25, 0.2]), around)
+    around = _Surroundings([], np.zeros((2, 0), np.int64), np.zeros((5, 0)), names, named)
+    (question,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), around)
     assert question.options == ("McDonald's", "Blenz", "Esso", NONE)
-    merged = _Around(
+    merged = _Surroundings(
         [],
         around.pairs,
         around.expected,
         names[1:],
         np.maximum(named[1:], [[1, 0, 0, 0]] + 2 * [4 * [0]]),
     )
-    (same,) = _which(np.array([0.3, 0.25, 0.25, 0.2]), merged)
+    (same,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), merged)
     assert question.gain == pytest.approx(same.gain)

@@ -1,6 +1,7 @@
 """The paper's pipeline on cells: all matchers, all ways to candidates."""
 
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -12,16 +13,17 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.options import By, Matcher
 from placegraph.outdoor.search import cells, posterior
-from placegraph.outdoor.search.candidates import (
-    find_candidates,
-    find_cells,
-    find_dense_cells,
-    find_views,
-    find_views_in,
-)
 from placegraph.outdoor.search.edit_distance import rank
-from placegraph.outdoor.search.posterior import compute_posterior, score
-from placegraph.outdoor.search.request import Matching, Request, find_inside, parse
+from placegraph.outdoor.search.posterior import (
+    compute_posterior,
+    find_candidate_cells,
+    find_candidates,
+    find_dense_cells,
+    find_dense_views,
+    find_views_in_cells,
+    score_candidates,
+)
+from placegraph.outdoor.search.request import Matching, Request, find_in_region, parse
 from placegraph.vectors import Neighbours, Origin, Region
 
 MATCHERS, WAYS = get_args(Matcher), get_args(By)
@@ -70,11 +72,12 @@ def test_every_matcher_ranks_the_cells_of_every_way(matcher, by, harbour, encode
     assert found.cells == tuple(harbour.cells.id_of(row) for row in found.rows)
     if by != "all":
         query = compile_query(text, harbour)
-        assert set(found.rows) <= set(find_cells(asking(harbour, query, 6, by, encoded)).tolist())
+        assert set(found.rows) <= set(
+            find_candidate_cells(asking(harbour, query, 6, by, encoded)).tolist()
+        )
 
 
 def test_relational_matching_finds_the_place(harbour, encoded, text):
-    """The fountain stands on the market: who stands south of it on the square is there."""
     found = retrieve(harbour, text, matcher="relational", by="sparse", top=1, encoded=encoded)
     fountains = [i for i in range(len(harbour.objects)) if harbour.objects.label(i) == FOUNTAIN]
     at = harbour.cells.center(found.cells[0])
@@ -83,7 +86,6 @@ def test_relational_matching_finds_the_place(harbour, encoded, text):
 
 
 def test_overlapping_cells_share_their_viewpoints(harbour, encoded, text):
-    """A viewpoint counts for every cell that it lies in, not only for the nearest."""
     wide = replace(harbour, cells=replace(harbour.cells, size=3.0 * harbour.cells.grid.stride))
     everything = EncodedCity(wide, encoded.network)
     best = retrieve(wide, text, matcher="relational", by="all", top=9, encoded=everything)
@@ -121,7 +123,7 @@ def test_fused_is_relational_shifted(harbour, make_network, text):
 
 def test_both_takes_turns(harbour, encoded, query):
     dense, sparse, both = (
-        find_cells(asking(harbour, query, 8, by, encoded)).tolist()
+        find_candidate_cells(asking(harbour, query, 8, by, encoded)).tolist()
         for by in ("dense", "sparse", "both")
     )
     assert len(dense) == 8
@@ -132,9 +134,9 @@ def test_both_takes_turns(harbour, encoded, query):
 
 
 def test_all_are_all(harbour, encoded, query):
-    found = find_cells(asking(harbour, query, 3, "all", encoded))
+    found = find_candidate_cells(asking(harbour, query, 3, "all", encoded))
     assert found.tolist() == list(range(len(harbour.cells)))
-    views = find_views(asking(harbour, query, 3, "all", encoded))
+    views = find_dense_views(asking(harbour, query, 3, "all", encoded))
     assert len(views) == len(harbour.views)
 
 
@@ -174,11 +176,11 @@ def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
 
 def test_views_in_cells_are_those_that_lie_there(harbour):
     rows = np.array([7, 40])
-    views = find_views_in(harbour, rows)
+    views = find_views_in_cells(harbour, rows)
     assert (np.diff(views) > 0).all()
     delta = np.abs(harbour.views.positions[:, None] - harbour.cells.centers(rows)[None]).max(axis=2)
     assert views.tolist() == np.flatnonzero((delta <= harbour.cells.size / 2).any(axis=1)).tolist()
-    assert find_views_in(harbour, rows[:0]).shape == (0,)
+    assert find_views_in_cells(harbour, rows[:0]).shape == (0,)
 
 
 def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
@@ -186,22 +188,6 @@ def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
     assert retrieve(harbour, text, by="sparse", encoded=encoded).cells == ()
     dense = retrieve(harbour, text, by="dense", matcher="relational", encoded=encoded)
     assert (dense.scores == -1e9).all()
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"matcher": "luck"}, r"matcher 'luck'.*relational"),
-        ({"by": "magic"}, r"by 'magic'.*sparse"),
-        ({"candidates": 0}, r"candidates is 0"),
-        ({"matcher": "transformer", "score": "luck"}, r"score is 'luck'.*logit, cosine"),
-        ({"matcher": "relational", "score": "logit"}, r"'relational'; the transformer alone"),
-        ({"top": 0}, r"top is 0"),
-    ],
-)
-def test_options_out_of_range_are_refused(harbour, encoded, text, options, says):
-    with pytest.raises(OptionError, match=says):
-        retrieve(harbour, text, encoded=encoded, **options)
 
 
 def test_edit_distance_needs_things(harbour, encoded, said):
@@ -225,7 +211,7 @@ def test_locating_by_any_matcher_and_way(harbour, encoded, text):
             if matcher.startswith("edit-distance") and by in ("all", "both", "auto"):
                 continue
             options = {"matcher": matcher, "by": by, "encoded": encoded}
-            if Matching(matcher=matcher, by=by).counted:
+            if Matching(matcher=matcher, by=by).counts_cells:
                 options["candidates"] = 8
             found = harbour.locate(text, **options)
             total = sum(mode.probability for mode in found.modes)
@@ -249,7 +235,6 @@ def test_fusing_nothing_is_relational_matching(harbour, make_network, text):
 
 @pytest.mark.parametrize("by", ["auto", *WAYS])
 def test_locating_within_a_region_stays_there(harbour, encoded, text, said, by):
-    """Rare things out of sight draw candidates from everywhere; from outside they must not."""
     west, south, east, north = whole(harbour)
     half = Region(west, south, (west + east) / 2, north)
     slack = 50.0 / 70_000.0  # a cell whose centre is in the region may reach beyond
@@ -265,7 +250,7 @@ def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
     west, south, east, north = whole(harbour)
     half = Region((west + east) / 2, south, east, north)
     for by in WAYS:
-        rows = find_cells(asking(harbour, query, 12, by, encoded, region=half))
+        rows = find_candidate_cells(asking(harbour, query, 12, by, encoded, region=half))
         assert len(rows)
         lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
         # viewpoints of a cell may lie in the region though its centre does not
@@ -275,10 +260,10 @@ def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
 def test_a_region_over_the_date_line_and_one_that_is_none(harbour):
     at = harbour.cells.centers(np.arange(3))
     lon = harbour.plane.to_lonlat(at)[0, 0]
-    assert find_inside(harbour, at, Region(lon - 1.0, -90.0, lon - 2.0, 90.0)).all()
-    assert not find_inside(harbour, at, Region(lon + 1.0, -90.0, lon - 1.0, 90.0)).any()
+    assert find_in_region(harbour, at, Region(lon - 1.0, -90.0, lon - 2.0, 90.0)).all()
+    assert not find_in_region(harbour, at, Region(lon + 1.0, -90.0, lon - 1.0, 90.0)).any()
     with pytest.raises(OptionError, match="is no region"):
-        find_inside(harbour, at, Region(0.0, 50.0, 1.0, 40.0))
+        find_in_region(harbour, at, Region(0.0, 50.0, 1.0, 40.0))
 
 
 def test_locating_asks_a_store(harbour, encoded, text):
@@ -297,7 +282,6 @@ def test_locating_asks_a_store(harbour, encoded, text):
 
 
 def test_a_region_is_believed(harbour, encoded, text, said):
-    """Known to be in a small part of the map, the speaker is as likely elsewhere as without it."""
     at = harbour.locate(text, encoded=encoded).best
     assert at is not None
     d = 40.0 / 70_000.0
@@ -325,7 +309,7 @@ def test_a_region_that_holds_nothing_is_said(harbour, encoded, text, matcher):
         text, matcher=matcher, region=Region(0.0, 0.0, 1.0, 1.0), encoded=encoded
     )
     assert found.status is Status.LOST
-    assert "nothing to see in (0.0, 0.0, 1.0, 1.0)" in found.reason
+    assert "no objects in (0.0, 0.0, 1.0, 1.0)" in found.reason
 
 
 def test_the_store_of_another_map_or_network_is_refused(harbour, encoded, make_network, text):
@@ -346,20 +330,21 @@ def test_the_store_of_another_map_or_network_is_refused(harbour, encoded, make_n
 @pytest.mark.parametrize(
     ("options", "says"),
     [
+        ({"matcher": "luck"}, "matcher is 'luck'.*'fused' or"),
+        ({"by": "magic"}, "by is 'magic'.*'all' or 'auto'"),
+        ({"matcher": "transformer", "score": "luck"}, "score is 'luck'.*'logit'"),
+        ({"matcher": "relational", "score": "logit"}, "'relational'; only the transformer"),
         ({"region": (7.0, 43.0, 8.0, 44.0)}, r"region is \(7.0.*`Region`"),
         ({"store": "monaco.vectors"}, "store is 'monaco.vectors'.*open_store"),
         ({"encoded": "mine"}, "encoded is not"),
-        ({"candidates": True}, "candidates"),
-        ({"candidates": None}, "candidates"),
-        ({"candidates": 1.5}, "candidates"),
-        ({"top": "five"}, "top"),
+        *(({"candidates": n}, f"candidates is {n}") for n in (0, True, None, 1.5)),
+        *(({"top": n}, f"top is {n!r}") for n in (0, "five")),
     ],
 )
-def test_what_is_no_option_is_refused_by_both(harbour, encoded, text, options, says):
-    with pytest.raises(OptionError, match=says):
-        harbour.locate(text, **{"encoded": encoded, **options})
-    with pytest.raises(OptionError, match=says):
-        retrieve(harbour, text, **{"encoded": encoded, **options})
+def test_bad_options_are_refused(harbour, encoded, text, options, says):
+    for function in (harbour.locate, partial(retrieve, harbour)):
+        with pytest.raises(OptionError, match=says):
+            function(text, **{"encoded": encoded, **options})
 
 
 def test_another_map_read_by_a_network_is_refused(harbour, encoded, text):
@@ -377,7 +362,6 @@ def test_more_candidates_than_cells_are_all_cells(harbour, encoded, text):
 
 
 def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
-    """Looking at all places, nothing is left to the way of finding candidates."""
     every = harbour.locate(text, matcher="relational", by="all", encoded=encoded)
     sparse = harbour.locate(text, matcher="relational", by="sparse", encoded=encoded)
     assert every.best.probability == pytest.approx(sparse.best.probability, abs=0.05)
@@ -386,18 +370,14 @@ def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"matcher": "luck"}, "it must be 'fused' or"),
-        ({"by": "magic"}, "'all' or 'auto'"),
-        ({"candidates": 0}, "candidates is 0"),
-        ({"candidates": 2.5}, "candidates is 2.5"),
-        ({"candidates": 5}, "candidates is 5, but relational by sparse"),
-        ({"preset": "paper", "matcher": "fused", "candidates": 5}, "but fused by sparse"),
-        ({"matcher": "embedding", "by": "all", "candidates": 5}, "but embedding by all"),
+        ({}, "candidates is 5, but relational by sparse"),
+        ({"preset": "paper", "matcher": "fused"}, "but fused by sparse"),
+        ({"matcher": "embedding", "by": "all"}, "but embedding by all"),
     ],
 )
-def test_locate_refuses_what_it_does_not_know(harbour, text, options, says):
+def test_a_count_of_cells_is_refused_where_none_are_counted(harbour, text, options, says):
     with pytest.raises(OptionError, match=says):
-        harbour.locate(text, **options)
+        harbour.locate(text, candidates=5, **options)
 
 
 def test_embeddings_alone_are_never_sure(harbour, encoded, text):
@@ -410,9 +390,8 @@ def test_embeddings_alone_are_never_sure(harbour, encoded, text):
 
 def test_the_transformer_ranks_by_either_score(harbour, encoded, text, query):
     for by, field in (("cosine", "cosine"), ("logit", "logit"), (None, "logit")):
-        found = retrieve(
-            harbour, text, matcher="transformer", score=by, by="all", top=9, encoded=encoded
-        )
+        options = {"score": by, "by": "all", "top": 9, "encoded": encoded}
+        found = retrieve(harbour, text, matcher="transformer", **options)
         rows = np.arange(len(harbour.cells))
         match = encoded.match(encoded.text(query), encoded.cells, rows)
         best = np.sort(getattr(match, field))[::-1][:9]
@@ -445,15 +424,14 @@ def test_presets_give_way_to_what_is_said():
     assert Matching.preset("paper", matcher="fused", by="both", candidates=7).candidates == 7
     with pytest.raises(OptionError, match=r"preset is 'mine'.*paper"):
         Matching.preset("mine")
-    with pytest.raises(OptionError, match="the transformer alone"):
+    with pytest.raises(OptionError, match="only the transformer"):
         Matching.preset("paper", matcher="relational", score="cosine")
 
 
 def test_locating_as_the_paper_does(harbour, encoded, text):
     paper = harbour.locate(text, preset="paper", encoded=encoded)
-    spelled = harbour.locate(
-        text, matcher="transformer", score="cosine", by="dense", candidates=10, encoded=encoded
-    )
+    options = {"matcher": "transformer", "score": "cosine", "by": "dense", "candidates": 10}
+    spelled = harbour.locate(text, **options, encoded=encoded)
     assert [m.cell for m in paper.modes] == [m.cell for m in spelled.modes]
     assert paper.best.probability == pytest.approx(spelled.best.probability)
     sharp = harbour.locate(text, preset="paper", score="logit", encoded=encoded)
@@ -507,10 +485,10 @@ def test_matching_log_odds_are_shared_with_what_was_not_looked_at(harbour, encod
     assert every.support[:, 2].sum() == pytest.approx(0.97, abs=1e-3)
 
 
-def test_a_share_that_may_be_missing_is_cached_for_the_rest(harbour, encoded, text, monkeypatch):
+def test_dense_candidates_hold_no_more_than_their_recall(harbour, encoded, text, monkeypatch):
     query = compile_query(parse(harbour, text), harbour)
     asked = Request(harbour, query, matching=Matching(by="dense", encoded=encoded))
     for reach in (0.5, 0.1):
-        monkeypatch.setattr(posterior, "DENSE_REACH", reach)
-        found = compute_posterior(asked, score(asked, find_candidates(asked)))
+        monkeypatch.setattr(posterior, "DENSE_RECALL", reach)
+        found = compute_posterior(asked, score_candidates(asked, find_candidates(asked)))
         assert found.probabilities.sum() <= reach + 1e-9

@@ -8,27 +8,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import search
+from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.network import EncodedCity
-from placegraph.outdoor.search import posterior as module
-from placegraph.outdoor.search.candidates import Candidates, find_candidates
+from placegraph.outdoor.search.locate import search_views
 from placegraph.outdoor.search.posterior import (
-    APART,
-    ELSEWHERE,
-    WITHIN,
+    MODE_RADIUS,
+    MODE_SEPARATION,
+    NUM_RERANKED,
+    PRIOR_ELSEWHERE,
+    SPACING,
+    Candidates,
     Posterior,
     apply_bayes,
     compute_posterior,
+    find_candidates,
     find_modes,
-    look_around,
     rerank,
-    score,
+    score_around,
+    score_candidates,
 )
-from placegraph.outdoor.search.posterior import HARD as MOST
-from placegraph.outdoor.search.posterior import score as scored
 from placegraph.outdoor.search.request import Hints, Matching, Request, make_request
-
-SPACING = 6.67
 
 places = st.lists(
     st.tuples(st.integers(-30, 30), st.integers(-30, 30), st.floats(-12, 12)),
@@ -46,22 +45,12 @@ def found_of(drawn, unscored=-50.0, step=20.0):
 
 
 @given(places, st.floats(-50, 5))
-def test_probabilities_add_up(drawn, unscored):
+def test_probabilities_follow_from_bayes_rule(drawn, unscored):
     found = found_of(drawn, unscored)
-    assert (found.probabilities >= 0).all()
-    total = found.probabilities.sum() + found.elsewhere
-    assert total <= 1 + 1e-9
-    if unscored < -40:
-        assert total == pytest.approx(1.0)
-
-
-@given(places)
-def test_it_is_bayes_rule(drawn):
-    found = found_of(drawn, -np.inf)
-    weights = np.array([(1 - ELSEWHERE) * np.exp(s) / len(drawn) for _, _, s in drawn])
-    total = weights.sum() + ELSEWHERE
+    weights = np.array([(1 - PRIOR_ELSEWHERE) * np.exp(s) / len(drawn) for _, _, s in drawn])
+    total = weights.sum() + PRIOR_ELSEWHERE + (1 - PRIOR_ELSEWHERE) * np.exp(unscored)
     np.testing.assert_allclose(found.probabilities, weights / total, rtol=1e-9)
-    assert found.elsewhere == pytest.approx(ELSEWHERE / total)
+    assert found.elsewhere == pytest.approx(PRIOR_ELSEWHERE / total)
 
 
 @given(places, st.integers(1, 8))
@@ -88,7 +77,7 @@ def test_modes(drawn, top):
 def test_the_first_mode_holds_the_heaviest_surroundings(drawn):
     found = found_of(drawn)
     heaviest = max(
-        found.probabilities[np.hypot(*(found.positions - p).T) <= APART].sum()
+        found.probabilities[np.hypot(*(found.positions - p).T) <= MODE_SEPARATION].sum()
         for p in found.positions
     )
     assert find_modes(found, 1, SPACING)[0].probability >= 0.6 * heaviest
@@ -109,12 +98,14 @@ def test_a_mode_is_where_its_probability_is():
 def test_probability_is_of_lying_within():
     ring = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 60)])
     found = Posterior(
-        np.concatenate([0.5 * WITHIN * ring, 2.5 * WITHIN * ring]), np.full(120, 1 / 120), 0.0
+        np.concatenate([0.5 * MODE_RADIUS * ring, 2.5 * MODE_RADIUS * ring]),
+        np.full(120, 1 / 120),
+        0.0,
     )
     best = find_modes(found, 20, SPACING)[0]
     distance = np.hypot(*(found.positions - best.position).T)
     assert best.probability == pytest.approx(
-        found.probabilities[distance <= WITHIN].sum(), abs=0.02
+        found.probabilities[distance <= MODE_RADIUS].sum(), abs=0.02
     )
 
 
@@ -142,11 +133,11 @@ def test_extreme_scores_do_not_overflow(drawn, shift):
         assert np.isfinite(mode.covariance).all()
 
 
-class Judge:
-    """An encoded city whose network says what it is told to say."""
+class FakeEncoding:
+    """Encoded city whose network adds given numbers to the scores."""
 
-    def __init__(self, city, added, scale, weight):
-        self.city, self.added, self.asked = city, added, []
+    def __init__(self, city, added, scale=1.0, weight=1.0):
+        self.city, self.added, self.calls = city, added, []
         prior = np.array([1.0, scale, weight], np.float32)
         self.network = SimpleNamespace(arrays={"prior": prior})
 
@@ -154,23 +145,26 @@ class Judge:
         return query
 
     def match(self, text, places, rows):
-        self.asked.append((text, places, rows))
+        self.calls.append((text, places, rows))
         return SimpleNamespace(residual=np.asarray(self.added(len(rows)), np.float32))
 
 
 @pytest.fixture(scope="module")
-def asked(harbour, said):
-    query = compile_query(
-        said(("natural=tree", "near", "me"), ("amenity=bench", "east", "me")), harbour
-    )
-    asked = Request(harbour, query)
-    found = score(asked, find_candidates(asked))
-    assert len(found.rows) > MOST
+def scored(harbour, said):
+    text = said(("natural=tree", "near", "me"), ("amenity=bench", "east", "me"))
+    query = compile_query(text, harbour)
+    request = Request(harbour, query)
+    found = score_candidates(request, find_candidates(request))
+    assert len(found.rows) > NUM_RERANKED
     return query, found
 
 
-def reranked(found, query, encoded):
-    return rerank(Request(encoded.city, query, matching=Matching(encoded=encoded)), found)
+@pytest.fixture
+def reranked(scored):
+    def run(encoded, found=scored[1]):
+        return rerank(Request(encoded.city, scored[0], matching=Matching(encoded=encoded)), found)
+
+    return run
 
 
 def total_score(found):
@@ -178,94 +172,67 @@ def total_score(found):
 
 
 @pytest.fixture
-def judge(harbour):
-    return lambda added, scale=1.0, weight=1.0: Judge(harbour, added, scale, weight)
+def best(scored):
+    return np.argsort(-total_score(scored[1]), kind="stable")
 
 
-def test_nothing_added_changes_nothing(asked, judge):
-    query, found = asked
-    after = reranked(found, query, judge(np.zeros))
-    assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
+@pytest.mark.parametrize("constant", [0.0, 7.0])
+def test_a_constant_residual_changes_nothing(scored, reranked, harbour, constant):
+    after = reranked(FakeEncoding(harbour, lambda n: np.full(n, constant)))
+    assert after.log_prior == pytest.approx(scored[1].log_prior, abs=1e-6)
 
 
-def test_relational_matching_is_scaled(asked, judge):
-    """A network that trusts it half as much says so."""
-    query, found = asked
-    after = reranked(found, query, judge(np.zeros, 0.5))
-    judged = np.argsort(-total_score(found), kind="stable")[:MOST]
-    gain = (after.log_prior - found.log_prior)[judged]
-    expected = -0.5 * found.scores[judged]
+@pytest.mark.parametrize(
+    ("residual", "scale", "weight"),
+    [
+        (np.zeros, 0.5, 1.0),
+        (lambda n: -1.2 * np.arange(n), 1.0, 0.5),
+        (lambda n: np.where(np.arange(n) == 9, 60.0, 0.0), 1.0, 1.0),
+    ],
+)
+def test_residuals_are_added_to_scaled_scores(
+    scored, reranked, best, harbour, residual, scale, weight
+):
+    found, top = scored[1], best[:NUM_RERANKED]
+    encoded = FakeEncoding(harbour, residual, scale, weight)
+    after = reranked(encoded)
+    gain = (after.log_prior - found.log_prior)[top]
+    expected = weight * residual(len(top)) - (1.0 - scale) * found.scores[top]
     assert gain - gain.mean() == pytest.approx(expected - expected.mean(), abs=1e-4)
+    ((_, places, rows),) = encoded.calls
+    assert len(places) == len(rows) == NUM_RERANKED
 
 
-def test_what_is_added_to_all_changes_nothing(asked, judge):
-    query, found = asked
-    after = reranked(found, query, judge(lambda n: np.full(n, 7.0)))
-    assert after.log_prior == pytest.approx(found.log_prior, abs=1e-6)
-
-
-def test_the_judged_weigh_as_much_as_before(asked, judge, rng):
-    query, found = asked
-    after = reranked(found, query, judge(lambda n: 5.0 * rng.standard_normal(n)))
-    best = np.argsort(-total_score(found), kind="stable")
-    judged, rest = best[:MOST], best[MOST:]
+def test_reranked_views_weigh_as_much_as_before(scored, reranked, best, harbour, rng):
+    found, top, rest = scored[1], best[:NUM_RERANKED], best[NUM_RERANKED:]
+    after = reranked(FakeEncoding(harbour, lambda n: 5.0 * rng.standard_normal(n)))
     assert np.array_equal(after.log_prior[rest], found.log_prior[rest])
-    assert not np.allclose(after.log_prior[judged], found.log_prior[judged], atol=0.1)
-    total = np.logaddexp.reduce(total_score(found)[judged])
-    assert np.logaddexp.reduce(total_score(after)[judged]) == pytest.approx(total)
-    assert after.rest == found.rest
+    assert not np.allclose(after.log_prior[top], found.log_prior[top], atol=0.1)
+    total = np.logaddexp.reduce(total_score(found)[top])
+    assert np.logaddexp.reduce(total_score(after)[top]) == pytest.approx(total)
+    assert after.log_rest == found.log_rest
     assert np.array_equal(after.scores, found.scores)
 
 
-def test_what_is_added_is_added(asked, judge):
-    query, found = asked
-    after = reranked(found, query, judge(lambda n: -1.2 * np.arange(n), weight=0.5))
-    judged = np.argsort(-total_score(found), kind="stable")[:MOST]
-    gain = (after.log_prior - found.log_prior)[judged]
-    assert np.diff(gain) == pytest.approx(-0.6, abs=1e-5)
+def test_a_lone_candidate_stays(scored, reranked, harbour):
+    few = type(scored[1])(*(column[:1] for column in scored[1][:4]))
+    assert reranked(FakeEncoding(harbour, np.ones), few) is few
 
 
-def test_what_the_network_finds_best_comes_first(asked, judge):
-    query, found = asked
-    told = judge(lambda n: np.where(np.arange(n) == 9, 60.0, 0.0))
-    after = reranked(found, query, told)
-    tenth = np.argsort(-total_score(found), kind="stable")[9]
-    assert np.argmax(total_score(after)) == tenth
-    ((_, places, rows),) = told.asked
-    assert len(places) == len(rows) == MOST  # judged in one call
-
-
-def test_a_lone_candidate_stays(asked, judge):
-    query, found = asked
-    few = found._replace(
-        rows=found.rows[:1],
-        scores=found.scores[:1],
-        log_prior=found.log_prior[:1],
-        far=found.far[:1],
-    )
-    assert reranked(few, query, judge(np.ones)) is few
-
-
-def test_the_judged_places_are_the_viewpoints_themselves(asked, harbour, encoded):
-    query, found = asked
-    after = reranked(found, query, encoded)
-    best = np.argsort(-total_score(found), kind="stable")[:MOST]
-    views = found.rows[best].astype(np.int64)
-    places = module.PlaceGraphs.of_views(harbour, views)
-    expected = encoded.match(encoded.text(query), places, np.arange(len(best))).residual
+def test_the_network_reranks_the_viewpoints_themselves(
+    scored, reranked, best, harbour, encoded, make_network
+):
+    (query, found), top = scored, best[:NUM_RERANKED]
+    places = PlaceGraphs.of_views(harbour, found.rows[top].astype(np.int64))
+    expected = encoded.match(encoded.text(query), places, np.arange(len(top))).residual
     assert expected.std() > 1e-3
-    gain = (after.log_prior - found.log_prior)[best]
+    gain = (reranked(encoded).log_prior - found.log_prior)[top]
     assert gain - gain.mean() == pytest.approx(expected - expected.mean(), abs=1e-4)
-
-
-def test_who_adds_more_shifts_more(asked, harbour, make_network):
-    query, found = asked
-    little, much = (
-        reranked(found, query, EncodedCity(harbour, make_network(fusion=weight)))
-        for weight in (0.05, 1.0)
+    near, far = (
+        np.abs(reranked(EncodedCity(harbour, make_network(fusion=f))).log_prior - found.log_prior)
+        for f in (0.05, 1.0)
     )
-    near, far = (np.abs(x.log_prior - found.log_prior).max() for x in (little, much))
-    assert 0.0 < near < far
+    assert 0.0 < near.max() < far.max()
 
 
 BENCH, TREE, FOUNTAIN, BAKERY = "amenity=bench", "natural=tree", "amenity=fountain", "shop=bakery"
@@ -289,9 +256,9 @@ QUERIES = {
 def everywhere(request, harbour, said):
     """A description, and positions around all viewpoints with their scores."""
     description = said(*QUERIES[request.param])
-    asked = Request(harbour, compile_query(description, harbour))
-    every = Candidates.given(asked, np.arange(len(harbour.views)))
-    positions, scores = look_around(asked, every.rows, every.far)
+    request = Request(harbour, compile_query(description, harbour))
+    every = Candidates.of_views(request, np.arange(len(harbour.views)))
+    positions, scores = score_around(request, every.rows, every.distant)
     return description, positions.reshape(-1, 2), scores.ravel()
 
 
@@ -300,24 +267,16 @@ def smoothed(positions, scores, at, radius=25.0):
     return np.logaddexp.reduce(scores[near]) if near.any() else -np.inf
 
 
-def test_search_finds_what_looking_everywhere_finds(everywhere, harbour):
+def test_search_finds_the_modes_of_an_exhaustive_search(everywhere, harbour):
     description, positions, scores = everywhere
-    found = search(Request(harbour, compile_query(description, harbour)))
+    found = search_views(Request(harbour, compile_query(description, harbour)))
     assert found.probabilities.sum() + found.elsewhere <= 1 + 1e-6
-    best = find_modes(found, 1, 6.67)[0]
+    modes = find_modes(found, 3, SPACING)
     highest = max(smoothed(positions, scores, positions[i]) for i in np.argsort(-scores)[:50])
-    assert smoothed(positions, scores, best.position) > highest - 0.7
-
-
-def test_probabilities_are_those_of_looking_everywhere(everywhere, harbour):
-    from placegraph.outdoor.search.posterior import ELSEWHERE
-
-    description, positions, scores = everywhere
-    weights = (1 - ELSEWHERE) * np.exp(scores.astype(np.float64)) / len(positions)
-    weights /= weights.sum() + ELSEWHERE
-    found = search(Request(harbour, compile_query(description, harbour)))
-    left = weights.copy()  # places count for the first mode that is near
-    for mode in find_modes(found, 3, 6.67):
+    assert smoothed(positions, scores, modes[0].position) > highest - 0.7
+    weights = (1 - PRIOR_ELSEWHERE) * np.exp(scores.astype(np.float64)) / len(positions)
+    left = weights / (weights.sum() + PRIOR_ELSEWHERE)  # places count for the first mode near by
+    for mode in modes:
         near = np.hypot(*(positions - mode.position).T) <= 50.0
         assert mode.probability == pytest.approx(left[near].sum(), abs=0.15)
         left[near] = 0.0
@@ -337,40 +296,45 @@ TOLD = (
 def test_the_best_of_few_is_the_best_of_all(text, monaco):
     """Its probability is off by what is estimated of the rest, and by what lies 4 nat behind."""
     asked = make_request(monaco, text, Hints(), Matching())
-    every = Candidates.given(asked, np.arange(len(monaco.views)))
+    every = Candidates.of_views(asked, np.arange(len(monaco.views)))
     few, all_ = (
-        find_modes(p, 5, 6.67)[0]
-        for p in (search(asked), compute_posterior(asked, scored(asked, every, 30.0)))
+        find_modes(p, 5, SPACING)[0]
+        for p in (
+            search_views(asked),
+            compute_posterior(asked, score_candidates(asked, every, 30.0)),
+        )
     )
     assert np.hypot(*(few.position - all_.position)) < 1.0
     assert few.probability == pytest.approx(all_.probability, abs=0.05)
 
 
-def test_a_thing_out_of_sight_is_found(harbour, said, hafenstadt):
+def search(city, text):
+    return search_views(Request(city, compile_query(text, city)))
+
+
+def test_an_object_out_of_sight_is_found(harbour, said, hafenstadt):
     """The only museum is 70 m south: no viewpoint there has it in sight."""
     text = said(("me", "along", "Hafenstraße"), ("tourism=museum", "south", "me", {"far": True}))
-    found = search(Request(harbour, compile_query(text, harbour)))
-    best = find_modes(found, 1, 6.67)[0]
+    best = find_modes(search(harbour, text), 1, SPACING)[0]
     museum = harbour.plane.to_plane(hafenstadt.position("I"))
     assert best.position[1] > museum[1] + 50
 
 
 def test_nothing_is_in_sight_of_anything(harbour, said):
-    query = compile_query(said(("Brotkorb", "north", "Rathaus", {"negated": True})), harbour)
-    found = search(Request(harbour, query))
+    found = search(harbour, said(("Brotkorb", "north", "Rathaus", {"negated": True})))
     assert found.probabilities.sum() + found.elsewhere <= 1 + 1e-6
 
 
 def test_candidates_do_not_depend_on_the_order_of_statements(harbour, said):
     statements = [s for name in ("square and fountain", "names") for s in QUERIES[name]]
-    one = search(Request(harbour, compile_query(said(*statements), harbour)))
-    two = search(Request(harbour, compile_query(said(*statements[::-1]), harbour)))
-    for a, b in zip(find_modes(one, 3, 6.67), find_modes(two, 3, 6.67), strict=True):
+    one, two = (
+        find_modes(search(harbour, said(*s)), 3, SPACING) for s in (statements, statements[::-1])
+    )
+    for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a.position, b.position, atol=1.0)
         assert a.probability == pytest.approx(b.probability, abs=0.02)
 
 
-def test_few_viewpoints_are_looked_at(monaco, said):
-    query = compile_query(said(("amenity=fountain", "north", "me")), monaco)
-    found = search(Request(monaco, query))
+def test_few_viewpoints_are_scored(monaco, said):
+    found = search(monaco, said(("amenity=fountain", "north", "me")))
     assert 0 < len(found.positions) < 0.2 * len(monaco.views)

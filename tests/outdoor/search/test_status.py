@@ -10,8 +10,8 @@ from placegraph.outdoor.language import describe
 from placegraph.outdoor.search.posterior import Posterior, find_modes
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
-    HERE,
     IN_SIGHT,
+    MIN_BEST,
     Diagnostics,
     decide,
     diagnose,
@@ -50,7 +50,9 @@ def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
     assert status is Status.OK
     assert "within 250 m" in reason
     scattered = make_posterior(*((60.0 * i, 0.24) for i in range(4)))
-    assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, f"the best holds less than {HERE}"
+    assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, (
+        f"the best holds less than {MIN_BEST}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,9 +62,9 @@ def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
         ({"unknown_names": ("King Street West",)}, Status.AMBIGUOUS, NO_NAME),
         ({"unknown_names": ("A", "B")}, Status.AMBIGUOUS, "“A” and “B” are not on this map, so"),
         ({"unknown_names": ("A",), "unread": ("flurble",)}, Status.AMBIGUOUS, "“flurble”."),
-        ({"cell_matcher": "transformer"}, Status.AMBIGUOUS, "The transformer matcher ranks places"),
-        ({"cell_matcher": "embedding", "ranks_only": True, "elsewhere": 0.6}, Status.AMBIGUOUS,
-         "The embedding matcher ranks places"),
+        ({"cell_matcher": "transformer"}, Status.AMBIGUOUS, "The transformer matcher only ranks"),
+        ({"cell_matcher": "embedding", "is_ranking_only": True, "elsewhere": 0.6}, Status.AMBIGUOUS,
+         "The embedding matcher only ranks"),
         ({"contradiction": "x"}, Status.LOST, "The description contradicts itself: x"),
         ({"obstacle": "Off the map."}, Status.LOST, "Off the map."),
         ({"remark": "The last text adds nothing."}, Status.OK, "The last text adds nothing."),

@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 from tests.outdoor.search.test_posterior import QUERIES
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.posterior import ELSEWHERE, FINE
+from placegraph.outdoor.search.posterior import FINE_OFFSETS, PRIOR_ELSEWHERE
 from placegraph.outdoor.track.belief import (
-    MOST_SCORED,
+    MAX_SCORED,
     Belief,
     TrackGrid,
-    _by_fourier,
-    add_positions,
+    _convolve_by_fourier,
+    add_mass,
     inject_uniform,
-    make_displacement,
-    make_walk,
+    make_displacement_kernel,
+    make_walk_kernel,
     propagate,
     score_belief,
 )
@@ -26,14 +26,14 @@ SHORT = st.floats(-150.0, 150.0)
 
 @pytest.fixture(scope="module")
 def grid(harbour):
-    return TrackGrid.of(harbour.views)
+    return TrackGrid.of_views(harbour.views)
 
 
 def lump(grid, at=(0.0, 0.0)):
     """All probability at one place, in the grid's middle."""
     mass = np.zeros((grid.rows, grid.columns), np.float32)
     middle = grid.positions(np.array([grid.rows // 2 * grid.columns + grid.columns // 2]))
-    add_positions(mass, grid, middle + at, np.ones(1))
+    add_mass(mass, grid, middle + at, np.ones(1))
     return Belief(mass, 0.0)
 
 
@@ -50,7 +50,7 @@ def test_viewpoints_lie_in_the_middle_of_their_cells(grid, harbour):
 
 def test_the_start_knows_nothing(grid):
     start = Belief.start(grid)
-    assert start.elsewhere == pytest.approx(ELSEWHERE, abs=1e-6)
+    assert start.elsewhere == pytest.approx(PRIOR_ELSEWHERE, abs=1e-6)
     assert np.unique(start.mass.ravel()[grid.cells]).size == 1
     off = Belief.start(grid, np.zeros(len(grid.cells)))
     assert off.elsewhere == 1.0
@@ -59,7 +59,7 @@ def test_the_start_knows_nothing(grid):
 @given(SHORT, SHORT, st.floats(0.0, 40.0))
 def test_a_measured_motion_moves_the_mean(grid, east, north, sigma):
     before = lump(grid)
-    kernel = make_displacement(east, north, sigma)
+    kernel = make_displacement_kernel(east, north, sigma)
     after = propagate(before, kernel)
     assert kernel.weights.sum() == pytest.approx(1.0, abs=1e-5)
     assert after.mass.sum() + after.elsewhere == pytest.approx(1.0, abs=1e-5)
@@ -71,8 +71,8 @@ def test_a_measured_motion_moves_the_mean(grid, east, north, sigma):
 def test_forth_and_back_keeps_the_mean(grid, east, north, sigma):
     before = lump(grid, (3.0, -7.0))
     after = propagate(
-        propagate(before, make_displacement(east, north, sigma)),
-        make_displacement(-east, -north, sigma),
+        propagate(before, make_displacement_kernel(east, north, sigma)),
+        make_displacement_kernel(-east, -north, sigma),
     )
     np.testing.assert_allclose(mean(after, grid), mean(before, grid), atol=0.1)
 
@@ -80,8 +80,8 @@ def test_forth_and_back_keeps_the_mean(grid, east, north, sigma):
 @given(st.floats(0.0, 120.0), st.floats(0.0, 30.0), st.floats(0.0, 6.3), st.floats(0.0, 0.6))
 def test_a_loose_way_forth_and_back_keeps_the_mean(grid, distance, loose, bearing, sigma):
     before = lump(grid)
-    forth = make_walk(distance, loose, bearing, sigma)
-    back = make_walk(distance, loose, bearing + np.pi, sigma)
+    forth = make_walk_kernel(distance, loose, bearing, sigma)
+    back = make_walk_kernel(distance, loose, bearing + np.pi, sigma)
     np.testing.assert_allclose(
         mean(propagate(propagate(before, forth), back), grid), mean(before, grid), atol=0.3
     )
@@ -90,7 +90,7 @@ def test_a_loose_way_forth_and_back_keeps_the_mean(grid, distance, loose, bearin
 
 
 def test_in_any_direction(grid):
-    after = propagate(lump(grid), make_walk(100.0, 5.0, None, 0.0))
+    after = propagate(lump(grid), make_walk_kernel(100.0, 5.0, None, 0.0))
     positions = grid.positions(np.arange(after.mass.size)) - mean(lump(grid), grid)
     off = np.hypot(*positions.T)
     ring = after.mass.ravel()[(off > 70.0) & (off < 130.0)].sum()
@@ -99,7 +99,7 @@ def test_in_any_direction(grid):
 
 
 def test_a_looser_way_spreads_more():
-    spread = [np.trace(make_walk(100.0, loose, 1.0, sigma).covariance)
+    spread = [np.trace(make_walk_kernel(100.0, loose, 1.0, sigma).covariance)
               for loose, sigma in ((2.0, 0.05), (25.0, 0.05), (25.0, 0.5))]  # fmt: skip
     assert spread == sorted(spread)
     assert spread[0] < 100.0 < spread[2]
@@ -108,27 +108,29 @@ def test_a_looser_way_spreads_more():
 def test_large_kernels_give_the_same_through_fourier(grid):
     belief = Belief.start(grid)
     for kernel in (
-        make_walk(120.0, 30.0, 0.7, 0.4),
-        make_displacement(-333.0, 52.0, 10.0),
-        make_walk(90.0, 9.0, None, 0),
+        make_walk_kernel(120.0, 30.0, 0.7, 0.4),
+        make_displacement_kernel(-333.0, 52.0, 10.0),
+        make_walk_kernel(90.0, 9.0, None, 0),
     ):
         plain = np.zeros_like(belief.mass)
         plain += propagate(Belief(belief.mass * np.float32(1e3), 0.0), kernel).mass / np.float32(
             1e3
         )
-        fourier = _by_fourier(belief.mass, kernel)
+        fourier = _convolve_by_fourier(belief.mass, kernel)
         np.testing.assert_allclose(fourier.sum(), plain.sum(), rtol=1e-3)
         # cells lighter than the background are shifted whole: compare where there is something
         lumped = lump(grid)
         np.testing.assert_allclose(
-            _by_fourier(lumped.mass, kernel), propagate(lumped, kernel).mass, atol=1e-5
+            _convolve_by_fourier(lumped.mass, kernel), propagate(lumped, kernel).mass, atol=1e-5
         )
 
 
 def test_over_the_border_and_far_away(grid):
-    gone = propagate(lump(grid), make_displacement(20_000.0, 0.0, 10.0))
+    gone = propagate(lump(grid), make_displacement_kernel(20_000.0, 0.0, 10.0))
     assert gone.elsewhere == pytest.approx(1.0, abs=1e-6)
-    half = propagate(Belief.start(grid), make_displacement(0.5 * 20.0 * grid.columns, 0.0, 0.0))
+    half = propagate(
+        Belief.start(grid), make_displacement_kernel(0.5 * 20.0 * grid.columns, 0.0, 0.0)
+    )
     assert 0.1 < half.elsewhere < 0.9
 
 
@@ -146,9 +148,9 @@ def test_closer_looks_are_looks(name, harbour, said, request):
     look = request.getfixturevalue("score")
     description = said(*QUERIES[name])
     found = score_belief(compile_query(description, harbour), harbour, np.ones(len(harbour.views)))
-    assert found.positions.shape == (len(found.closer), len(FINE), 2)
+    assert found.positions.shape == (len(found.refined), len(FINE_OFFSETS), 2)
     off = []
-    for view, positions, ratios in zip(found.closer, found.positions, found.ratios, strict=True):
+    for view, positions, ratios in zip(found.refined, found.positions, found.ratios, strict=True):
         np.testing.assert_allclose(positions.mean(axis=0), harbour.views.positions[view], atol=0.01)
         off.append(np.abs(ratios - look(harbour, description, positions)[0]))
         assert found.views[view] == pytest.approx(np.log(np.exp(ratios).mean()), abs=1e-6)
@@ -167,7 +169,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
         weights = np.full(n, 1e-12)
         weights[view] = 1.0
         found = score_belief(query, harbour, weights)
-        seen = look(harbour, description, harbour.views.positions[view] + FINE)[0]
+        seen = look(harbour, description, harbour.views.positions[view] + FINE_OFFSETS)[0]
         exact = float(np.log(np.exp(seen.astype(np.float64)).mean()))
         assert found.views[view] == pytest.approx(exact, abs=0.8)
 
@@ -186,7 +188,7 @@ def test_nothing_drops_to_zero(harbour, said):
 def test_no_belief_on_the_map_is_no_error(harbour, said):
     query = compile_query(said(*QUERIES["one bench"]), harbour)
     found = score_belief(query, harbour, np.zeros(len(harbour.views)))
-    assert len(found.closer) == 0
+    assert len(found.refined) == 0
     assert (found.views == found.nothing).all()
 
 
@@ -197,5 +199,5 @@ def test_many_are_left_with_their_bounds(monaco, said):
     weights = np.ones(len(monaco.views))
     found = score_belief(query, monaco, weights)
     spread = np.unique(found.views.round(3))
-    assert (found.views > found.nothing + 0.05).sum() > MOST_SCORED / 3
+    assert (found.views > found.nothing + 0.05).sum() > MAX_SCORED / 3
     assert len(spread) > 100

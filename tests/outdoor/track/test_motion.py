@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from placegraph.outdoor.track.motion import (
     _TENS,
     _UNITS,
-    UNSAID,
+    DEFAULT_DISTANCE,
     Leg,
-    in_digits,
-    seconds,
+    parse_duration,
     split_legs,
+    write_digits,
 )
 
 NORTH, EAST, SOUTH, WEST = 0.0, 0.5, 1.0, 1.5  # bearings and turns in units of pi
@@ -34,7 +34,7 @@ SAID = [
     ("I turned 90 degrees right.", [(0, None, RIGHT)]),
     ("I walked 100 m towards 45 degrees", [(100, 0.25, None)]),
     ("I turned around and went back 30 m.", [(0, None, BACK), (30, None, AHEAD)]),
-    ("I went back.", [(UNSAID, None, BACK)]),
+    ("I went back.", [(DEFAULT_DISTANCE, None, BACK)]),
     ("I turned right and went 50 m.", [(0, None, RIGHT), (50, None, AHEAD)]),
     ("I walked 120 m.", [(120, None, None)]),
     ("200 m east", [(200, EAST, None)]),
@@ -49,10 +49,10 @@ SAID = [
      [(90, None, None), "I am on Lange Straße. I am at the tram stop."]),
     ("I turned left onto Main Street.", [(0, None, LEFT), "I am on Main Street."]),
     ("I went straight on until I reached the church.",
-     [(UNSAID, None, AHEAD), "I am at the church."]),
+     [(DEFAULT_DISTANCE, None, AHEAD), "I am at the church."]),
     ("I walked along the canal until the bridge.",
-     [(UNSAID, None, None), "I am on the canal. I am at the bridge."]),
-    ("I reached the church.", [(UNSAID, None, None), "I am at the church."]),
+     [(DEFAULT_DISTANCE, None, None), "I am on the canal. I am at the bridge."]),
+    ("I reached the church.", [(DEFAULT_DISTANCE, None, None), "I am at the church."]),
     ("I walked 50 m towards the church", [(50, None, None)]),
     ("I walked 200 m east and there is a bakery to my north.",
      [(200, EAST, None), "there is a bakery to my north."]),
@@ -116,7 +116,7 @@ def test_how_loosely():
      ("three thousand four hundred", "3400"), ("nineteen", "19"), ("the bone", "the bone")],
 )  # fmt: skip
 def test_numbers(text, number):
-    assert in_digits(text) == number
+    assert write_digits(text) == number
 
 
 @given(st.integers(0, 9_999))
@@ -132,7 +132,7 @@ def test_numbers_in_words_are_read(n):
         words += [ones[n % 10]] if n % 10 else []
     elif n % 100 or not words:
         words.append(ones[n % 100])
-    assert in_digits(" ".join(words)) == str(n)
+    assert write_digits(" ".join(words)) == str(n)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_numbers_in_words_are_read(n):
      ("30 secs", 30), ("1.5 h", 5400), ("2 and a half minutes", 150)],
 )  # fmt: skip
 def test_times(text, expected):
-    assert seconds(text) == expected
+    assert parse_duration(text) == expected
 
 
 WORDS = ["I", "walked", "went", "turned", "left", "north", "200", "m", "two", "hundred", "minutes",

@@ -52,12 +52,12 @@ def test_answers_are_read_with_what_was_said_here(twins):
     first = tracker.tell("A kiosk is south of me.")
     question = first.next_question(twins)
     assert question.options == (YES, NO)
-    shop = question.things[0].label
+    shop = question.subjects[0].label
     assert shop in {"shop=bakery", "amenity=pharmacy"}
     unknown = tracker.answer(question.answer(UNKNOWN))
     assert [m.probability for m in unknown.modes] == [m.probability for m in first.modes]
     again = unknown.next_question(twins)
-    assert again.things[0].label != shop
+    assert again.subjects[0].label != shop
     told = tracker.answer(again.answer(YES))
     assert told.status is Status.OK
     assert told.best.probability > 1.5 * first.best.probability
@@ -389,7 +389,7 @@ def test_whatever_happens_probability_is_probability(harbour, steps):
             estimate = tracker.walk(*step)
         sound(estimate, harbour)
         assert 0.0 <= tracker.elsewhere <= 1.0
-        on_map = float(tracker._stop.now.mass.sum(dtype=np.float64))
+        on_map = float(tracker._measurement.current.mass.sum(dtype=np.float64))
         assert on_map + tracker.elsewhere == pytest.approx(1.0, abs=1e-4)
         assert estimate.support[:, 2].sum() + tracker.elsewhere <= 1.0 + 1e-4
     assert len(tracker.history) == len(steps)

@@ -224,7 +224,7 @@ def _indexed_city(path: Path, world: SeedWorld) -> None:
 
 def _vectors(bits: int) -> Draw:
     def draw(path: Path, world: SeedWorld) -> None:
-        _town_map(path, world).encoded.keep(path, name="town", bits=bits)
+        _town_map(path, world).encoded.save_embeddings(path, name="town", bits=bits)
 
     return draw
 

@@ -21,10 +21,9 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
-from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
+from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, score_views
 from placegraph.outdoor.map.index import REACH, STRIDE
-from placegraph.outdoor.search.candidates import Candidates
-from placegraph.outdoor.search.posterior import TOGETHER
+from placegraph.outdoor.search.posterior import PRIOR_COHERENT, Candidates
 from placegraph.outdoor.search.request import Hints, Matching, make_request
 
 KINDS = ("node", "way", "relation")
@@ -298,7 +297,7 @@ def add_true_statement(town: Town, rng: np.random.Generator) -> str:
             for s in ((last,), before, description.statements)
         )
         off = float(np.abs(every - some - alone).max())
-        if off > 2.0 * SLACK:
+        if off > 2.0 * BOUND_SLACK:
             return f"{last.text} moved a viewpoint by {off:.2f} more than its log-likelihood"
     return ""
 
@@ -307,10 +306,10 @@ def scores(city: CityMap, description: Description) -> Floats:
     """Return the log-likelihood ratios (W,) of a description at every viewpoint."""
     asked = make_request(city, description, Hints(), Matching())
     rows = np.arange(len(city.views.positions))
-    chosen = Candidates.given(asked, rows)
+    chosen = Candidates.of_views(asked, rows)
     return score_views(
-        asked.query.statements, city.columns, city.views.columns, asked.words, chosen.rows,
-        chosen.bounds, np.zeros(len(rows)), chosen.far, TOGETHER, 1e6,
+        asked.query.statements, city.columns, city.views.columns, asked.token_weights, chosen.rows,
+        chosen.bounds, np.zeros(len(rows)), chosen.distant, PRIOR_COHERENT, 1e6,
     )[0].astype(np.float64)  # fmt: skip
 
 

@@ -6,31 +6,31 @@ import pytest
 from placegraph.outdoor.network.graphs import (
     PlaceGraphs,
     WordWeights,
-    entries,
-    place_batch,
-    text_batch,
-    word_fits,
+    list_nodes,
+    make_place_batch,
+    make_text_batch,
+    make_word_fits,
 )
 from placegraph.outdoor.network.network_kernels import (
-    CHANCE,
+    CHANNEL_CHANCE,
     CHANNELS,
-    CROWD,
     LITERAL,
-    LONELY,
     NOISE,
+    PAIR_SMOOTHING,
+    SINGLE_SMOOTHING,
 )
 from placegraph_learn.city.batches import pair_batch
 
 
 def test_a_text_in_a_batch_is_that_text(texts):
     every = np.arange(len(texts))
-    batch = text_batch(texts, every)
+    batch = make_text_batch(texts, every)
     sizes = np.diff(texts.starts)
     assert batch.mask.sum(1).tolist() == sizes.tolist()
     assert batch.nodes[:, 0, 0].tolist() == [1.0] * len(texts)
     assert not batch.nodes[batch.mask == 0].any()
     for q in every:
-        alone, n = text_batch(texts, np.array([q])), sizes[q]
+        alone, n = make_text_batch(texts, np.array([q])), sizes[q]
         assert np.array_equal(batch.relations[q, :, :n, :n], alone.relations[0])
         assert np.array_equal(batch.nodes[q, :n], alone.nodes[0])
         assert not batch.relations[q, :, n:].any()
@@ -39,9 +39,12 @@ def test_a_text_in_a_batch_is_that_text(texts):
 
 def test_a_place_in_a_batch_is_that_place(places):
     rows = np.arange(0, len(places), 7)
-    batch = place_batch(places, rows)
+    batch = make_place_batch(places, rows)
     for i, k in enumerate(rows):
-        alone, n = place_batch(places, rows[i : i + 1]), places.starts[k + 1] - places.starts[k] + 1
+        alone, n = (
+            make_place_batch(places, rows[i : i + 1]),
+            places.starts[k + 1] - places.starts[k] + 1,
+        )
         assert batch.mask[i].tolist() == [1.0] * n + [0.0] * (batch.mask.shape[1] - n)
         assert np.array_equal(batch.nodes[i, :n], alone.nodes[0])
         assert np.array_equal(batch.relations[i, :, :n, :n], alone.relations[0])
@@ -53,16 +56,16 @@ def test_a_place_in_a_batch_is_that_place(places):
 
 def test_words_of_nodes_stand_where_their_nodes_do(places):
     rows = np.array([3, 0, 11])
-    words = place_batch(places, rows).words
-    size = place_batch(places, rows).mask.shape[1]
+    words = make_place_batch(places, rows).words
+    size = make_place_batch(places, rows).mask.shape[1]
     bounds = [*words.starts.tolist(), len(words.words)]
-    nodes, at = entries(np.array([5, 0]), np.array([2, 3]), 4)
+    nodes, at = list_nodes(np.array([5, 0]), np.array([2, 3]), 4)
     assert nodes.tolist() == [5, 6, 0, 1, 2]
     assert at.tolist() == [0, 1, 4, 5, 6]
-    assert entries(np.array([5]), np.array([2]), 4, skip=1)[1].tolist() == [1, 2]
+    assert list_nodes(np.array([5]), np.array([2]), 4, skip=1)[1].tolist() == [1, 2]
     starts, tokens = np.array([0, 0, 1, 3]), np.array([0, 1, 2], np.int32)
     weights = WordWeights(starts, tokens, np.ones(3, np.float32))
-    fits = word_fits(weights, np.array([1, 60, 40]), 100)
+    fits = make_word_fits(weights, np.array([1, 60, 40]), 100)
     assert fits.rarity == pytest.approx([0.0, -np.log(0.01) / 10.0, 0.0])  # 0 of all who may be all
     for i, at in enumerate(words.at):
         graph, node = divmod(int(at), size)
@@ -77,7 +80,7 @@ def paired(harbour, pool):
     assert (views >= 0).all()
     places = PlaceGraphs.of_views(harbour, views.ravel())
     fits = pool.fits
-    words = word_fits(fits, *harbour.word_counts)
+    words = make_word_fits(fits, *harbour.word_counts)
     rows, every = np.arange(3), np.arange(len(places))
     return places, words, pair_batch(pool.texts, places, rows, every, (every // 5, every), words)
 
@@ -105,7 +108,7 @@ def test_agreement_is_how_well_words_of_the_map_fit(harbour, pool, paired):
 
 def test_what_holds_is_what_was_said_of_what_is_there(pool, paired):
     places, _, batch = paired
-    there = place_batch(places, np.arange(len(places))).relations
+    there = make_place_batch(places, np.arange(len(places))).relations
     spoken = batch.spoken.astype(bool)
     said = batch.said[..., : len(CHANNELS)]
     assert spoken.sum(1).tolist() == np.diff(pool.texts.edge_starts)[batch.text].tolist()
@@ -133,8 +136,14 @@ def test_the_literal_reading_ends_in_a_likelihood_ratio(paired):
             ends, said = batch.ends[p, s], batch.said[p, s]
             a, b = batch.agreement[p, ends]
             held = a @ batch.holds[p, s] @ b
-            chance = (said[:-1] * CHANCE).sum() * np.exp(-10.0 * batch.rarity[p, ends].sum())
-            pairs = things + LONELY if ends.min() == 0 else things * (things - 1) + CROWD
+            chance = (said[:-1] * CHANNEL_CHANCE).sum() * np.exp(
+                -10.0 * batch.rarity[p, ends].sum()
+            )
+            pairs = (
+                things + SINGLE_SMOOTHING
+                if ends.min() == 0
+                else things * (things - 1) + PAIR_SMOOTHING
+            )
             ratio = min(held / pairs, 1.0) / max(chance, 1e-7)
             if said[-1]:
                 ratio = np.exp(-2.0 * held)

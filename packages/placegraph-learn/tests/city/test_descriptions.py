@@ -9,8 +9,7 @@ from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.candidates import find_candidates
-from placegraph.outdoor.search.posterior import HARD, score
+from placegraph.outdoor.search.posterior import NUM_RERANKED, find_candidates, score_candidates
 from placegraph.outdoor.search.request import Request
 from placegraph_learn.city import descriptions as sample
 from placegraph_learn.city.descriptions import (
@@ -179,7 +178,9 @@ def test_a_city_with_nothing_to_say_is_refused(build_world, vocabulary):
 
 def test_what_is_right_follows_from_distance(pool, harbour):
     assert len(pool) == 24
-    assert pool.views.shape == pool.right.shape == pool.scores.shape == (24, HARD + OTHERS + 4)
+    assert (
+        pool.views.shape == pool.right.shape == pool.scores.shape == (24, NUM_RERANKED + OTHERS + 4)
+    )
     there = pool.views >= 0
     delta = np.abs(harbour.views.positions[pool.views] - pool.positions[:, None]).max(axis=2)
     assert (pool.right[there & (delta <= AT)] == 1).all()
@@ -202,9 +203,9 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
     told = speaker.examples(np.random.default_rng(11))
     query = compile_query(next(told).description, speaker.city)
     asked = Request(speaker.city, query)
-    found = score(asked, find_candidates(asked))
+    found = score_candidates(asked, find_candidates(asked))
     best = found.rows[np.argsort(-found.scores, kind="stable")]
-    best = best[speaker.may_see(speaker.city.views.positions_of(best))][:HARD]
+    best = best[speaker.may_see(speaker.city.views.positions_of(best))][:NUM_RERANKED]
     assert set(best.tolist()) <= set(made.views[0].tolist())
     known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
     for view, value in zip(made.views[0].tolist(), made.scores[0].tolist(), strict=True):

@@ -9,7 +9,7 @@ import torch
 
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.network.network import GraphTransformer, Shape
-from placegraph.outdoor.search.posterior import HARD
+from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.batches import Lessons
 from placegraph_learn.city.network import Network
 from placegraph_learn.city.train import (
@@ -214,7 +214,7 @@ def test_right_places_stand_beside_wrong_ones_only_where_matching_likes_them(har
     assert np.isfinite(pool.scores[right == 1]).all()
     for q in range(len(pool)):
         known = np.sort(pool.scores[q][np.isfinite(pool.scores[q])])[::-1]
-        least = known[:HARD].min()
+        least = known[:NUM_RERANKED].min()
         assert (pool.scores[q][right[q] == 1] >= least).all()
         silenced = (pool.right[q] == 1) & (right[q] == -1)
         assert not (pool.scores[q][silenced] > least).any()
@@ -368,7 +368,7 @@ def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, netwo
     module.load_state_dict({n: torch.from_numpy(a) for n, a in network.arrays.items()})
     found = score_viewpoints(module, Lessons(harbour, pool), "cpu")
     asked = np.isfinite(found.relational)
-    assert asked.sum(axis=1).max() <= HARD
+    assert asked.sum(axis=1).max() <= NUM_RERANKED
     for scores in (found.logit, found.cosine, found.fused):
         assert np.array_equal(np.isfinite(scores), asked)
     assert (pool.views[asked] >= 0).all()

@@ -117,7 +117,7 @@ def on_earth(tell: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
 
 def told(question: Question) -> dict[str, Any]:
     """A question as JSON, which a client sends back with its answer."""
-    things = [{"words": t.words, "label": t.label, "wind": t.wind} for t in question.things]
+    things = [{"words": t.words, "label": t.label, "wind": t.wind} for t in question.subjects]
     return {
         "text": question.text,
         "options": list(question.options),
@@ -133,13 +133,13 @@ def answers_in(asked: dict[str, Any]) -> list[Answer]:
 
 def given_answer(answer: dict[str, Any]) -> Answer:
     """An answer ``{"question": ..., "option": ...}`` that a client sends back."""
-    from placegraph.outdoor.search.ask import NONE, WINDS, Question, Thing
+    from placegraph.outdoor.search.ask import COMPASS, NONE, Question, Subject
 
     asked = answer["question"]
-    things = tuple(Thing(t["words"], t["label"], t["wind"]) for t in asked["things"])
+    things = tuple(Subject(t["words"], t["label"], t["wind"]) for t in asked["things"])
     options = tuple(asked["options"])
     known = len(things) == 1 or options == (*(t.words for t in things), NONE)
-    if not things or not known or any(t.wind and t.wind not in WINDS for t in things):
+    if not things or not known or any(t.wind and t.wind not in COMPASS for t in things):
         raise OptionError("answers: a question is not as it was asked; send it back unchanged.")
     return Question(asked["text"], options, things, 0.0).answer(answer["option"])
 

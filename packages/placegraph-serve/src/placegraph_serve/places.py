@@ -17,7 +17,7 @@ from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.maps import SHARDS, WORLD, check_map_files, find_map_files, folder_kind, is_world
 from placegraph.world import World, open_world
-from placegraph.world.world import opened
+from placegraph.world.world import open_map_or_world
 from placegraph_serve.options import ServeOptions
 
 if TYPE_CHECKING:
@@ -95,15 +95,15 @@ class Places:
 
     def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
         """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""
-        opened: CityMap | SceneMap | SceneLibrary = self._opened(self.entry(name).path)
-        return opened
+        open_map_or_world: CityMap | SceneMap | SceneLibrary = self._opened(self.entry(name).path)
+        return open_map_or_world
 
     def _opened(self, path: Path) -> Any:  # noqa: ANN401  # any map
         state = state_of(path)
         held = self._held.get(path)
         if held is None or held[0] != state:
             try:
-                held = self._held[path] = state, opened(path, self.scheduler)
+                held = self._held[path] = state, open_map_or_world(path, self.scheduler)
             except PlacegraphError as error:
                 raise type(error)(without_folder(error, path)) from error
         return held[1]

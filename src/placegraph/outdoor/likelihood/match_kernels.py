@@ -1,8 +1,8 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
 """Log-likelihood ratios of statements at viewpoints and at exact positions.
 
-The geometry of one statement, the assignment of objects to mentions (one mention means one thing
-throughout), all statements at a viewpoint, and what things out of sight add.
+Holds the geometry of one statement, the assignment of objects to mentions (a mention means one object
+throughout), scores of all statements at a viewpoint, and the share of objects out of sight.
 """
 
 from __future__ import annotations
@@ -21,90 +21,88 @@ from placegraph.outdoor.map.index_kernels import look, most_things, place_of, ti
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""
 ME = -1
-"""Stands for the viewpoint itself where a mention could stand."""
+"""The speaker, in place of the row of a mention."""
 AREA = 2
 BLUR = 1.5
 """Square of the distance below which directions blur [m^2]."""
 
 
 @kernel(finite=True, inline="always")
-def distance_fit(said, d):
-    """Return how well a distance d fits the stated one [m]; 1 where none was stated.
+def distance_fit(stated, d):
+    """Return how well a distance d fits the stated one [m]; 1 where none is stated.
 
-    What is much nearer than was said fits by the ratio: nobody calls 5 m "about 60 m". A negative
-    number is the most that it may be: "within 50 m", "on the same block".
+    Much smaller distances fit by their ratio: nobody calls 5 m "about 60 m". A negative stated
+    distance is an upper limit: "within 50 m", "on the same block".
     """
-    if said == 0.0:
+    if stated == 0.0:
         return 1.0
-    if said < 0.0:
-        return 1.0 / (1.0 + np.exp((d + said) / (5.0 - 0.15 * said)))
-    nearer = np.log((said + 5.0) / (d + 5.0)) / 0.5
-    farther = (d - said) / (0.35 * said + 5.0)
-    z = nearer if d < said else farther
+    if stated < 0.0:
+        return 1.0 / (1.0 + np.exp((d + stated) / (5.0 - 0.15 * stated)))
+    nearer = np.log((stated + 5.0) / (d + 5.0)) / 0.5
+    farther = (d - stated) / (0.35 * stated + 5.0)
+    z = nearer if d < stated else farther
     return np.exp(-0.5 * z * z)
 
 
 @kernel(finite=True, inline="always")
-def _close(said, d):
+def _near_fit(stated, d):
     """Return how well "near" fits a distance d [m]."""
-    if said != 0.0:
-        return distance_fit(said, d)
+    if stated != 0.0:
+        return distance_fit(stated, d)
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
 
 
 @kernel(finite=True, _nrt=False)
-def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
-    """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
+def pair_fit(op, table, ux, uy, stated, ax, ay, bx, by, kind_b):
+    """Return P(relation | source at a, target at b), seen from the viewpoint [m]."""
     dx, dy = ax - bx, ay - by
     d = np.sqrt(dx * dx + dy * dy)
     if op == DIRECTION:
-        return direction_fit(table, ux, uy, dx, dy, BLUR) * distance_fit(said, d)
+        return direction_fit(table, ux, uy, dx, dy, BLUR) * distance_fit(stated, d)
     if op == NEAR:
-        return _close(said, d)
+        return _near_fit(stated, d)
     if op == ACROSS:
-        return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)
+        return _near_fit(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)
     if op == INSIDE:
-        return _close(0.0, 2.0 * d) if kind_b == AREA else 0.2 * _close(0.0, d)
+        return _near_fit(0.0, 2.0 * d) if kind_b == AREA else 0.2 * _near_fit(0.0, d)
     if op == ALONG:
-        return _close(0.0, 1.5 * d) if kind_b != 0 else 0.3 * _close(0.0, d)
-    return _close(0.0, d)
+        return _near_fit(0.0, 1.5 * d) if kind_b != 0 else 0.3 * _near_fit(0.0, d)
+    return _near_fit(0.0, d)
 
 
 @kernel(finite=True, _nrt=False)
-def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
-    """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
+def speaker_fit(op, table, ux, uy, stated, x, y, kind, forward, blurred):
+    """Return P(relation | object at (x, y) [m] from the speaker); `forward`: the object is the source."""
     d = np.sqrt(x * x + y * y)
     if op == DIRECTION:
         if not forward:
             ux, uy = -ux, -uy
-        return direction_fit(table, ux, uy, x, y, blurred) * distance_fit(said, d)
+        return direction_fit(table, ux, uy, x, y, blurred) * distance_fit(stated, d)
     if op == VISIBLE:
-        return distance_fit(said, d)
+        return distance_fit(stated, d)
     if op == NEAR:
-        return _close(said, d)
+        return _near_fit(stated, d)
     if op == SAME:
-        return _close(0.0, 2.0 * d)
+        return _near_fit(0.0, 2.0 * d)
     if op == INSIDE:
-        return (
-            (1.0 if d < 1.0 else 0.3 * _close(0.0, 2.0 * d))
-            if kind == AREA
-            else 0.2 * _close(0.0, d)
-        )
+        if kind != AREA:
+            return 0.2 * _near_fit(0.0, d)
+        return 1.0 if d < 1.0 else 0.3 * _near_fit(0.0, 2.0 * d)
     if op == ALONG:
-        return _close(0.0, 1.5 * d) if kind != 0 else 0.3 * _close(0.0, d)
-    return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
+        return _near_fit(0.0, 1.5 * d) if kind != 0 else 0.3 * _near_fit(0.0, d)
+    return _near_fit(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
 
 
-MOST = 96
-"""At most this many objects in sight are weighed for one mention."""
+MAX_OBJECTS = 96
+"""Largest number of objects in sight that one mention may mean."""
 
 
 @kernel(finite=True, _nrt=False)
-def _posterior(statements, m, fits):
-    """P(thing | all statements about mention m), unnormalised, into `fits`; returns the gain.
+def _object_posterior(statements, m, fits):
+    """Compute P(object | all statements about mention m), unnormalized, in `fits`; return the gain.
 
-    The gain is how much more likely the statements are if one object serves them all than if each
-    has its own: sum over objects of P(object) prod P(s | object) / P(s).
+    The gain is the likelihood ratio of one object for all statements against one for each:
+    sum over objects of P(object) prod P(s | object) / P(s).
     """
     many, fit, given, posterior = fits.many[m], fits.fit[m], fits.given, fits.posterior[m]
     for i in range(many):
@@ -137,22 +135,22 @@ def _posterior(statements, m, fits):
 
 @kernel(finite=True, _nrt=False)
 def log_coherence(statements, fits, together):
-    """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
+    """Return the log gain of mentions that mean one object throughout, with prior probability `together`."""
     log_gain = 0.0
     for m in range(len(fits.many)):
         if fits.many[m] > 1:
-            gain = _posterior(statements, m, fits)
+            gain = _object_posterior(statements, m, fits)
             log_gain += np.log(1.0 - together + together * gain)
     return log_gain
 
 
 @kernel(finite=True, _nrt=False)
-def assign(statements, scene, seen, fits, served):
-    """One assignment for all statements: each mention its most probable object, then the best pairs."""
+def assign_objects(statements, scene, seen, fits, served):
+    """Assign objects to all statements: the most probable one to each mention, then the best pairs."""
     weight = fits.posterior
     for m in range(len(fits.many)):
         if fits.many[m]:
-            _posterior(statements, m, fits)
+            _object_posterior(statements, m, fits)
     for s in range(len(statements.op)):
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         served[s] = -1
@@ -188,16 +186,14 @@ def assign(statements, scene, seen, fits, served):
                     served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]
 
 
-HOPELESS = -1e9
-"""Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""
-SLACK = 1.5
-"""By how much a bound of viewpoints may be short of what statements say [nat]."""
-
-
-SMALL = 25.0
-"""An area one stands in still lies in the direction of its centre, if that is this near [m]."""
-LONELY = 0.5
-"""Added to what is in sight, as `crowd` is to pairs."""
+REJECTED = -1e9
+"""Score of a viewpoint that cannot matter; finite, since compiled code assumes finite numbers."""
+BOUND_SLACK = 1.5
+"""Largest log-likelihood ratio by which a bound may fall short of the score."""
+SMALL_AREA = 25.0
+"""An area around the speaker still lies in the direction of its center, if that is this near [m]."""
+SINGLE_SMOOTHING = 0.5
+"""Additive smoothing of the number of objects in sight, as `pair_smoothing` is of pairs."""
 
 
 class InSight(NamedTuple):
@@ -206,26 +202,26 @@ class InSight(NamedTuple):
     objects: NDArray[np.int32]
     """(n,) rows of the map's objects."""
     at: NDArray[np.float32]
-    """(n, 2) nearest point seen from the viewpoint, east and north [m]."""
+    """(n, 2) nearest point, from the viewpoint, east and north [m]."""
     stands: NDArray[np.float32]
-    """(n, 2) where it stands for directions: `at`, or the centre of what one stands in [m]."""
+    """(n, 2) point that directions refer to: `at`, or the center of an area around the speaker [m]."""
     lies: NDArray[np.bool_]
-    """(n,) whether it lies in any direction; what one stands in mostly does not."""
+    """(n,) whether the object lies in any direction; an area around the speaker mostly does not."""
     sight: NDArray[np.float32]
-    """(n,) how readily it is spoken of."""
+    """(n,) probability that the object is in sight."""
     total: float
     """Sum of `sight`."""
     pairs: float
-    """Sum of `sight` products over ordered pairs of things that one does not stand in."""
+    """Sum of `sight` products over ordered pairs of objects that are not around the speaker."""
     blur: float
-    """Square of how uncertain the viewpoint itself is [m^2]."""
+    """Variance of the position of the viewpoint [m^2]."""
 
 
-class MentionObjects(NamedTuple):
-    """Which things in sight each mention may stand for."""
+class MentionMatches(NamedTuple):
+    """Objects in sight that each mention may mean."""
 
     many: NDArray[np.int64]
-    """(M,) number of them."""
+    """(M,) number of objects."""
     who: NDArray[np.int32]
     """(M, MOST) rows of `InSight`."""
     fit: NDArray[np.float32]
@@ -233,16 +229,16 @@ class MentionObjects(NamedTuple):
     mass: NDArray[np.float32]
     """(M,) sum of `fit`."""
     given: NDArray[np.float32]
-    """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
+    """(S, 2, MOST) mass of a statement whose source, or target, is this object."""
     best: NDArray[np.float32]
-    """(M,) how well the words of a thing fit each mention."""
+    """(M,) how well the words of one object fit each mention; workspace."""
     posterior: NDArray[np.float32]
-    """(M, MOST) P(thing | all statements about the mention), unnormalised."""
+    """(M, MOST) P(object | all statements about the mention), unnormalized."""
 
 
 @kernel(finite=True)
-def in_sight(scene, objects, at, sight, total, pairs, blur, view):
-    """`InSight` of the viewpoint `view` (2,) [m]."""
+def gather_in_sight(scene, objects, at, sight, total, pairs, blur, view):
+    """Gather the objects in sight of a viewpoint `view` (2,) [m] as `InSight`."""
     stands = np.empty((len(objects), 2), np.float32)
     lies = np.ones(len(objects), np.bool_)
     for e in range(len(objects)):
@@ -250,24 +246,24 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
         if scene.kind[objects[e]] == AREA and at[e, 0] == 0.0 and at[e, 1] == 0.0:
             stands[e, 0] = scene.center[objects[e], 0] - view[0]
             stands[e, 1] = scene.center[objects[e], 1] - view[1]
-            lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL * SMALL
+            lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL_AREA * SMALL_AREA
     return InSight(objects, at, stands, lies, sight, total, pairs, blur)
 
 
 @kernel
-def room(statements, words):
-    """`MentionObjects` of viewpoints one after the other: nothing is allocated for each of them."""
+def allocate_matches(statements, words):
+    """Allocate `MentionMatches` that are used for one viewpoint after the other."""
     n = words.fit.shape[1]
-    return MentionObjects(
-        np.empty(n, np.int64), np.empty((n, MOST), np.int32), np.empty((n, MOST), np.float32),
-        np.empty(n, np.float32), np.empty((len(statements.op), 2, MOST), np.float32),
-        np.empty(n, np.float32), np.empty((n, MOST), np.float32),
+    return MentionMatches(
+        np.empty(n, np.int64), np.empty((n, MAX_OBJECTS), np.int32), np.empty((n, MAX_OBJECTS), np.float32),
+        np.empty(n, np.float32), np.empty((len(statements.op), 2, MAX_OBJECTS), np.float32),
+        np.empty(n, np.float32), np.empty((n, MAX_OBJECTS), np.float32),
     )  # fmt: skip
 
 
 @kernel(finite=True, _nrt=False)
-def _recognise(scene, words, seen, fits):
-    """Which things in sight each mention may stand for, into `fits`."""
+def _match_mentions(scene, words, seen, fits):
+    """Match objects in sight with mentions, in `fits`."""
     many, who, fit, mass, given, best, _ = fits
     many[:], mass[:] = 0, 0.0
     given[:, :, : len(seen.objects)] = 0.0
@@ -280,44 +276,44 @@ def _recognise(scene, words, seen, fits):
                 best[m] = max(best[m], of) if met else of
             met |= row > 0
         for m in range(len(many) if met else 0):
-            if best[m] > 0.0 and many[m] < MOST:
+            if best[m] > 0.0 and many[m] < MAX_OBJECTS:
                 who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
                 mass[m] += fit[m, many[m]]
                 many[m] += 1
 
 
 @kernel(finite=True, _nrt=False)
-def likelihoods(statements, scene, words, seen, fits, far, together, least, out, served):
-    """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
+def score_statements(statements, scene, words, seen, fits, far, together, least, out, served):
+    """Compute the log-likelihood ratio of every statement at a viewpoint, in `out` (S,); return their sum.
 
-    The sum also rewards that one object serves all statements about a mention. `words` are `Words`,
-    `seen` is what is `InSight`, `fits` is `room`, `far` (S,) what distant objects add, `together` the
-    prior probability that a mention means one and the same object throughout. Gives up, with
-    `HOPELESS`, once the sum without that cannot reach `least`.
-    `served` (S, 2) gets the best source and target, -1 for none; leave it empty to skip that.
+    The sum also rewards one object for all statements about a mention (`log_coherence`). `words` are
+    `TokenWeights`, `seen` is `InSight`, `fits` a workspace (`allocate_matches`), `far` (S,) the share of
+    distant objects, `together` the prior probability that a mention means one object throughout.
+    Returns `REJECTED` once the sum without coherence cannot reach `least`. `served` (S, 2) gets the best
+    source and target object, -1 for none; pass an empty array to skip these.
     """
-    _recognise(scene, words, seen, fits)
-    hope = 0.0
+    _match_mentions(scene, words, seen, fits)
+    total = 0.0
     for s in range(len(statements.op)):
-        out[s] = _ceiling(statements, s, seen, fits, far[s])
-        hope += out[s]
+        out[s] = _bound_statement(statements, s, seen, fits, far[s])
+        total += out[s]
     for s in range(len(statements.op)):
-        if hope < least:
-            return HOPELESS
-        hope -= out[s]
-        out[s] = _ratio(statements, s, scene, seen, fits, far[s])
-        hope += out[s]
-    if hope < least:  # as it would be found on the way, were this statement not the last
-        return HOPELESS
-    hope += log_coherence(statements, fits, together)
+        if total < least:
+            return REJECTED
+        total -= out[s]
+        out[s] = _score_statement(statements, s, scene, seen, fits, far[s])
+        total += out[s]
+    if total < least:  # the last statement
+        return REJECTED
+    total += log_coherence(statements, fits, together)
     if len(served):
-        assign(statements, scene, seen, fits, served)
-    return hope
+        assign_objects(statements, scene, seen, fits, served)
+    return total
 
 
 @kernel(finite=True, _nrt=False)
-def _ceiling(statements, s, seen, fits, far):
-    """Log-likelihood ratio that a statement has if geometry is on its side."""
+def _bound_statement(statements, s, seen, fits, far):
+    """Bound the log-likelihood ratio of one statement: as if its geometry fitted."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
     if statements.negated[s]:
         return 0.0
@@ -325,26 +321,28 @@ def _ceiling(statements, s, seen, fits, far):
         return np.log((1.0 - noise) / statements.background[s] + noise)
     if a == ME or b == ME:
         m = b if a == ME else a
-        p = 0.0 if m == ME else fits.mass[m] / (seen.total + LONELY)
+        p = 0.0 if m == ME else fits.mass[m] / (seen.total + SINGLE_SMOOTHING)
     else:
-        p = fits.mass[a] * fits.mass[b] / (seen.pairs + statements.crowd)
+        p = fits.mass[a] * fits.mass[b] / (seen.pairs + statements.pair_smoothing)
     p = min(1.0, p + far) * (1.5 if statements.number[s] > 0.0 else 1.0)
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
 @kernel(finite=True, _nrt=False)
-def _ratio(statements, s, scene, seen, fits, far):
-    """Log-likelihood ratio of one statement."""
+def _score_statement(statements, s, scene, seen, fits, far):
+    """Compute the log-likelihood ratio of one statement."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
     expected = 0.0
     if op == BETWEEN:
-        p = _between(statements, s, seen, fits) / (seen.pairs * seen.total + statements.crowd)
+        p = _mass_between(statements, s, seen, fits) / (
+            seen.pairs * seen.total + statements.pair_smoothing
+        )
     elif a == ME or b == ME:
-        expected = _of_me(statements, s, scene, seen, fits)
-        p = expected / (seen.total + LONELY)
+        expected = _mass_with_speaker(statements, s, scene, seen, fits)
+        p = expected / (seen.total + SINGLE_SMOOTHING)
     else:
-        expected = _of_pair(statements, s, scene, seen, fits)
-        p = expected / (seen.pairs + statements.crowd)
+        expected = _mass_of_pairs(statements, s, scene, seen, fits)
+        p = expected / (seen.pairs + statements.pair_smoothing)
     p = min(1.0, p + far)
     noise = statements.noise[s]
     if statements.negated[s]:
@@ -358,8 +356,8 @@ def _ratio(statements, s, scene, seen, fits, far):
 
 
 @kernel(finite=True, _nrt=False)
-def _of_me(statements, s, scene, seen, fits):
-    """Mass of a statement about a thing and the speaker: how many such things are expected."""
+def _mass_with_speaker(statements, s, scene, seen, fits):
+    """Sum the mass of a statement about an object and the speaker: how many such objects are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
     m = statements.source[s] if forward else statements.target[s]
     ux, uy = statements.bearing[s]
@@ -369,7 +367,7 @@ def _of_me(statements, s, scene, seen, fits):
         e = fits.who[m, i]
         if op == DIRECTION and not seen.lies[e]:
             continue
-        p = me_fit(
+        p = speaker_fit(
             op, statements.table[s], ux, uy, statements.distance[s],
             where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward, seen.blur,
         )  # fmt: skip
@@ -379,11 +377,11 @@ def _of_me(statements, s, scene, seen, fits):
 
 
 @kernel(finite=True, _nrt=False)
-def _of_pair(statements, s, scene, seen, fits):
-    """Mass of a statement about two things."""
+def _mass_of_pairs(statements, s, scene, seen, fits):
+    """Sum the mass of a statement about two objects."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
     ux, uy = statements.bearing[s]
-    table, said = statements.table[s], statements.distance[s]
+    table, stated = statements.table[s], statements.distance[s]
     where = seen.stands if op == DIRECTION else seen.at
     mass = 0.0
     for i in range(fits.many[a]):
@@ -396,17 +394,8 @@ def _of_pair(statements, s, scene, seen, fits):
                 continue
             kind = scene.kind[seen.objects[eb]]
             p = pair_fit(
-                op,
-                table,
-                ux,
-                uy,
-                said,
-                where[ea, 0],
-                where[ea, 1],
-                where[eb, 0],
-                where[eb, 1],
-                kind,
-            )
+                op, table, ux, uy, stated, where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1], kind
+            )  # fmt: skip
             fits.given[s, 0, i] += fits.fit[b, j] * p
             fits.given[s, 1, j] += fits.fit[a, i] * p
             mass += fits.fit[a, i] * fits.fit[b, j] * p
@@ -414,8 +403,8 @@ def _of_pair(statements, s, scene, seen, fits):
 
 
 @kernel(finite=True, _nrt=False)
-def _between(statements, s, seen, fits):
-    """Mass of "the source lies between two targets"; the source may be the viewpoint."""
+def _mass_between(statements, s, seen, fits):
+    """Sum the mass of "the source lies between two targets"; the source may be the speaker."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]
     mass = 0.0
     if b == ME or c == ME:
@@ -438,72 +427,73 @@ def _between(statements, s, seen, fits):
     return mass
 
 
-COARSE, FINE = 20.0, 5.0
-"""Square of how far a position may be from the viewpoint scored for it, and once it is fine [m^2]."""
-SHARP = 2.0
-"""Width of the fall around `SIGHT` where positions are exact [m]."""
+VIEW_BLUR, POSITION_BLUR = 20.0, 5.0
+"""Variance of the speaker's position around a viewpoint, and around a fine position [m^2]."""
+SIGHT_WIDTH = 2.0
+"""Width of the sigmoid around `SIGHT` for exact positions [m]."""
 
 
 @kernel(finite=True)
 def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
-    """Log-likelihood ratios (K,) of candidates, and the hope (K,) of each; quickest best bounds first.
+    """Score candidates: log-likelihood ratios (K,), and sums (K,) over statements and log prior.
 
-    `relative` (K,) is their log prior, against the largest. The hope is what statements say one by
-    one, without their coherence, times the prior. Those are `HOPELESS` whose hope lies more than
-    `margin` [nat] below the best hope, in whichever order they come: coherence, of which there is no
-    bound, is not asked. Where that shows early, no more is reckoned.
+    `relative` (K,) is the log prior against the largest. Sums leave out the coherence of statements,
+    of which there is no bound. Candidates whose sum lies more than `margin` below the best are
+    `REJECTED`, whatever their order; with the best bounds first most of them are rejected early.
     """
     n_statements = len(statements.op)
-    scores = np.full(len(chosen), HOPELESS, np.float32)
-    hopes = np.full(len(chosen), HOPELESS)
+    scores = np.full(len(chosen), REJECTED, np.float32)
+    sums = np.full(len(chosen), REJECTED)
     each = np.empty(n_statements, np.float32)
     nothing = np.empty((0, 2), np.int64)
     noise = 0.0
     for s in range(n_statements):
         noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
-    best = HOPELESS
+    best = REJECTED
     most = most_things(views)
-    fits = room(statements, words)
+    fits = allocate_matches(statements, words)
     objects, sight = np.empty(most, np.int32), np.empty(most, np.float32)
     offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
     for k in range(len(chosen)):
-        if np.log(bounds[k]) + noise + SLACK < best - margin:
+        if np.log(bounds[k]) + noise + BOUND_SLACK < best - margin:
             continue
         tile, slot = tile_of(views, chosen[k])
         place[0], place[1] = place_of(views, tile, slot)
         n, total, pairs = look(scene, views, tile, slot, objects, offsets, sight)
-        seen = in_sight(scene, objects[:n], offsets[:n], sight[:n], total, pairs, COARSE, place)
-        scores[k] = likelihoods(
+        seen = gather_in_sight(
+            scene, objects[:n], offsets[:n], sight[:n], total, pairs, VIEW_BLUR, place
+        )
+        scores[k] = score_statements(
             statements, scene, words, seen, fits, far[k], together, best - margin - relative[k],
             each, nothing,
         )  # fmt: skip
-        if scores[k] > HOPELESS:
-            hopes[k] = each.sum() + relative[k]
-            best = max(best, hopes[k])
+        if scores[k] > REJECTED:
+            sums[k] = each.sum() + relative[k]
+            best = max(best, sums[k])
     for k in range(len(chosen)):
-        if hopes[k] < best - margin:
-            scores[k] = HOPELESS
-    return scores, hopes
+        if sums[k] < best - margin:
+            scores[k] = REJECTED
+    return scores, sums
 
 
 @kernel(finite=True)
-def look_again(statements, scene, words, at, seen, far, together, assign):
-    """Score exact positions `at` (B, K, 2) [m]; log-likelihood ratios (B, K).
+def score_exact(statements, scene, words, at, seen, far, together, with_objects):
+    """Score exact positions `at` (B, K, 2) [m]: log-likelihood ratios (B, K).
 
-    Near the positions of each group lie the objects that are `seen`: starts (B + 1,) and rows.
-    Nearest points are computed anew from the geometry, so that a position between viewpoints sees
-    roads and walls where they are. `far` (B, K, S) is what distant objects add. Also returns the ratios
-    of each statement (B, K, S) and, if `assign`, the objects that serve it (B, K, S, 2).
+    `seen` are the objects near each group of positions: starts (B + 1,) and rows. Nearest points are
+    computed from the geometry of each position. `far` (B, K, S) is the share of distant objects. Also
+    returns the ratio of each statement (B, K, S) and, if `with_objects`, its best source and target
+    (B, K, S, 2).
     """
     n_statements = len(statements.op)
     groups, k = at.shape[:2]
     scores = np.empty((groups, k), np.float32)
     each = np.empty((groups, k, n_statements), np.float32)
-    served = np.empty((groups, k, n_statements if assign else 0, 2), np.int64)
-    fits = room(statements, words)
+    served = np.empty((groups, k, n_statements if with_objects else 0, 2), np.int64)
+    fits = allocate_matches(statements, words)
     starts, objects = seen
     for b in range(groups):
-        _look_again(
+        _score_group(
             statements, scene, words, at[b], objects[starts[b] : starts[b + 1]], fits, far[b],
             together, scores[b], each[b], served[b],
         )  # fmt: skip
@@ -511,10 +501,10 @@ def look_again(statements, scene, words, at, seen, far, together, assign):
 
 
 @kernel(finite=True)
-def _look_again(
+def _score_group(
     statements, scene, words, at, nearby, fits, far, together, scores, each, served
 ):  # fmt: skip
-    """Score the positions of one group, into `scores`, `each` and `served`; see `look_again`."""
+    """Score the positions of one group, in `scores`, `each` and `served`; see `score_exact`."""
     where = np.empty((len(at), len(nearby), 2), np.float32)
     distance2 = np.empty((len(at), len(nearby)), np.float32)
     sight = np.empty(len(nearby), np.float32)
@@ -527,31 +517,30 @@ def _look_again(
         for k in range(len(at)):
             where[k, i, 0], where[k, i, 1], distance2[k, i] = near[0, k], near[1, k], squares[k]
     for k in range(len(at)):
-        total = np.float32(1e-30)  # of a position from which nothing of them is in sight
+        total = np.float32(1e-30)  # not 0 where nothing is in sight
         apart = squared = np.float32(0.0)
         for i in range(len(nearby)):
             d2 = distance2[k, i]
-            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SHARP))
+            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SIGHT_WIDTH))
             total += sight[i]
             if scene.kind[nearby[i]] != AREA or d2 > 0.0:
                 apart += sight[i]
                 squared += sight[i] * sight[i]
         pairs = max(apart * apart - squared, np.float32(0.0))
-        seen = in_sight(
-            scene, nearby, where[k], sight, total, pairs, FINE, at[k].astype(np.float32)
+        seen = gather_in_sight(
+            scene, nearby, where[k], sight, total, pairs, POSITION_BLUR, at[k].astype(np.float32)
         )
-        scores[k] = likelihoods(
-            statements, scene, words, seen, fits, far[k], together, HOPELESS, each[k], served[k]
+        scores[k] = score_statements(
+            statements, scene, words, seen, fits, far[k], together, REJECTED, each[k], served[k]
         )
 
 
 @kernel(finite=True)
-def distant(statements, scene, far, positions):
-    """Return what things out of sight add to P(statement | position), (K, S) float32.
+def score_distant(statements, scene, far, positions):
+    """Compute the share of objects out of sight in P(statement | position), (K, S) float32.
 
-    `far` (`Far`) lists all objects of mentions rare enough to be spoken of from
-    afar; and how far a statement reaches. In a relation
-    of two things the one that is not listed stands where the speaker stands, nearly enough.
+    `far` are the `DistantObjects` of a query. In a relation of two objects, the one that is not among
+    them is taken to be at the position itself.
     """
     out = np.zeros((len(positions), len(statements.op)), np.float32)
     mention, forward = np.full(len(out[0]), ME), np.zeros(len(out[0]), np.bool_)
@@ -587,16 +576,16 @@ def distant(statements, scene, far, positions):
                 d = np.sqrt(d2)
                 for s in range(len(mention)):
                     if mention[s] == m and d <= 4.0 * far.scale[s]:
-                        fit = _fit_afar(statements, s, d, dx, dy, far.scale[s], forward[s])
+                        fit = _distant_fit(statements, s, d, dx, dy, far.scale[s], forward[s])
                         out[k, s] += far.share[s] * far.fits[i] * fit
     return out
 
 
 @kernel(finite=True, inline="always")
-def _fit_afar(statements, s, d, dx, dy, scale, forward):
-    """Return how well a thing out of sight, d = (dx, dy) away [m], fits a statement."""
+def _distant_fit(statements, s, d, dx, dy, scale, forward):
+    """Return how well an object out of sight, d = (dx, dy) away [m], fits a statement."""
     fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
     if statements.op[s] == DIRECTION:
         ux, uy = statements.bearing[s] if forward else -statements.bearing[s]
-        fit *= direction_fit(statements.table[s], ux, uy, dx, dy, COARSE)
+        fit *= direction_fit(statements.table[s], ux, uy, dx, dy, VIEW_BLUR)
     return fit

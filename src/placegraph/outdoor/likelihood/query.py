@@ -1,13 +1,14 @@
-"""A description compiled against a map: words become tokens, statements become columns.
+"""Queries: descriptions compiled against a map, with tokens for words and columns for statements.
 
-A speaker at viewpoint v picks things in sight and says how they lie. A statement s then has
+A speaker at viewpoint v chooses objects in sight and tells their relations. The likelihood of a
+statement s is
 
-    P(s | v) = (1 - noise) * sum over map objects that serve s of sight * word * geometry / normaliser
+    P(s | v) = (1 - noise) * sum over map objects that fit s of sight * word * geometry / normalizer
                + noise * P(s | anywhere)
 
 and its log-likelihood ratio log P(s | v) / P(s | anywhere) is its evidence. Directions are soft: a
-little wrong costs little, the opposite costs all that `noise` leaves. A statement that no object in
-sight serves may be served from afar, by a thing rare enough to be spoken of from there.
+small error costs little, the opposite direction costs all that `noise` leaves. A statement that no
+object in sight fits may be about one out of sight that is rare enough to be mentioned from afar.
 """
 
 from __future__ import annotations
@@ -34,27 +35,27 @@ from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import POINT
 
 
-class Labelled(Protocol):
-    """Things by row, as `CityObjects` has them."""
+class LabeledObjects(Protocol):
+    """Map objects by row; `CityObjects` is one."""
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """All labels that there are."""
+        """All labels."""
 
     @property
     def kind(self) -> NDArray[np.uint8]:
         """(N,) POINT, LINE or AREA."""
 
     def label(self, i: int) -> str:
-        """Most specific label of a thing."""
+        """Return the most specific label of an object."""
 
 
 class Lexicon(Protocol):
-    """Words of a map; its tokens are labels, then names. A `City` is one."""
+    """Vocabulary of a map; its tokens are labels, then names. A `City` is one."""
 
     @property
-    def objects(self) -> Labelled:
-        """Things, as far as `bearers` names them."""
+    def objects(self) -> LabeledObjects:
+        """Map objects; at least those that `bearers` returns."""
 
     @property
     def label_index(self) -> Mapping[str, Sequence[int]]:
@@ -65,26 +66,26 @@ class Lexicon(Protocol):
         """Proper names."""
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
-        """Share of all things in sight, over all viewpoints, that these tokens stand for."""
+        """Return the share of all objects in sight, over all viewpoints, that bear these tokens."""
 
     def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Return the number of things (K,) that bear each token."""
+        """Return the number of objects (K,) that bear each token."""
 
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
-        """Rows of the things that bear each of these tokens, in the order of the tokens."""
+        """Return the rows of the objects that bear each of these tokens, in the order of the tokens."""
 
 
-SLIP = 0.08
-"""Share of stated directions that are simply wrong."""
+WRONG_DIRECTION = 0.08
+"""Share of stated directions that are wrong."""
 NOISE = 0.12
-"""Share of statements about things that are not there, or that the map does not know."""
-UNNAMED = 0.4
-"""Certainty that a thing whose name the map does not know is one of its kind on the map."""
-FLOOR = 1e-7
-"""Things cannot be rarer than this share of all things in sight."""
-CROWD = 30.0
-"""Added to the number of pairs in sight, so that lonely places are not preferred."""
-GEOMETRY = {
+"""Share of statements about objects that are not there, or not on the map."""
+UNKNOWN_NAME_CERTAINTY = 0.4
+"""Certainty that an object whose name the map lacks is one of its kind on the map."""
+MIN_SHARE = 1e-7
+"""Smallest share of all objects in sight that a statement can be about."""
+PAIR_SMOOTHING = 30.0
+"""Additive smoothing of the number of pairs in sight, so that lonely places are not preferred."""
+RELATION_CHANCE = {
     Relation.DIRECTION: 0.25,
     Relation.NEAR: 0.4,
     Relation.INSIDE: 0.2,
@@ -94,7 +95,7 @@ GEOMETRY = {
     Relation.VISIBLE: 1.0,
     Relation.SAME: 0.3,
 }
-"""P(the relation holds | two things in sight, anywhere)."""
+"""P(the relation holds | two objects in sight, anywhere)."""
 OPERATION = {relation: i for i, relation in enumerate(Relation)}
 
 
@@ -113,30 +114,30 @@ class Statements(NamedTuple):
     table: NDArray[np.float32]
     """(S, TABLE) P(the direction was said | cosine of the angle to it)."""
     distance: NDArray[np.float32]
-    """Stated distance [m], 0 where unsaid; negative where it is the most."""
+    """Stated distance [m], 0 without one; negative for an upper limit."""
     negated: NDArray[np.bool_]
     number: NDArray[np.float32]
-    """Stated number of sources, 0 where unsaid."""
+    """Stated number of sources, 0 without one."""
     noise: NDArray[np.float32]
     """Share of statements of this kind that are wrong or about something else."""
     background: NDArray[np.float32]
     """P(statement | anywhere)."""
-    crowd: float
-    """Added to the number of pairs in sight: who sees few things is no more likely to be heard."""
+    pair_smoothing: float
+    """Additive smoothing of the number of pairs in sight."""
 
     @property
     def gain(self) -> NDArray[np.float32]:
-        """Likelihood ratio (S,) of a statement where P(what serves it) is 1."""
+        """Largest likelihood ratio (S,) of a statement."""
         return (1.0 - self.noise) / (self.noise * self.background)
 
     @property
     def floor(self) -> float:
-        """Log-likelihood ratio of a place where nothing serves anything [nat]."""
+        """Log-likelihood ratio of a place where no object fits any statement."""
         return float(np.log(self.noise[~self.negated]).sum())
 
 
 class MentionTokens(NamedTuple):
-    """Tokens that each mention may stand for; row m is `mentions[m + 2]` of the description."""
+    """Tokens that each mention may mean; row m is `mentions[m + 2]` of the description."""
 
     starts: NDArray[np.int64]
     """(M + 1,)"""
@@ -144,39 +145,39 @@ class MentionTokens(NamedTuple):
     weights: NDArray[np.float32]
 
 
-class Words(NamedTuple):
-    """Weights of a map's tokens for mentions."""
+class TokenWeights(NamedTuple):
+    """Weights of all tokens of a map for the mentions of a query."""
 
     row: NDArray[np.int32]
-    """(T,) row of `fit`; 0 of tokens that fit none."""
+    """(T,) row of `fit`; 0 for tokens that fit no mention."""
     fit: NDArray[np.float32]
     """(K + 1, M)"""
 
 
-class Far(NamedTuple):
-    """Things rare enough to be spoken of from out of sight."""
+class DistantObjects(NamedTuple):
+    """Objects that are rare enough to be mentioned from out of sight."""
 
     starts: NDArray[np.int64]
-    """(M + 1,) objects of a mention; none where it is too common."""
+    """(M + 1,) objects of a mention; none where there are too many."""
     objects: NDArray[np.int64]
     fits: NDArray[np.float32]
     scale: NDArray[np.float32]
-    """(S,) how far a statement reaches [m]."""
+    """(S,) scale of the distance to the object of a statement [m]."""
     share: NDArray[np.float32]
-    """(S,) how often it is said of one particular thing out of sight."""
+    """(S,) probability that a statement is about one particular object out of sight."""
     anchors: NDArray[np.int64]
-    """Objects around which candidates are sought, the rarest mention's first."""
+    """Objects around which candidates are sought, those of the rarest mention first."""
 
 
 def ends(statement: Statement) -> tuple[int, int]:
-    """Source and target of a statement."""
+    """Return source and target of a statement."""
     return statement.source, statement.target
 
 
-def columns_of(
+def make_columns(
     used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
 ) -> Statements:
-    """Columns of statements; `share` is how common each mention is, `by_kind` has the unknown names."""
+    """Make the columns of statements; `share` (M,) tells how common mentions are, `by_kind` lacks names."""
     n = len(used)
 
     def mention(node: int | None) -> int:
@@ -187,16 +188,19 @@ def columns_of(
     for i, statement in enumerate(used):
         angle = statement.bearing or 0.0
         bearing[i] = sin(angle), cos(angle)
-        table[i] = direction_table(statement.bearing_sigma, SLIP)
+        table[i] = direction_table(statement.bearing_sigma, WRONG_DIRECTION)
         nodes = [*ends(statement)]
         if statement.relation is Relation.BETWEEN:
             nodes.append(statement.target2 or SPEAKER)
         # what is in sight is within most of the distances that people say
-        chance = 1.0 if statement.within else GEOMETRY[statement.relation]
+        chance = 1.0 if statement.within else RELATION_CHANCE[statement.relation]
         for node in nodes:
             chance *= 1.0 if node == SPEAKER else share[node - 2]
-        background[i] = max(chance, FLOOR)
+        background[i] = max(chance, MIN_SHARE)
     counts = [description.mentions[s.source].count or 0 for s in used]
+    known = [1.0 if by_kind.isdisjoint(ends(s)) else UNKNOWN_NAME_CERTAINTY for s in used]
+    noise = [1.0 - (1.0 - NOISE) * s.certainty * k for s, k in zip(used, known, strict=True)]
+    distances = [(-1.0 if s.within else 1.0) * (s.distance or 0.0) for s in used]
     return Statements(
         op=np.array([OPERATION[s.relation] for s in used], np.int64),
         source=np.array([mention(s.source) for s in used], np.int64),
@@ -204,99 +208,91 @@ def columns_of(
         target2=np.array([mention(s.target2) for s in used], np.int64),
         bearing=bearing,
         table=table,
-        distance=np.array(
-            [(-1.0 if s.within else 1.0) * (s.distance or 0.0) for s in used], np.float32
-        ),
+        distance=np.array(distances, np.float32),
         negated=np.array([s.negated for s in used], np.bool_),
         number=np.array(counts, np.float32),
-        noise=np.array(
-            [
-                1.0
-                - (1.0 - NOISE) * s.certainty * (1.0 if by_kind.isdisjoint(ends(s)) else UNNAMED)
-                for s in used
-            ],
-            np.float32,
-        ),
+        noise=np.array(noise, np.float32),
         background=background,
-        crowd=CROWD,
+        pair_smoothing=PAIR_SMOOTHING,
     )
 
 
-KIND_ONLY = 0.03
-"""Weight of things of the right kind where a name was said: the map may lack the name."""
-LOOSELY = 0.1
+KIND_WEIGHT = 0.03
+"""Weight of objects of the right kind where a text has a name: the map may lack the name."""
+OTHER_SENSE_WEIGHT = 0.1
 """Weight of a word's other senses where it is a tag's own value ("path" for a footway)."""
-COMMON, COMMON_ROADS = 0.01, 0.1
-"""Share of all things in sight that the kind of an unknown name, or of an unknown street, has at least."""
-MOST_FAR = 400
-"""Mentions of more objects than this are only looked for in sight, on a way as well."""
-RARE = 12
-"""Mentions of no more objects than this may be spoken of from out of sight."""
-NEARBY, FAR = 80.0, 350.0
-"""Scale of distances to things out of sight, and where the text speaks of a way or a town [m]."""
+UNKNOWN_KIND_SHARE, UNKNOWN_STREET_SHARE = 0.01, 0.1
+"""Smallest share of all objects in sight of the kind of an unknown name, or of an unknown street."""
+MAX_DISTANT_ON_WAY = 400
+"""Largest number of objects of a mention from out of sight, where a text tells a way ..."""
+MAX_DISTANT = 12
+"""... and where it does not."""
+NEAR_SCALE, FAR_SCALE = 80.0, 350.0
+"""Scale of distances to objects out of sight, and where the text tells a way or names a quarter [m]."""
 QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
-SALIENT = 20.0
-"""About so many things out of sight come to mind."""
+NUM_SALIENT = 20.0
+"""Number of objects out of sight that come to a speaker's mind."""
 
 
 @dataclass(frozen=True)
 class Query:
-    """A description, ready to be scored on one map."""
+    """Description compiled against one map."""
 
     description: Description
     used: tuple[Statement, ...]
-    """Statements that take part, in the order of the columns."""
+    """Statements that are scored, in the order of the columns."""
     unused: tuple[tuple[Statement, str], ...]
-    """Statements that cannot take part, and why."""
+    """Statements that cannot be scored, each with the reason."""
     statements: Statements
     mentions: MentionTokens
-    far: Far | None
-    """None where everything is said of things in sight."""
+    distant: DistantObjects | None
+    """None where all statements are about objects in sight."""
     by_kind: frozenset[int]
-    """Mentions with a name that the map does not know; they are looked for by their kind."""
+    """Mentions whose name is not on the map; they are matched by kind."""
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
-        """Names that were said and that the map does not know, as written, in the order of speech."""
+        """Names in the text that are not on the map, as written, in order."""
         names = [self.description.mentions[node].name for node in sorted(self.by_kind)]
         return tuple(dict.fromkeys(names))
 
-    def words(self, n_tokens: int) -> Words:
-        """Return how well each of a map's tokens fits each mention."""
+    def token_weights(self, n_tokens: int) -> TokenWeights:
+        """Return the weight of each token of a map for each mention."""
         starts, tokens, weights = self.mentions
         known, at = np.unique(tokens, return_inverse=True)
-        row, fit = (
-            np.zeros(n_tokens, np.int32),
-            np.zeros((len(known) + 1, len(starts) - 1), np.float32),
-        )
+        row = np.zeros(n_tokens, np.int32)
+        fit = np.zeros((len(known) + 1, len(starts) - 1), np.float32)
         row[known] = np.arange(1, len(known) + 1)
         fit[at + 1, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
-        return Words(row, fit)
+        return TokenWeights(row, fit)
 
 
-def compile_query(description: Description, city: Lexicon, *, on_a_way: bool = False) -> Query:
+def compile_query(description: Description, city: Lexicon, *, tells_way: bool = False) -> Query:
     """Compile a description against a map (Eq. 3-4 meet Eq. 7-8).
 
-    `on_a_way` says that it describes the way to a place for somebody elsewhere: then more things
-    are out of sight.
+    Where it tells the way to a place (`tells_way`), more objects are out of sight.
     """
-    mentions = [_tokens(mention, city) for mention in description.mentions[2:]]
-    by_kind = frozenset(m.id for m in description.mentions[2:] if m.name and not _named(m, city))
+    mentions = [_find_tokens(mention, city) for mention in description.mentions[2:]]
+    by_kind = frozenset(
+        m.id for m in description.mentions[2:] if m.name and not _find_names(m, city)
+    )
     share = [city.frequency(tokens, weights) for tokens, weights in mentions]
-    for node in by_kind:  # that few of its kind are on the map says nothing of the one that is not
+    for node in by_kind:  # how many of its kind are on the map says nothing of one that is not
         senses, weights = description.mentions[node].senses, mentions[node - 2][1]
         road = any(sense.label.startswith("highway=") for sense in senses[:1])
-        common = (COMMON_ROADS if road else COMMON) * float(weights.max(initial=0.0))
+        common = (UNKNOWN_STREET_SHARE if road else UNKNOWN_KIND_SHARE) * float(
+            weights.max(initial=0.0)
+        )
         share[node - 2] = max(share[node - 2], common)
     used: list[Statement] = []
     unused: list[tuple[Statement, str]] = []
-    heard: set[tuple[object, ...]] = set()
+    known: set[tuple[object, ...]] = set()
     for statement in description.statements:
-        said = _meaning(statement, description)
-        if said in heard:
-            continue  # said again, it is no surer
-        heard.add(said)
-        reason = _unusable(statement, description, mentions)
+        key = _make_key(statement, description)
+        if key in known:
+            continue  # repetition makes it no surer
+        known.add(key)
+        reason = _explain_unusable(statement, description, mentions)
         if reason:
             unused.append((statement, reason))
         else:
@@ -305,31 +301,31 @@ def compile_query(description: Description, city: Lexicon, *, on_a_way: bool = F
         description,
         tuple(used),
         tuple(unused),
-        columns_of(used, description, share, by_kind),
+        make_columns(used, description, share, by_kind),
         MentionTokens(
             np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
             np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
             np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
         ),
-        _far(used, mentions, city, on_a_way=on_a_way),
+        _find_distant(used, mentions, city, tells_way=tells_way),
         by_kind,
     )
 
 
-def _far(
+def _find_distant(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
     city: Lexicon,
     *,
-    on_a_way: bool,
-) -> Far | None:
-    """Objects of rare mentions, where a statement may be about things out of sight."""
-    here = standing_at(used)
-    on_a_way = any(s.far for s in used) or on_a_way
+    tells_way: bool,
+) -> DistantObjects | None:
+    """Find the objects of rare mentions, where a statement may be about objects out of sight."""
+    here = find_speaker_nodes(used)
+    tells_way = any(s.far for s in used) or tells_way
     few = set()
     for m, (tokens, weights) in enumerate(mentions):
-        certain = tokens[weights > KIND_ONLY]
-        if len(certain) and city.borne(certain).sum() <= RARE:
+        certain = tokens[weights > KIND_WEIGHT]
+        if len(certain) and city.borne(certain).sum() <= MAX_DISTANT:
             few.add(m + 2)
     reaches = [
         s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
@@ -339,15 +335,19 @@ def _far(
         n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
     }
     nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
-    away = {n - 2 for s in used if (s.distance or 0.0) > NEARBY for n in ends(s) if n not in here}
+    away = {
+        n - 2 for s in used if (s.distance or 0.0) > NEAR_SCALE for n in ends(s) if n not in here
+    }
     members = [
-        _members(*mention, city, most=MOST_FAR if on_a_way or m in away else RARE)
+        _find_objects(
+            *mention, city, most=MAX_DISTANT_ON_WAY if tells_way or m in away else MAX_DISTANT
+        )
         if m in spoken
         else nothing
         for m, mention in enumerate(mentions)
     ]
-    if not on_a_way:  # of many, no particular one comes to mind
-        members = [(o, f * min(1.0, RARE / max(1, len(o)))) for o, f in members]
+    if not tells_way:  # of many, no particular one comes to mind
+        members = [(o, f * min(1.0, MAX_DISTANT / max(1, len(o)))) for o, f in members]
     if not any(len(o) for o, _ in members):
         return None
     o = city.objects  # a map draws quarters as points, and people are "in" them
@@ -359,26 +359,29 @@ def _far(
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
-        return FAR if s.far or inside else NEARBY
+        return FAR_SCALE if s.far or inside else NEAR_SCALE
 
-    rarest = sorted((o for o, _ in members if 0 < len(o) <= RARE), key=len)
-    return Far(
+    rarest = sorted((o for o, _ in members if 0 < len(o) <= MAX_DISTANT), key=len)
+    return DistantObjects(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=np.concatenate([o for o, _ in members]),
         fits=np.concatenate([f for _, f in members]).astype(np.float32),
         scale=np.array([max(scale(s), s.distance or 0.0) for s in used], np.float32),
         share=np.array(
-            [(0.5 if s.far else 0.15) / SALIENT * r for s, r in zip(used, reaches, strict=True)],
+            [
+                (0.5 if s.far else 0.15) / NUM_SALIENT * r
+                for s, r in zip(used, reaches, strict=True)
+            ],
             np.float32,
         ),
         anchors=np.concatenate(rarest or [nothing[0]]),
     )
 
 
-def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
-    """Return the meaning of a statement: equal for statements that say the same in other words."""
+def _make_key(statement: Statement, description: Description) -> tuple[object, ...]:
+    """Return a key that is equal for statements of one meaning in other words."""
 
-    def thing(node: int | None) -> object:
+    def key(node: int | None) -> object:
         if node in (None, SPEAKER, LISTENER):
             return node
         mention = description.mentions[node]
@@ -386,20 +389,20 @@ def _meaning(statement: Statement, description: Description) -> tuple[object, ..
 
     ends = (statement.source, statement.target, statement.target2)
     plain = (statement.relation, statement.bearing, statement.distance, statement.within)
-    return (*plain, statement.negated, *(thing(node) for node in ends))
+    return (*plain, statement.negated, *(key(node) for node in ends))
 
 
-def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
-    """Nodes that are where the speaker is: the speaker, and what they stand at."""
+def find_speaker_nodes(statements: Sequence[Statement]) -> frozenset[int]:
+    """Return the nodes at the place of the speaker: the speaker, and what they stand at."""
     at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
     return frozenset(at | {SPEAKER})
 
 
-def _members(
+def _find_objects(
     tokens: NDArray[np.int32], weights: NDArray[np.float32], city: Lexicon, *, most: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Objects of a mention and how well it fits them; none where there are more than `most`."""
-    tokens, weights = tokens[weights > KIND_ONLY], weights[weights > KIND_ONLY]
+    """Find the objects of a mention and their weights; none where there are more than `most`."""
+    tokens, weights = tokens[weights > KIND_WEIGHT], weights[weights > KIND_WEIGHT]
     sizes = city.borne(tokens)
     if not 0 < sizes.sum() <= most:
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
@@ -411,27 +414,29 @@ def _members(
     return found[order][first], fits[order][first]
 
 
-def _tokens(mention: Mention, city: Lexicon) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Tokens that a mention may stand for on this map, and how well they fit."""
+def _find_tokens(mention: Mention, city: Lexicon) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Find the tokens that a mention may mean on a map, and their weights."""
     weights: dict[int, float] = {}
-    names = _named(mention, city)
-    by_kind = KIND_ONLY if mention.name else 1.0
-    # the map has it: what else is of its kind is something else
+    names = _find_names(mention, city)
+    by_kind = KIND_WEIGHT if mention.name else 1.0
+    # the map has the name: others of its kind are something else
     exact = max(names.values(), default=0.0) >= 1.0
     for sense in () if exact else mention.senses:
         for label in city.label_index.get(sense.label, ()):
             weights[label] = max(weights.get(label, 0.0), by_kind * sense.weight)
     literal = {label for label in weights if is_tag(mention.words, city.objects.labels[label])}
     if literal:
-        weights = {label: w if label in literal else LOOSELY * w for label, w in weights.items()}
+        weights = {
+            label: w if label in literal else OTHER_SENSE_WEIGHT * w for label, w in weights.items()
+        }
     shift = len(city.objects.labels)
     for name, weight in names.items():
         weights[name + shift] = weight
     return np.array(list(weights), np.int32), np.array(list(weights.values()), np.float32)
 
 
-def _named(mention: Mention, city: Lexicon) -> dict[int, float]:
-    """Names that a mention with a name may mean: "New York" library, or "New York library"."""
+def _find_names(mention: Mention, city: Lexicon) -> dict[int, float]:
+    """Find the names on the map that a mention may mean: "New York" library, or "New York library"."""
     if not mention.name:
         return {}
     return city.name_index.named(mention.name) or city.name_index.named(mention.words)
@@ -440,25 +445,25 @@ def _named(mention: Mention, city: Lexicon) -> dict[int, float]:
 def is_tag(words: str, label: str) -> bool:
     """Whether words are a tag's own value, as in the paper: "bicycle_parking", "the path"."""
     key, _, value = label.replace("_", " ").partition("=")
-    said = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
-    return said == (key if value == "yes" else value).rstrip("s")
+    plain = words.replace("_", " ").lower().removeprefix("the ").rstrip("s")
+    return plain == (key if value == "yes" else value).rstrip("s")
 
 
-def _unusable(
+def _explain_unusable(
     statement: Statement,
     description: Description,
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
 ) -> str:
-    """Why a statement cannot be scored, or an empty string."""
+    """Explain why a statement cannot be scored; empty where it can."""
     ends = [n for n in (statement.source, statement.target, statement.target2) if n is not None]
     if statement.relation is Relation.ACROSS:
         ends = ends[:2]  # what lies between may be any road
     if LISTENER in ends:
-        return "where you are is not known"
+        return 'the position of the listener ("you") is unknown'
     if all(node == SPEAKER for node in ends):
         return "it says nothing about the place"
     for node in ends:
         if node != SPEAKER and not len(mentions[node - 2][0]):
             words = description.mentions[node].name or description.mentions[node].words
-            return f"the map knows no {words!r}"
+            return f"{words!r} is not on the map"
     return ""

@@ -1,12 +1,12 @@
-"""Graphs as the network reads them: words as vectors, texts and places as graphs, padded batches.
+"""Input of the network: word vectors, graphs of texts and places, and padded batches of these.
 
-Words are hashed subwords, whose vectors the network learns; what a word means is decided by the
-vocabulary, since a mention arrives as its senses, labels such as ``amenity=cafe``. A label is the sum
-of the vectors of its parts: the whole, its key, its words and their letters in threes to fives. A rare
-tag, an unknown word or a name resembles what is spelled alike. A network may also be trained with word
-vectors from a file (`WordVectors`, Sec. III-A of the paper), and hashed subwords for the rest.
+Words are hashed subwords, whose vectors the network learns. Mentions arrive as senses, labels such as
+``amenity=cafe``. The vector of a label is the sum over its parts: the whole, its key, its words, and
+their sequences of 3 to 5 letters. Rare tags, unknown words and names thus resemble words of a similar
+spelling. A network may also be trained with word vectors from a file (`WordVectors`, Sec. III-A of the
+paper), and hashed subwords for the rest.
 
-Node 0 of every graph is *here*: the speaker of a text, the centre of a place. All others are things.
+Node 0 of every graph is the speaker of a text, or the center of a place. All others are objects.
 """
 
 from __future__ import annotations
@@ -33,41 +33,40 @@ from placegraph.outdoor.network.network_kernels import (
     NEAR,
     PRESENT,
     REACH,
-    _gather,
-    _nearest_things,
-    _parts,
-    agreement,
+    compute_agreement,
+    gather_rows,
     place_relations,
+    select_nearest,
+    split_words,
     text_relations,
 )
 
 
 def split_label(label: str) -> tuple[str, ...]:
-    """Words that stand for a label, in small letters: of a name, or of a tag's value.
+    """Split a label into words, in lower case: those of a name, or of the value of a tag.
 
-    ``amenity=bicycle_parking`` is "bicycle", "parking"; a value that says nothing leaves the word to
-    the key: ``building=yes`` is "building".
+    ``amenity=bicycle_parking`` becomes "bicycle", "parking". The key stands in for a value that means
+    nothing: ``building=yes`` becomes "building".
     """
     key, _, value = (label, "", "") if label.startswith("~") else label.partition("=")
-    words = re.findall(r"[^\W_]+", (key if value in ("", "*", "yes") else value).lower())
-    return tuple(words)
+    return tuple(re.findall(r"[^\W_]+", (key if value in ("", "*", "yes") else value).lower()))
 
 
 @dataclass(frozen=True, eq=False)
 class WordVectors:
-    """Vectors of single words that were trained elsewhere, such as word2vec's."""
+    """Vectors of single words from another training, such as word2vec's."""
 
     words: tuple[str, ...]
-    """N words in small letters, each once."""
+    """N words in lower case, each once."""
     vectors: NDArray[np.float32]
-    """(N, n), as 16 bits hold them."""
+    """(N, n), rounded to 16 bits."""
 
     @cached_property
     def _rows(self) -> dict[str, int]:
         return {word: row for row, word in enumerate(self.words)}
 
     def means(self, labels: Sequence[str]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Mean vectors (W, n) of the words of labels that are known, and which have any (W,)."""
+        """Return the mean vectors (W, n) of the known words of labels, and which labels have any (W,)."""
         found = np.zeros((len(labels), self.vectors.shape[1]), np.float32)
         known = np.zeros(len(labels), bool)
         for i, label in enumerate(labels):
@@ -78,30 +77,30 @@ class WordVectors:
 
 
 @dataclass(frozen=True, eq=False)
-class Bags:
-    """Weighted parts of W words, as CSR, and where they are known the means of word vectors."""
+class SubwordBags:
+    """Weighted parts of W words, as CSR, and means of word vectors where these are known."""
 
     starts: NDArray[np.int64]
     """(W + 1,)"""
     buckets: NDArray[np.int64]
     """(P,) rows of the table of vectors."""
     weights: NDArray[np.float32]
-    """(P,) 0 of words that have a mean."""
+    """(P,) 0 for words that have a mean."""
     means: NDArray[np.float32] | None = None
-    """(W, n) of `WordVectors`, 0 where a word is not known to them."""
+    """(W, n) of `WordVectors`, 0 for unknown words."""
 
     @classmethod
     def of(
         cls, words: Sequence[str], subwords: float = 1.0, known: WordVectors | None = None
-    ) -> Bags:
-        """Parts of labels (``key=value``), names (``~`` before them) and plain words.
+    ) -> SubwordBags:
+        """Split labels (``key=value``), names (``~`` before them) and plain words into parts.
 
-        `subwords` is the length of what all subwords add together, against 1 of the whole word;
-        `known` are word vectors that stand for the words they know.
+        `subwords` is the length of the sum of all subwords, against 1 of the whole word; `known` word
+        vectors replace the parts of the words that they hold.
         """
         letters = [np.frombuffer(w.encode("utf-32-le", "surrogatepass"), np.uint32) for w in words]
         bounds = np.concatenate(([0], np.cumsum([len(x) for x in letters]))).astype(np.int64)
-        parts = _parts(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds, subwords)
+        parts = split_words(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds, subwords)
         if known is None:
             return cls(*parts)
         starts, buckets, weights = parts
@@ -111,18 +110,14 @@ class Bags:
     def vectors(
         self, table: NDArray[np.float32], meaning: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
-        """Vectors (W, d) of the words, from the table (BUCKETS, d) and the map (d, n) of means."""
+        """Compute the vectors (W, d) of words, from the table (BUCKETS, d) and the map (d, n) of means."""
         rows = table[self.buckets] * self.weights[:, None]
         sums = np.add.reduceat(rows, self.starts[:-1], axis=0) if len(rows) else rows[:0]
         return sums if self.means is None or meaning is None else sums + self.means @ meaning.T
 
 
-MOST_MENTIONS = 24
-"""At most this many things of a text are read."""
-
-
-MOST_STATEMENTS = 32
-"""At most this many statements of a text are read."""
+MAX_MENTIONS, MAX_STATEMENTS = 24, 32
+"""Largest numbers of objects and statements of a text; the rest is cut off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,23 +127,23 @@ class TextGraphs:
     starts: NDArray[np.int64]
     """(Q + 1,) nodes of a text; the first one is the speaker."""
     mentions: NDArray[np.int64]
-    """(N,) mention of the description that a node is."""
+    """(N,) mention of the description that a node stands for."""
     word_starts: NDArray[np.int64]
-    """(N + 1,) words of a node, none of a speaker."""
+    """(N + 1,) words of a node; a speaker has none."""
     words: NDArray[np.int64]
     """Rows of `vocabulary`."""
     weights: NDArray[np.float32]
-    """How likely the node is meant so."""
+    """Probability that the node is meant by the word."""
     counts: NDArray[np.float32]
-    """(N,) log of the stated number, 0 where one or unsaid."""
+    """(N,) log of the stated number, 0 for one or none."""
     edge_starts: NDArray[np.int64]
     """(Q + 1,) statements of a text."""
     ends: NDArray[np.int64]
     """(E, 2) source and target, counted within the text."""
     channels: NDArray[np.float32]
-    """(E, R) how far each of `CHANNELS` was said."""
+    """(E, R) degree to which each of `CHANNELS` is stated."""
     negated: NDArray[np.float32]
-    """(E,) 1 where the statement says that it is not so."""
+    """(E,) 1 where the statement is negated."""
     vocabulary: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -156,17 +151,17 @@ class TextGraphs:
 
     @classmethod
     def of(cls, descriptions: Sequence[Description]) -> TextGraphs:
-        """Text graphs of parsed descriptions; what exceeds the limits is cut off at the end."""
+        """Make the graphs of parsed descriptions; mentions and statements beyond the limits are cut off."""
         rows: dict[str, int] = {}
         mentions: list[int] = []
         nodes: list[list[tuple[int, float]]] = []
         counts: list[float] = []
         edges: list[tuple[int, int]] = []
-        said: list[NDArray[np.float32]] = []
+        channels: list[NDArray[np.float32]] = []
         negated: list[bool] = []
         starts, edge_starts = [0], [0]
         for description in descriptions:
-            local = _spoken_of(description)
+            local = _number_mentions(description)
             mentions += local
             for id_ in local:
                 mention = description.mentions[id_]
@@ -176,10 +171,10 @@ class TextGraphs:
             for s in description.statements:
                 if s.source not in local or s.target not in local:
                     continue
-                if len(edges) - edge_starts[-1] == MOST_STATEMENTS:
+                if len(edges) - edge_starts[-1] == MAX_STATEMENTS:
                     break
                 edges.append((local[s.source], local[s.target]))
-                said.append(_channels(s.relation, s.bearing))
+                channels.append(_make_channels(s.relation, s.bearing))
                 negated.append(s.negated)
             starts.append(len(nodes))
             edge_starts.append(len(edges))
@@ -192,24 +187,24 @@ class TextGraphs:
             counts=np.array(counts, np.float32),
             edge_starts=np.array(edge_starts, np.int64),
             ends=np.array(edges, np.int64).reshape(-1, 2),
-            channels=np.array(said, np.float32).reshape(-1, len(CHANNELS)),
+            channels=np.array(channels, np.float32).reshape(-1, len(CHANNELS)),
             negated=np.array(negated, np.float32),
             vocabulary=tuple(rows),
         )
 
 
-def _spoken_of(description: Description) -> dict[int, int]:
-    """Node of each mention that a statement speaks of; the speaker is node 0, always there."""
+def _number_mentions(description: Description) -> dict[int, int]:
+    """Number the mentions of statements; the speaker is always node 0."""
     local = {SPEAKER: 0}
     for s in description.statements:
         for end in (s.source, s.target):
-            if end not in local and len(local) <= MOST_MENTIONS and end != 1:
+            if end not in local and len(local) <= MAX_MENTIONS and end != 1:
                 local[end] = len(local)
     return local
 
 
 def weigh_words(mention: Mention) -> list[tuple[str, float]]:
-    """Words that stand for a mention, and how likely it is meant so: senses, name, or bare words."""
+    """Return words of a mention with their probability: senses and name, or its plain words."""
     found = [(sense.label, sense.weight) for sense in mention.senses]
     literal = [(label, w) for label, w in found if is_tag(mention.words, label)]
     found = literal or found
@@ -220,7 +215,7 @@ def weigh_words(mention: Mention) -> list[tuple[str, float]]:
     return found or [(mention.words.casefold(), 1.0)]
 
 
-_SAID = {
+_CHANNEL_OF = {
     Relation.NEAR: NEAR,
     Relation.INSIDE: INSIDE,
     Relation.ALONG: ALONG,
@@ -231,23 +226,23 @@ _SAID = {
 }
 
 
-def _channels(relation: Relation, bearing: float | None) -> NDArray[np.float32]:
-    said = np.zeros(len(CHANNELS), np.float32)
+def _make_channels(relation: Relation, bearing: float | None) -> NDArray[np.float32]:
+    out = np.zeros(len(CHANNELS), np.float32)
     if relation is Relation.DIRECTION and bearing is not None:
-        said[:4] = share_winds(np.float32(np.sin(bearing)), np.float32(np.cos(bearing)))
+        out[:4] = share_winds(np.float32(np.sin(bearing)), np.float32(np.cos(bearing)))
     else:
-        said[_SAID.get(relation, PRESENT)] = 1.0
-    return said
+        out[_CHANNEL_OF.get(relation, PRESENT)] = 1.0
+    return out
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceGraphs:
-    """K place graphs (Eq. 7-8): things around a centre, nearest first; relations follow from them."""
+    """K place graphs (Eq. 7-8): objects around a center, nearest first, which determine the relations."""
 
     starts: NDArray[np.int64]
-    """(K + 1,) things of a place; *here* is not among them."""
+    """(K + 1,) objects of a place, without its center."""
     offsets: NDArray[np.float32]
-    """(N, 2) where they stand, seen from the centre: east, north [m]."""
+    """(N, 2) positions relative to the center: east, north [m]."""
     kinds: NDArray[np.uint8]
     """(N,) point, line or area."""
     word_starts: NDArray[np.int64]
@@ -255,7 +250,7 @@ class PlaceGraphs:
     words: NDArray[np.int32]
     """Rows of `vocabulary`: labels and names."""
     weights: NDArray[np.float32]
-    """How readily the thing is called so."""
+    """Weight of a word for its object."""
     vocabulary: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -263,29 +258,29 @@ class PlaceGraphs:
 
     @classmethod
     def of_cells(cls, city: City) -> PlaceGraphs:
-        """Graphs around all cells of a city, rows as `city.cells.points`.
+        """Make graphs around all cells of a city, rows as `city.cells.points`.
 
-        They reach beyond the cell's edge: who stands at it speaks of what lies beyond.
+        They reach beyond the edge of the cell, since speakers there mention what lies beyond.
         """
         o = city.objects
         seen = find_visible(
             o.kind, o.part_starts, o.point_starts, o.points, grid=city.cells.grid, radius=REACH
         )
         rows = np.searchsorted(seen.points, city.cells.points)
-        return cls.of_sightings(city, seen, rows)
+        return cls.of_visible(city, seen, rows)
 
     @classmethod
     def of_views(cls, city: City, rows: NDArray[np.int64]) -> PlaceGraphs:
-        """Graphs around viewpoints `rows` (K,) of a city."""
+        """Make graphs around viewpoints `rows` (K,) of a city."""
         seen = city.in_sight(rows)
-        return cls.of_sightings(city, seen, np.arange(len(seen.points)))
+        return cls.of_visible(city, seen, np.arange(len(seen.points)))
 
     @classmethod
-    def of_sightings(cls, city: City, seen: VisibleObjects, rows: NDArray[np.int64]) -> PlaceGraphs:
-        """Graphs around the points `rows` (K,) of what is seen there."""
-        chosen, kept = _nearest_things(seen.starts, seen.offsets, np.asarray(rows, np.int64))
+    def of_visible(cls, city: City, seen: VisibleObjects, rows: NDArray[np.int64]) -> PlaceGraphs:
+        """Make graphs around the points `rows` (K,) of their visible objects."""
+        chosen, kept = select_nearest(seen.starts, seen.offsets, np.asarray(rows, np.int64))
         things = seen.objects[kept]
-        word_starts, words, weights = _gather(things, *city.tokens)
+        word_starts, words, weights = gather_rows(things, *city.tokens)
         return cls(
             chosen, seen.offsets[kept].astype(np.float32), city.objects.kind[things],
             word_starts, words, weights, city.words,
@@ -293,13 +288,11 @@ class PlaceGraphs:
 
 
 Floats = NDArray[np.float32]
-
-
 Rows = NDArray[np.int64]
 
 
 class NodeWords(NamedTuple):
-    """Words of N nodes, as CSR; `at` says where the nodes stand in the padded arrays."""
+    """Words of N nodes, as CSR, with the rows of the nodes in padded arrays."""
 
     starts: Rows
     """(N,) first word of a node; the last one ends with the words."""
@@ -310,7 +303,7 @@ class NodeWords(NamedTuple):
 
 
 class GraphBatch(NamedTuple):
-    """B padded graphs of `size` nodes; node 0 is the speaker, or the centre."""
+    """B padded graphs of `size` nodes; node 0 is the speaker, or the center."""
 
     nodes: Floats
     """(B, size, F): texts have (is here, log count), places (is here, kind (3), offset (2) and
@@ -322,29 +315,29 @@ class GraphBatch(NamedTuple):
     words: NodeWords
 
 
-def text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
-    """Padded texts `rows` (B,)."""
+def make_text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
+    """Pad the graphs of texts `rows` (B,)."""
     rows = np.asarray(rows, np.int64)
     counts = texts.starts[rows + 1] - texts.starts[rows]
     size = int(counts.max())
-    node, at = entries(texts.starts[rows], counts, size)
+    node, at = list_nodes(texts.starts[rows], counts, size)
     nodes = np.zeros((len(rows), size, 2), np.float32)
     nodes[:, 0, 0] = 1.0
     nodes.reshape(-1, 2)[at, 1] = texts.counts[node]
     return GraphBatch(
         nodes,
-        mask_of(counts, size),
+        make_mask(counts, size),
         text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size),
         _words(texts.word_starts, texts.words, texts.weights, node, at),
     )
 
 
-def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
-    """Padded places `rows` (B,)."""
+def make_place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
+    """Pad the graphs of places `rows` (B,)."""
     rows = np.asarray(rows, np.int64)
     counts = places.starts[rows + 1] - places.starts[rows]
     size = int(counts.max(initial=0)) + 1
-    thing, at = entries(places.starts[rows], counts, size, skip=1)
+    thing, at = list_nodes(places.starts[rows], counts, size, skip=1)
     nodes = np.zeros((len(rows), size, 7), np.float32)
     nodes[:, 0, 0] = 1.0
     flat = nodes.reshape(-1, 7)
@@ -353,21 +346,21 @@ def place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
     flat[at, 6] = np.hypot(flat[at, 4], flat[at, 5])
     return GraphBatch(
         nodes,
-        mask_of(counts + 1, size),
+        make_mask(counts + 1, size),
         place_relations(places.starts, places.offsets, places.kinds, rows, size),
         _words(places.word_starts, places.words, places.weights, thing, at),
     )
 
 
-def entries(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:
-    """Nodes of graphs with these first nodes and counts, and where they stand when padded."""
+def list_nodes(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:
+    """List the nodes of graphs by first node and count, and their rows in padded arrays."""
     graph = np.repeat(np.arange(len(starts)), counts)
     within = np.arange(len(graph)) - np.repeat(np.cumsum(counts) - counts, counts)
     return starts[graph] + within, graph * size + within + skip
 
 
-def mask_of(counts: Rows, size: int) -> Floats:
-    """Ones (B, size) where each of B graphs has a node."""
+def make_mask(counts: Rows, size: int) -> Floats:
+    """Make a mask (B, size) of the nodes of B graphs."""
     return (np.arange(size) < counts[:, None]).astype(np.float32)
 
 
@@ -377,11 +370,11 @@ def _words(
     counts = starts[nodes + 1] - starts[nodes]
     some = counts > 0
     nodes, at, counts = nodes[some], at[some], counts[some]
-    entry, _ = entries(starts[nodes], counts, 0)
+    entry, _ = list_nodes(starts[nodes], counts, 0)
     return NodeWords(np.cumsum(counts) - counts, words[entry].astype(np.int64), weights[entry], at)
 
 
-def agreements(
+def compute_agreements(
     texts: TextGraphs,
     places: PlaceGraphs,
     text_rows: Rows,
@@ -389,8 +382,8 @@ def agreements(
     words: WordFits,
     size: tuple[int, int],
 ) -> Floats:
-    """Return how well things of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
-    return agreement(
+    """Compute how well objects of places fit mentions of texts, (P, n, m); the speaker fits the center."""
+    return compute_agreement(
         texts.starts, text_rows, words.starts, words.tokens, words.weights,
         places.starts, place_rows, places.word_starts, places.words, places.weights,
         *size, len(places.vocabulary),
@@ -406,8 +399,8 @@ class WordWeights(NamedTuple):
     weights: Floats
 
 
-def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> WordWeights:
-    """Words of the map that each text node may stand for, as relational matching reads them."""
+def find_word_weights(texts: TextGraphs, queries: Sequence[Query]) -> WordWeights:
+    """Find the words of the map that each text node may mean, as relational matching has them."""
     starts, tokens, weights = [0], [], []
     for q, query in enumerate(queries):
         for mention in texts.mentions[texts.starts[q] : texts.starts[q + 1]]:
@@ -423,7 +416,7 @@ def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> WordWeights:
 
 
 class WordFits(NamedTuple):
-    """Weights of a map's words for N text nodes, as CSR, and how rare the nodes are on the map."""
+    """Weights of the map's words for N text nodes, as CSR, with the rarity of the nodes on the map."""
 
     starts: Rows
     """(N + 1,)"""
@@ -431,11 +424,11 @@ class WordFits(NamedTuple):
     """Rows of the places' vocabulary."""
     weights: Floats
     rarity: Floats
-    """(N,) minus log share of the map's things that a node may be, / 10; 0 of the speaker."""
+    """(N,) negative log share of the map's objects that a node may mean, / 10; 0 for the speaker."""
 
 
-def word_fits(fits: WordWeights, counts: Rows, total: int) -> WordFits:
-    """`WordFits` from how well words fit, and how many (counts (T,)) of the `total` things bear them."""
+def make_word_fits(fits: WordWeights, counts: Rows, total: int) -> WordFits:
+    """Make `WordFits` of weights; `counts` (T,) of the `total` objects bear each word."""
     starts, tokens, weights = fits
     mass = np.concatenate(([0.0], np.cumsum(weights * counts[tokens])))
     share = (mass[starts[1:]] - mass[starts[:-1]]) / max(1, total)

@@ -1,8 +1,7 @@
-"""The network without PyTorch: graph embeddings (Eq. 9-10) and joint matching (Eq. 14-17).
+"""Network in NumPy: graph embeddings (Eq. 9-10), joint matching (Eq. 14-17), and weights files.
 
-Equations and names of weights are those of `torch_network.py`, and a test holds the two together.
-Linear maps run as one product over the nodes of all graphs at once. Weights files hold the sizes of a
-network and its numbers in 16 bits, with checksums.
+Equations and names of weights are those of the PyTorch network of `placegraph_learn`; a test compares
+the two. Weights files hold the sizes of a network and its numbers in 16 bits, with checksums.
 """
 
 from __future__ import annotations
@@ -34,26 +33,26 @@ from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.network import network_kernels as kernels
 from placegraph.outdoor.network.graphs import (
-    Bags,
     Floats,
     GraphBatch,
     PlaceGraphs,
     Rows,
+    SubwordBags,
     TextGraphs,
     WordFits,
     WordVectors,
-    agreements,
-    fits_of,
-    place_batch,
-    text_batch,
-    word_fits,
+    compute_agreements,
+    find_word_weights,
+    make_place_batch,
+    make_text_batch,
+    make_word_fits,
 )
 from placegraph.outdoor.network.network_kernels import (
     BUCKETS,
     CHANNELS,
     LITERAL,
     LONGEST,
-    MOST_THINGS,
+    MAX_OBJECTS,
     REACH,
     SHORTEST,
 )
@@ -78,15 +77,15 @@ class Shape:
     crossings: int = option(
         2, "Layers of cross attention; 0: none.", maximum=4096, flag="--crossings", panel=NETWORK
     )
-    evidence: int = option(32, "Numbers by which a statement is judged.", minimum=1, maximum=4096)
+    evidence: int = option(32, "Size of the evidence of a statement.", minimum=1, maximum=4096)
     subwords: float = option(
         1.0, "Length of the sum of a word's subwords, against 1 of the whole word.", maximum=4096
     )
     statements: bool = option(
         True,
-        "Judge every statement by what its ends find, beginning with its literal meaning; otherwise the "
-        "joint model of the paper: cross attention, and a perceptron on both embeddings (Eq. 14-17).",
-        repr=False,  # the weights' names tell it in the print
+        "Score every statement by the objects that its ends attend to, and literally; otherwise the joint "
+        "model is the paper's: cross attention, and a perceptron on both embeddings (Eq. 14-17).",
+        repr=False,  # digests are of the repr
         flag="--statements/--no-statements",
         panel=NETWORK,
     )
@@ -100,7 +99,7 @@ class Shape:
             )
 
     def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
-        """Shape of every weight, by PyTorch's names."""
+        """List the shape of every weight, by PyTorch's names."""
         d, out, e, heads = self.width, self.dimension, self.evidence, self.heads
         found: dict[str, tuple[int, ...]] = {"table": (BUCKETS, d)}
 
@@ -154,12 +153,12 @@ class Shape:
         return found
 
     def to_dict(self) -> dict[str, float]:
-        """Plain numbers."""
+        """Return plain numbers."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, plain: dict[str, float]) -> Shape:
-        """Undo `to_dict`; raises `TypeError` or `ValueError` where it is no shape."""
+        """Make a shape of plain numbers; raises `TypeError` or `ValueError` where they are none."""
         kinds = {"subwords": float, "statements": bool}
         return cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
 
@@ -167,9 +166,9 @@ class Shape:
 KIND = "graph-transformer"
 VERSION = 1
 LABELS = {"buckets": BUCKETS, "subwords": [SHORTEST, LONGEST]}
-"""How words become rows of the table; weights made otherwise mean something else."""
-GRAPHS = {"channels": list(CHANNELS), "reach": REACH, "things": MOST_THINGS}
-"""What graphs are made of."""
+"""Hashing of words to rows of the table; weights belong to one."""
+GRAPHS = {"channels": list(CHANNELS), "reach": REACH, "things": MAX_OBJECTS}
+"""Construction of graphs; weights belong to one."""
 WORDS, VECTORS, MEANING = "words", "word_vectors", "meaning.weight"
 """Columns of a network with word vectors: the words, their vectors, and the map (d, n) of these."""
 
@@ -181,21 +180,21 @@ class Weights:
     shape: Shape
     arrays: dict[str, NDArray[np.float32]]
     training: dict[str, Any]
-    """How it was trained: cities, examples, seed, curves' last points."""
+    """Record of the training: cities, examples, seed, last losses."""
     words: WordVectors | None = None
-    """Word vectors it was trained with."""
+    """Word vectors of the training, if any."""
 
     @property
     def fingerprint(self) -> str:
-        """Digest of shape, weights and word vectors: sixteen hexadecimal digits."""
+        """Digest of shape, weights and word vectors: 16 hexadecimal digits."""
         if self.words is None:
             return hash_weights(self.shape, self.arrays)[:16]
         arrays = self.arrays | {VECTORS: self.words.vectors}
         return hash_weights((self.shape, self.words.words), arrays)[:16]
 
 
-def sizes(shape: Shape, words: WordVectors | None) -> dict[str, tuple[int, ...]]:
-    """Shape of every weight that is learned."""
+def list_weight_shapes(shape: Shape, words: WordVectors | None) -> dict[str, tuple[int, ...]]:
+    """List the shapes of all weights that are learned."""
     of_words = {} if words is None else {MEANING: (shape.width, words.vectors.shape[1])}
     return shape.arrays() | of_words
 
@@ -227,10 +226,10 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     InputError
         There is no such file.
     MapError
-        It is damaged, none, of a newer version, or made with another label set or other graphs.
+        It is damaged, no weights file, of a newer version, or made with other labels or graphs.
 
     """
-    file = _open(path)
+    file = _open_weights(path)
     known = file.strings(WORDS) if WORDS in file.arrays else ()
     for part, here in (("labels", _labels(len(known))), ("graphs", GRAPHS)):
         if file.meta.get(part) != here:
@@ -241,7 +240,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     try:
         shape = Shape.from_dict(file.meta["shape"])
         words = _word_vectors(file, known) if known else None
-        arrays = read_arrays(file, sizes(shape, words))
+        arrays = read_arrays(file, list_weight_shapes(shape, words))
         return Weights(shape, arrays, dict(file.meta["training"]), words)
     except MapError as error:
         why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
@@ -259,8 +258,8 @@ def _word_vectors(file: MapFile, known: tuple[str, ...]) -> WordVectors:
     return WordVectors(known, vectors)
 
 
-def _open(path: str | PathLike[str]) -> MapFile:
-    """Columns of a weights file; errors speak of weights where the map reader speaks of maps."""
+def _open_weights(path: str | PathLike[str]) -> MapFile:
+    """Read a weights file as a map file; errors are about weights."""
     mend = "train one by `placegraph city train`, or use the one that comes with placegraph."
     try:
         header = read_header(path)
@@ -283,27 +282,29 @@ def _open(path: str | PathLike[str]) -> MapFile:
     return file
 
 
-def shipped() -> Path:
-    """Weights that come with placegraph."""
+def find_shipped_weights() -> Path:
+    """Return the path of the weights that come with placegraph."""
     with as_file(files("placegraph.outdoor.network") / "data" / "city.weights") as path:
         return Path(path)
 
 
-def trained(
+def round_weights(
     shape: Shape,
     state: Mapping[str, NDArray[Any]],
     training: dict[str, Any],
     words: WordVectors | None = None,
 ) -> Weights:
-    """Weights as they will be read again: rounded to 16 bits."""
-    return Weights(shape, round_to_float16(sizes(shape, words), state), training, words)
+    """Make weights, rounded to 16 bits as files have them."""
+    return Weights(
+        shape, round_to_float16(list_weight_shapes(shape, words), state), training, words
+    )
 
 
-BLOCK = 1024
-"""Places embedded at once."""
+BATCH_SIZE = 1024
+"""Number of places that are embedded at once."""
 
 
-class States(NamedTuple):
+class EncodedGraphs(NamedTuple):
     """Encoded graphs."""
 
     nodes: Floats
@@ -316,7 +317,7 @@ class States(NamedTuple):
     """(B, R, size, size)"""
 
 
-class Matches(NamedTuple):
+class MatchScores(NamedTuple):
     """Scores of K places by the joint model."""
 
     logit: Floats
@@ -326,11 +327,11 @@ class Matches(NamedTuple):
     embedding: Floats
     """(K,) cosine of the graph embeddings (Eq. 11)."""
     residual: Floats
-    """(K,) what relational matching should have added to its log-likelihood ratio."""
+    """(K,) correction of the log-likelihood ratio of relational matching."""
 
     @property
     def probability(self) -> Floats:
-        """(K,) that text and place match."""
+        """(K,) probability that text and place match."""
         return np.asarray(1.0 / (1.0 + np.exp(-self.logit)), np.float32)
 
 
@@ -342,7 +343,7 @@ class _Pairs(NamedTuple):
     m_starts: Rows
     """(K + 1,) place nodes of a pair."""
     agreement: Floats
-    """(K, n, m) how well a thing fits a mention by its words."""
+    """(K, n, m) how well an object fits a mention by its words."""
     relations: Floats
     """(K, R, m, m)"""
     ends: Rows
@@ -350,31 +351,29 @@ class _Pairs(NamedTuple):
     bounds: Rows
     """(K + 1,) statements of a pair."""
     known: Floats
-    """(E, R + 3) channels, whether it is negated, how rare both ends are on the map."""
-
-    def literally(self) -> Floats:
-        """Sum the log-likelihood ratios (K,) that statements have if words alone decide."""
-        return kernels.literally(
-            self.agreement, self.t_starts, self.m_starts, self.relations, self.ends, self.known,
-            self.bounds,
-        )  # fmt: skip
+    """(E, R + 3) channels, negation, and rarity of both ends on the map."""
 
 
-def _pairs(
-    texts: TextGraphs, text: int, places: PlaceGraphs, rows: Rows, words: WordFits, stands: States
+def _pair(
+    texts: TextGraphs,
+    text: int,
+    places: PlaceGraphs,
+    rows: Rows,
+    words: WordFits,
+    encoded: EncodedGraphs,
 ) -> _Pairs:
     k = len(rows)
     nodes = slice(*texts.starts[text : text + 2])
     edges = slice(*texts.edge_starts[text : text + 2])
-    n, size = nodes.stop - nodes.start, stands.relations.shape[3]
+    n, size = nodes.stop - nodes.start, encoded.relations.shape[3]
     ends = texts.ends[edges]
     rarity = words.rarity[nodes][ends]
     known = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
     return _Pairs(
         np.arange(k + 1) * n,
-        stands.starts,
-        agreements(texts, places, np.full(k, text), rows, words, (n, size)),
-        stands.relations,
+        encoded.starts,
+        compute_agreements(texts, places, np.full(k, text), rows, words, (n, size)),
+        encoded.relations,
         np.tile(ends, (k, 1)),
         np.arange(k + 1) * len(ends),
         np.tile(known, (k, 1)),
@@ -389,15 +388,15 @@ class GraphTransformer:
     arrays: dict[str, Floats]
     """Weights by PyTorch's names."""
     fingerprint: str
-    """Of the weights: embeddings of two models must not be compared."""
+    """Digest of the weights: embeddings of two networks must not be compared."""
     known: WordVectors | None = None
-    """Word vectors it was trained with."""
+    """Word vectors of the training, if any."""
 
     @staticmethod
     @lru_cache(maxsize=1)
     def default() -> GraphTransformer:
         """Return the network that comes with placegraph."""
-        return GraphTransformer.open(shipped())
+        return GraphTransformer.open(find_shipped_weights())
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> GraphTransformer:
@@ -414,39 +413,41 @@ class GraphTransformer:
 
     def check(self) -> None:
         """Raise `KeyError` or `ValueError` where a weight is missing or of another shape."""
-        for name, wanted in sizes(self.shape, self.known).items():
+        for name, wanted in list_weight_shapes(self.shape, self.known).items():
             if self.arrays[name].shape != wanted:
                 raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
 
     def word_vectors(self, words: tuple[str, ...]) -> Floats:
-        """Vectors (W, d) of labels, names (`of_name`) and any other words."""
+        """Compute vectors (W, d) of labels, names (`of_name`) and any other words."""
         return self.bags(words).vectors(self.arrays["table"], self.arrays.get(MEANING))
 
-    def bags(self, words: tuple[str, ...]) -> Bags:
-        """Parts of labels, names and any other words that their vectors are made of."""
-        return Bags.of(words, self.shape.subwords, self.known)
+    def bags(self, words: tuple[str, ...]) -> SubwordBags:
+        """Split labels, names and any other words into parts."""
+        return SubwordBags.of(words, self.shape.subwords, self.known)
 
     def embed_texts(self, texts: TextGraphs) -> Floats:
-        """Embeddings (Q, D) of text graphs (Eq. 9), of unit length."""
+        """Embed text graphs (Eq. 9): (Q, D) of unit length."""
         return self.encode_texts(texts, np.arange(len(texts))).embeddings
 
     def embed_places(self, places: PlaceGraphs, vectors: Floats | None = None) -> Floats:
-        """Embeddings (K, D) of place graphs (Eq. 10), of unit length."""
+        """Embed place graphs (Eq. 10): (K, D) of unit length."""
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
-        order = np.argsort(np.diff(places.starts), kind="stable")  # alike sizes: little padding
+        order = np.argsort(np.diff(places.starts), kind="stable")  # similar sizes: little padding
         out = np.empty((len(places), self.shape.dimension), np.float32)
-        for at in range(0, len(order), BLOCK):
-            rows = order[at : at + BLOCK]
+        for at in range(0, len(order), BATCH_SIZE):
+            rows = order[at : at + BATCH_SIZE]
             out[rows] = self.encode_places(places, rows, vectors).embeddings
         return out
 
-    def encode_texts(self, texts: TextGraphs, rows: Rows) -> States:
-        """Node states and embeddings of texts `rows`."""
-        return self._encode("text", text_batch(texts, rows), self.word_vectors(texts.vocabulary))
+    def encode_texts(self, texts: TextGraphs, rows: Rows) -> EncodedGraphs:
+        """Encode texts `rows`: node states and embeddings."""
+        return self._encode(
+            "text", make_text_batch(texts, rows), self.word_vectors(texts.vocabulary)
+        )
 
-    def encode_places(self, places: PlaceGraphs, rows: Rows, vectors: Floats) -> States:
-        """Node states and embeddings of places `rows`; `vectors` are those of their vocabulary."""
-        return self._encode("place", place_batch(places, rows), vectors)
+    def encode_places(self, places: PlaceGraphs, rows: Rows, vectors: Floats) -> EncodedGraphs:
+        """Encode places `rows`: node states and embeddings; `vectors` are those of their vocabulary."""
+        return self._encode("place", make_place_batch(places, rows), vectors)
 
     def match(
         self,
@@ -456,21 +457,21 @@ class GraphTransformer:
         rows: Rows,
         words: WordFits,
         vectors: Floats | None = None,
-        stands: States | None = None,
-    ) -> Matches:
+        encoded: EncodedGraphs | None = None,
+    ) -> MatchScores:
         """Match one text with places `rows` (K,), all at once (Eq. 14-17).
 
-        `words` says how well words of the places fit the nodes of all texts; `stands` are these
-        places encoded before, where they were.
+        `words` are the weights of words of the places for the nodes of all texts; `encoded` are these
+        places, if they were encoded before.
         """
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         rows = np.asarray(rows, np.int64)
         if not len(rows):
-            return Matches(*(np.zeros((4, 0), np.float32)))
-        said = self.encode_texts(texts, np.array([text]))
-        stands = self.encode_places(places, rows, vectors) if stands is None else stands
-        pairs = _pairs(texts, text, places, rows, words, stands)
-        t, m = np.tile(said.nodes, (len(rows), 1)), stands.nodes
+            return MatchScores(*(np.zeros((4, 0), np.float32)))
+        encoded_text = self.encode_texts(texts, np.array([text]))
+        encoded_places = encoded or self.encode_places(places, rows, vectors)
+        pairs = _pair(texts, text, places, rows, words, encoded_places)
+        t, m = np.tile(encoded_text.nodes, (len(rows), 1)), encoded_places.nodes
         total = np.zeros((len(rows), 2), np.float32)
         for layer in range(self.shape.crossings):
             t, m, verdict = self._cross(f"cross.{layer}", t, m, pairs)
@@ -483,41 +484,48 @@ class GraphTransformer:
         lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
         cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
         if self.shape.statements:
-            logit = self.arrays["prior"][0] * pairs.literally() + total[:, 0] + logit
-        return Matches(logit, cosine, stands.embeddings @ said.embeddings[0], total[:, 1])
+            literal = kernels.sum_literal_scores(
+                pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations, pairs.ends,
+                pairs.known, pairs.bounds,
+            )  # fmt: skip
+            logit = self.arrays["prior"][0] * literal + total[:, 0] + logit
+        embedding = encoded_places.embeddings @ encoded_text.embeddings[0]
+        return MatchScores(logit, cosine, embedding, total[:, 1])
 
     def _cross(
         self, name: str, t: Floats, m: Floats, pairs: _Pairs
     ) -> tuple[Floats, Floats, Floats | float]:
-        """Cross attention both ways, and what the statements say (K, 2) of what they attend to."""
+        """Apply cross attention both ways; also return the scores (K, 2) of the statements."""
         seen, meant, weights = kernels.cross_attention(
             (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
             (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
             pairs.t_starts, pairs.m_starts, pairs.agreement,
             self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], self.shape.heads,
         )  # fmt: skip
-        told, verdict = self._heard(name, weights, pairs) if self.shape.statements else (0.0, 0.0)
-        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + told)
+        messages, verdict = (
+            self._score_statements(name, weights, pairs) if self.shape.statements else (0.0, 0.0)
+        )
+        t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + messages)
         m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
         t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
         return t, m, verdict
 
-    def _heard(self, name: str, weights: Floats, pairs: _Pairs) -> tuple[Floats, Floats]:
-        """Return the messages of statements to their ends (N, d), and their sums (K, 2)."""
-        features = kernels.heard(
+    def _score_statements(self, name: str, weights: Floats, pairs: _Pairs) -> tuple[Floats, Floats]:
+        """Return the messages of statements to their ends (N, d), and the sums of their scores (K, 2)."""
+        features = kernels.evaluate_statements(
             weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
             pairs.ends, pairs.known, pairs.bounds,
         )  # fmt: skip
         evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.known]))
         evidence = np.maximum(evidence, 0.0)
         verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1, 2)
-        told = kernels.add_to_ends(
+        messages = kernels.scatter_to_ends(
             self._linear(f"{name}.said", evidence), pairs.ends, pairs.bounds, pairs.t_starts
         )
-        return told, verdict.sum(axis=1)
+        return messages, verdict.sum(axis=1)
 
-    def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> States:
-        """GPS layers: messages along labelled edges plus attention to the whole graph."""
+    def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> EncodedGraphs:
+        """Apply GPS layers: messages along labeled edges plus attention to the whole graph."""
         b, size = batch.mask.shape
         at = np.flatnonzero(batch.mask.reshape(-1))
         starts = np.concatenate(([0], np.cumsum(batch.mask.sum(axis=1)))).astype(np.int64)
@@ -529,16 +537,18 @@ class GraphTransformer:
         x = self._norm(f"{side}.norm", words[at] + self._linear(f"{side}.features", nodes))
         for layer in range(self.shape.layers):
             name = f"{side}.layers.{layer}"
-            told = kernels.messages(self._linear(f"{name}.message", x), starts, batch.relations)
+            messages = kernels.pass_messages(
+                self._linear(f"{name}.message", x), starts, batch.relations
+            )
             seen = kernels.self_attention(self._linear(f"{name}.qkv", x), starts, self.shape.heads)
             x = self._norm(
                 f"{name}.norm",
-                x + self._linear(f"{name}.along", told) + self._linear(f"{name}.out", seen),
+                x + self._linear(f"{name}.along", messages) + self._linear(f"{name}.out", seen),
             )
             x = self._feed(f"{name}.feed", x)
         pooled = self._pool(f"{side}.pool", x, starts)
         length = np.maximum(np.linalg.norm(pooled, axis=1, keepdims=True), 1e-12)
-        return States(x, starts, pooled / length, batch.relations)
+        return EncodedGraphs(x, starts, pooled / length, batch.relations)
 
     def _linear(self, name: str, x: NDArray[np.floating[Any]]) -> Floats:
         y = multiply_matrices(x, self.arrays[f"{name}.weight"].T)
@@ -557,7 +567,7 @@ class GraphTransformer:
         return self._norm(f"{name}.norm", x + self._linear(f"{name}.down", hidden))
 
     def _pool(self, name: str, x: Floats, starts: NDArray[np.int64]) -> Floats:
-        """Gated sum over the nodes of each graph, projected."""
+        """Pool the nodes of each graph by a gated sum, projected."""
         gate = 1.0 / (1.0 + np.exp(-self._linear(f"{name}.gate", x)))
         total = np.add.reduceat(gate * x, starts[:-1], axis=0)
         return self._linear(f"{name}.out", total / np.sqrt(np.diff(starts))[:, None])
@@ -565,14 +575,14 @@ class GraphTransformer:
 
 @dataclass(frozen=True, eq=False)
 class EncodedCity:
-    """A city read by a network; everything is derived on first use."""
+    """City encoded by a network; everything is computed on first use."""
 
     city: City
     network: GraphTransformer
 
     @classmethod
-    def shipped(cls, city: City) -> Self:
-        """Read a city by the network that comes with placegraph."""
+    def of_city(cls, city: City) -> Self:
+        """Encode a city by the network that comes with placegraph."""
         return cls(city, GraphTransformer.default())
 
     @cached_property
@@ -592,15 +602,15 @@ class EncodedCity:
 
     @cached_property
     def origin(self) -> Origin:
-        """Map and network that the embeddings are made from."""
+        """Map and network of the embeddings."""
         return Origin(self.city.fingerprint, self.network.fingerprint)
 
     @cached_property
     def store(self) -> VectorStore:
-        """The embeddings, ready to be searched."""
+        """Store of the embeddings, in memory."""
         return EmbeddedStore.of_rows(self._rows(), origin=self.origin)
 
-    def keep(
+    def save_embeddings(
         self,
         where: Address,
         *,
@@ -610,7 +620,7 @@ class EncodedCity:
         progress: Callable[[str, int, int], None] | None = None,
         timeout: float = 10.0,
     ) -> VectorStore:
-        """Embed the cells and keep the vectors in a store; arguments and errors as of `load_store`."""
+        """Embed the cells and save the vectors in a store; for arguments and errors see `load_store`."""
         if progress is not None:
             progress("embedding", 0, len(self.city.cells))
         return load_store(
@@ -623,24 +633,24 @@ class EncodedCity:
         return Vectors.of(cells.points, self.embeddings, cells.lonlat)
 
     def text(self, query: Query) -> EncodedText:
-        """A query as the network reads it."""
-        # what is said again is no surer: the query has it once
-        said = (*query.used, *(statement for statement, _ in query.unused))
-        texts = TextGraphs.of([replace(query.description, statements=said)])
-        fits = fits_of(texts, [query])
+        """Encode a query for the network."""
+        # each statement once: repetition makes it no surer
+        statements = (*query.used, *(statement for statement, _ in query.unused))
+        texts = TextGraphs.of([replace(query.description, statements=statements)])
+        fits = find_word_weights(texts, [query])
         counts, total = self.city.word_counts
-        return EncodedText(texts, word_fits(fits, counts, total))
+        return EncodedText(texts, make_word_fits(fits, counts, total))
 
-    def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> Matches:
+    def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> MatchScores:
         """Match a text with places of this city (Eq. 14-17)."""
         return self.network.match(text.graphs, 0, places, rows, text.words, self.words)
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedText:
-    """A query as a network reads it."""
+    """Query as input of a network."""
 
     graphs: TextGraphs
-    """One text."""
+    """Graph of the text."""
     words: WordFits
-    """How well words of the map fit its nodes."""
+    """Weights of the map's words for its nodes."""

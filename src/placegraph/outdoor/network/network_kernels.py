@@ -1,8 +1,8 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled loops of the network: parts of words, graphs of places and texts, attention.
+"""Compiled loops of the network: parts of words, relations of graphs, attention.
 
-Node states of B graphs are packed: one row a node, `starts` (B + 1,) says where a graph begins.
-Relations and agreement come padded, and are read only where there are nodes.
+Node states of B graphs are packed, one row a node, with the first node of each graph in `starts`
+(B + 1,). Relations and agreement are padded.
 """
 
 from __future__ import annotations
@@ -14,22 +14,16 @@ from placegraph.outdoor.map.directions_kernels import share_winds
 
 BUCKETS = 8192
 """Rows of the table of vectors that parts are hashed into."""
-
-
 SHORTEST, LONGEST = 3, 5
 """Letters of a subword."""
-
-
 WHOLE, KEY, SUBWORD = range(3)
-"""What a part is: `cafe` as a word is not `cafe` within one."""
-
-
+"""Kinds of parts: `cafe` as a word is not `cafe` within one."""
 EQUALS, SPACE, UNDERSCORE, TILDE, BEGIN, END = (ord(c) for c in "= _~<>")
 
 
 @kernel
-def _parts(letters, bounds, subwords):
-    """Parts of words that follow each other in `letters`, as CSR: starts, buckets, weights."""
+def split_words(letters, bounds, subwords):
+    """Split words, one after the other in `letters`, into parts, as CSR: starts, buckets, weights."""
     starts = np.zeros(len(bounds), np.int64)
     most = (LONGEST - SHORTEST + 1) * (3 * len(letters) + 2) + 2 * len(bounds)
     buckets, weights = np.empty(most, np.int64), np.empty(most, np.float32)
@@ -67,7 +61,7 @@ def _parts(letters, bounds, subwords):
 
 @kernel
 def _bucket(letters, kind):
-    """Row of the table of vectors (FNV-1a over the letters' code points)."""
+    """Hash a part to a row of the table of vectors (FNV-1a over code points)."""
     code = np.uint64(14695981039346656037) ^ np.uint64(kind)
     for letter in letters:
         code = (code * np.uint64(1099511628211)) ^ np.uint64(letter)
@@ -76,20 +70,18 @@ def _bucket(letters, kind):
 
 
 REACH = 34.0
-"""Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""
-
-
-MOST_THINGS = 36
-"""At most this many things of a place are read, the nearest ones."""
+"""Largest distance of the objects of a place from its center [m]."""
+MAX_OBJECTS = 36
+"""Largest number of objects of a place; the nearest are taken."""
 
 
 @kernel
-def _nearest_things(starts, offsets, rows):
-    """Entries of each row within reach, the nearest `MOST_THINGS`; starts (K + 1,), entries."""
+def select_nearest(starts, offsets, rows):
+    """Select the nearest `MAX_OBJECTS` entries within reach of each row, as CSR."""
     chosen = np.zeros(len(rows) + 1, np.int64)
     most = 0
     for k in range(len(rows)):
-        most += min(MOST_THINGS, starts[rows[k] + 1] - starts[rows[k]])
+        most += min(MAX_OBJECTS, starts[rows[k] + 1] - starts[rows[k]])
     kept = np.empty(most, np.int64)
     n = 0
     for k in range(len(rows)):
@@ -100,7 +92,7 @@ def _nearest_things(starts, offsets, rows):
             d2 = x * x + y * y
             distance[e - first] = d2 if d2 <= REACH * REACH else np.float32(np.inf)
         order = np.argsort(distance, kind="mergesort")
-        for i in order[:MOST_THINGS]:
+        for i in order[:MAX_OBJECTS]:
             if distance[i] < np.inf:
                 kept[n] = first + i
                 n += 1
@@ -109,8 +101,8 @@ def _nearest_things(starts, offsets, rows):
 
 
 @kernel
-def _gather(rows, starts, values, weights):
-    """CSR entries of some rows, as CSR."""
+def gather_rows(rows, starts, values, weights):
+    """Gather the CSR entries of some rows, as CSR."""
     out = np.zeros(len(rows) + 1, np.int64)
     for i in range(len(rows)):
         out[i + 1] = out[i] + starts[rows[i] + 1] - starts[rows[i]]
@@ -124,22 +116,22 @@ def _gather(rows, starts, values, weights):
 
 
 CHANNELS = ("north", "south", "east", "west", "near", "inside", "contains", "along", "present")
-"""Relations of two nodes: the first is ... (of) the second. `present`: both are there."""
+"""Relations of two nodes: the first is ... (of) the second. `present`: both exist."""
 NORTH, SOUTH, EAST, WEST, NEAR, INSIDE, CONTAINS, ALONG, PRESENT = range(len(CHANNELS))
 OPPOSITE = np.array([SOUTH, NORTH, WEST, EAST, NEAR, CONTAINS, INSIDE, ALONG, PRESENT])
-"""Channel seen from the other end."""
-CLOSE = 12.0
-"""Distance at which "near" is half true [m]."""
-BESIDE = 15.0
-"""Distance to a line that counts as along it [m]."""
+"""Inverse of each channel."""
+NEAR_DISTANCE = 12.0
+"""Distance at which "near" is 0.5 [m]."""
+ALONG_DISTANCE = 15.0
+"""Largest distance from a line of a speaker along it [m]."""
 POINT, LINE, AREA = 0, 1, 2
 
 
 @kernel
 def place_relations(starts, offsets, kinds, rows, size):
-    """Return the relations of node i to node j of places `rows` (K,): (K, R, size, size) float32.
+    """Compute the relations of node i to node j of places `rows` (K,): (K, R, size, size) float32.
 
-    Node 0 is the centre. Two things in one spot lie in no direction of each other.
+    Node 0 is the center. Two objects at one point lie in no direction of each other.
     """
     out = np.zeros((len(rows), len(OPPOSITE), size, size), np.float32)
     for k in range(len(rows)):
@@ -156,40 +148,40 @@ def place_relations(starts, offsets, kinds, rows, size):
                 dx, dy = xi - xj, yi - yj
                 d2 = dx * dx + dy * dy
                 out[k, PRESENT, i, j] = out[k, PRESENT, j, i] = 1.0
-                close = 1.0 / (1.0 + np.exp((np.sqrt(d2) - CLOSE) / 3.0))
+                close = 1.0 / (1.0 + np.exp((np.sqrt(d2) - NEAR_DISTANCE) / 3.0))
                 out[k, NEAR, i, j] = out[k, NEAR, j, i] = close
                 if d2 > 0.25:
-                    told = share_winds(dx, dy)
+                    shares = share_winds(dx, dy)
                     for wind in range(4):
-                        out[k, wind, i, j] = out[k, OPPOSITE[wind], j, i] = told[wind]
+                        out[k, wind, i, j] = out[k, OPPOSITE[wind], j, i] = shares[wind]
                 kind = kinds[first + i - 1]
-                if j == 0 and kind == AREA and d2 == 0.0:  # the centre stands in i
+                if j == 0 and kind == AREA and d2 == 0.0:  # the center lies in i
                     out[k, INSIDE, 0, i] = out[k, CONTAINS, i, 0] = 1.0
-                if j == 0 and kind == LINE and d2 <= BESIDE * BESIDE:
+                if j == 0 and kind == LINE and d2 <= ALONG_DISTANCE * ALONG_DISTANCE:
                     out[k, ALONG, 0, i] = out[k, ALONG, i, 0] = 1.0
     return out
 
 
 @kernel
 def text_relations(edge_starts, ends, channels, negated, rows, size):
-    """Return what texts `rows` (Q,) say of their nodes: (Q, R, size, size) float32."""
+    """Sum the stated relations of the nodes of texts `rows` (Q,): (Q, R, size, size) float32."""
     out = np.zeros((len(rows), len(OPPOSITE), size, size), np.float32)
     for q in range(len(rows)):
         for e in range(edge_starts[rows[q]], edge_starts[rows[q] + 1]):
             i, j = ends[e]
             for r in range(len(OPPOSITE)):
-                said = channels[e, r] * (1.0 - 2.0 * negated[e])
-                out[q, r, i, j] += said
-                out[q, OPPOSITE[r], j, i] += said
+                stated = channels[e, r] * (1.0 - 2.0 * negated[e])
+                out[q, r, i, j] += stated
+                out[q, OPPOSITE[r], j, i] += stated
     return out
 
 
 @kernel
-def agreement(
+def compute_agreement(
     text_starts, texts, fit_starts, fit_tokens, fit_weights,
     place_starts, places, word_starts, words, weights, n, m, n_words,
 ):  # fmt: skip
-    """Return how well things of a place fit mentions of a text, (P, n, m); the speaker fits the centre."""
+    """Compute how well objects of a place fit mentions of a text, (P, n, m); the speaker fits the center."""
     out = np.zeros((len(texts), n, m), np.float32)
     fits = np.zeros((n, n_words), np.float32)
     last = -1
@@ -217,8 +209,8 @@ def agreement(
 
 
 @kernel(fastmath=True)
-def messages(x, starts, relations):
-    """Sum over neighbours j of relation r, (N, R * c), of x (N, c); rows are scaled by their degree."""
+def pass_messages(x, starts, relations):
+    """Sum x (N, c) over the neighbors by each relation, (N, R * c); rows are scaled by degree."""
     c, n_relations = x.shape[1], relations.shape[1]
     out = np.zeros((len(x), n_relations * c), np.float32)
     for b in range(len(starts) - 1):
@@ -242,7 +234,7 @@ def messages(x, starts, relations):
 
 @kernel(fastmath=True)
 def self_attention(qkv, starts, heads):
-    """Attention of every node to its graph, (N, d), from queries, keys and values (N, 3 d)."""
+    """Compute the attention of every node to its graph, (N, d), from queries, keys, values (N, 3 d)."""
     d = qkv.shape[1] // 3
     size = d // heads
     scale = np.float32(1.0 / np.sqrt(size))
@@ -255,25 +247,25 @@ def self_attention(qkv, starts, heads):
         n = starts[b + 1] - first
         for h in range(heads):
             q, k, v = h * size, d + h * size, 2 * d + h * size
-            _turned(qkv, first, n, k, keys)
-            _products(qkv, first, n, q, keys, n, scale, logits)
+            _transpose_columns(qkv, first, n, k, keys)
+            _scaled_products(qkv, first, n, q, keys, n, scale, logits)
             for i in range(n):
                 _softmax(logits, i, n, np.float32(-1e30))
-            _mixed(logits, n, qkv, first, n, v, size, out, first, q)
+            _add_weighted(logits, n, qkv, first, n, v, size, out, first, q)
     return out
 
 
 @kernel(fastmath=True)
-def _turned(x, first, n, column, out):
-    """Columns from `column` of n rows of x, turned so that loops over rows run over neighbours."""
+def _transpose_columns(x, first, n, column, out):
+    """Transpose the columns from `column` of n rows of x, so that loops over rows are contiguous."""
     for j in range(n):
         for c in range(len(out)):
             out[c, j] = x[first + j, column + c]
 
 
 @kernel(fastmath=True)
-def _products(q, first, n, column, keys, m, scale, out):
-    """Scaled products (n, m) of n queries and m turned keys, into `out`."""
+def _scaled_products(q, first, n, column, keys, m, scale, out):
+    """Compute the scaled products (n, m) of n queries and m transposed keys, in `out`."""
     for i in range(n):
         for j in range(m):
             out[i, j] = 0.0
@@ -284,8 +276,8 @@ def _products(q, first, n, column, keys, m, scale, out):
 
 
 @kernel(fastmath=True)
-def _mixed(weights, n, values, first, m, column, size, out, at, to):
-    """Add values of m rows, mixed by weights (n, m), to n rows of `out`."""
+def _add_weighted(weights, n, values, first, m, column, size, out, at, to):
+    """Add the sums of m values, weighted by (n, m), to n rows of `out`."""
     for i in range(n):
         for j in range(m):
             w = weights[i, j]
@@ -295,7 +287,7 @@ def _mixed(weights, n, values, first, m, column, size, out, at, to):
 
 @kernel(fastmath=True)
 def _softmax(weights, i, n, nothing):
-    """Softmax of n weights of row i in place, with one more entry `nothing` that takes its share."""
+    """Apply softmax to n weights of row i, in place, with one more entry `nothing`."""
     top = nothing
     for j in range(n):
         top = max(top, weights[i, j])
@@ -310,11 +302,11 @@ def _softmax(weights, i, n, nothing):
 
 @kernel(fastmath=True)
 def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, heads):
-    """Attention of texts to places and back.
+    """Compute the attention of texts to places and back.
 
-    `qk` are queries of the texts (N, d) and keys of the places (M, d), `values` those of the
-    places and of the texts. Returns what text nodes see (N, d), what things mean (M, d), and the
-    weights (N, heads, largest place) by which text nodes see things.
+    `qk` are queries of the texts (N, d) and keys of the places (M, d), `values` those of the places
+    and of the texts. Returns the attended values of text nodes (N, d) and of objects (M, d), and the
+    attention weights (N, heads, largest place) of text nodes to objects.
     """
     q, k = qk
     of_place, of_text = values
@@ -334,8 +326,8 @@ def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, he
         n, m = t_starts[p + 1] - t0, m_starts[p + 1] - m0
         for h in range(heads):
             off = h * size
-            _turned(k, m0, m, off, keys)
-            _products(q, t0, n, off, keys, m, scale, alike)
+            _transpose_columns(k, m0, m, off, keys)
+            _scaled_products(q, t0, n, off, keys, m, scale, alike)
             for i in range(n):
                 for j in range(m):
                     forth[i, j] = alike[i, j] + word[0, h] * agreement[p, i, j]
@@ -345,44 +337,44 @@ def cross_attention(qk, values, t_starts, m_starts, agreement, word, nothing, he
                     to_place[t0 + i, h, j] = forth[i, j]
             for j in range(m):
                 _softmax(back, j, n, nothing[1, h])
-            _mixed(forth, n, of_place, m0, m, off, size, seen, t0, off)
-            _mixed(back, m, of_text, t0, n, off, size, meant, m0, off)
+            _add_weighted(forth, n, of_place, m0, m, off, size, seen, t0, off)
+            _add_weighted(back, m, of_text, t0, n, off, size, meant, m0, off)
     return seen, meant, to_place
 
 
 LITERAL = 5
-"""Numbers of `literal_of`."""
-CHANCE = np.array([0.25, 0.25, 0.25, 0.25, 0.4, 0.2, 0.2, 0.2, 1.0], np.float32)
-"""P(two things in sight stand so, anywhere) of each channel."""
+"""Number of features of `score_literally`."""
+CHANNEL_CHANCE = np.array([0.25, 0.25, 0.25, 0.25, 0.4, 0.2, 0.2, 0.2, 1.0], np.float32)
+"""P(the relation holds | two objects in sight, anywhere), for each channel."""
 NOISE = np.float32(0.12)
-"""Share of statements about things that are not there."""
-CROWD, LONELY = np.float32(30.0), np.float32(0.5)
-"""Added to the pairs, and to the things, that could have been spoken of."""
+"""Share of statements about objects that are not there."""
+PAIR_SMOOTHING, SINGLE_SMOOTHING = np.float32(30.0), np.float32(0.5)
+"""Additive smoothing of the numbers of pairs and of objects in sight."""
 
 
 @kernel(fastmath=True)
-def background_of(said, rare_source, rare_target):
-    """P(statement | anywhere)."""
+def background_probability(said, rare_source, rare_target):
+    """Compute P(statement | anywhere)."""
     chance = np.float32(0.0)
-    for r in range(len(CHANCE)):
-        chance += CHANCE[r] * said[r]
+    for r in range(len(CHANNEL_CHANCE)):
+        chance += CHANNEL_CHANCE[r] * said[r]
     share = np.exp(np.float32(-10.0) * (rare_source + rare_target))
     return max(chance * share, np.float32(1e-7))
 
 
 @kernel(fastmath=True)
-def literal_of(source, target, as_said, m, background, of_me, negated, out):
-    """Score a statement at a place as if words alone decide, into `out` (LITERAL,).
+def score_literally(source, target, stated, m, background, of_me, negated, out):
+    """Compute features of a statement at a place by words and relations alone, in `out` (LITERAL,).
 
-    Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
-    target, how many there are; and the log-likelihood ratio that relational matching would give,
-    without what it knows of distance and of one thing serving many statements.
+    Logs of the numbers of pairs of objects that fit and are so related, of objects that fit the
+    source, the target, and of all objects; and the log-likelihood ratio of relational matching,
+    without distances and coherence.
     """
     held = of_source = of_target = np.float32(0.0)
     for i in range(m):
         row = np.float32(0.0)
         for j in range(m):
-            row += as_said[i, j] * target[j]
+            row += stated[i, j] * target[j]
         held += row * source[i]
         of_source += source[i]
         of_target += target[i]
@@ -393,39 +385,43 @@ def literal_of(source, target, as_said, m, background, of_me, negated, out):
     if negated:
         out[4] = np.log((1 - NOISE) * np.exp(np.float32(-2.0) * held) + NOISE)
         return
-    p = held / (things + LONELY) if of_me else held / (things * (things - 1) + CROWD)
+    p = (
+        held / (things + SINGLE_SMOOTHING)
+        if of_me
+        else held / (things * (things - 1) + PAIR_SMOOTHING)
+    )
     out[4] = np.log((1 - NOISE) * min(p, np.float32(1.0)) / background + NOISE)
 
 
 @kernel(fastmath=True)
-def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
-    """Return what every statement of every pair finds, (E, 3 H + LITERAL).
+def evaluate_statements(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
+    """Compute the features of every statement of every pair, (E, 3 H + LITERAL).
 
-    Of each head how far what its ends attend to stands as said, how far they attend to anything,
-    and the ratio; then `literal_of`. `bounds` (P + 1,) are those of a pair's statements, `ends`
-    (E, 2) nodes within a text, `known` (E, R + 3) what is said and how rare both ends are, row p of
-    `relations` those of the place of pair p.
+    For each head: the attention mass of both ends on objects that are related as stated, on any
+    objects, and the ratio; then `score_literally`. `bounds` (P + 1,) delimit the statements of a pair,
+    `ends` (E, 2) are nodes of its text, `known` (E, R + 3) the stated channels and the rarity of both
+    ends, row p of `relations` those of the place of pair p.
     """
     heads, most = weights.shape[1], weights.shape[2]
     features = np.zeros((len(ends), 3 * heads + LITERAL), np.float32)
-    as_said = np.empty((most, most), np.float32)
+    stated = np.empty((most, most), np.float32)
     for p in range(len(bounds) - 1):
         m = m_starts[p + 1] - m_starts[p]
         for e in range(bounds[p], bounds[p + 1]):
-            as_said[:m, :m] = 0.0
-            for r in range(len(CHANCE)):
+            stated[:m, :m] = 0.0
+            for r in range(len(CHANNEL_CHANCE)):
                 said = known[e, r]
                 if said > 0.0:
                     for i in range(m):
                         for j in range(m):
-                            as_said[i, j] += said * relations[p, r, i, j]
+                            stated[i, j] += said * relations[p, r, i, j]
             a, b = t_starts[p] + ends[e, 0], t_starts[p] + ends[e, 1]
             for h in range(heads):
                 held = source = target = np.float32(0.0)
                 for i in range(m):
                     row = np.float32(0.0)
                     for j in range(m):
-                        row += as_said[i, j] * weights[b, h, j]
+                        row += stated[i, j] * weights[b, h, j]
                     held += row * weights[a, h, i]
                     source += weights[a, h, i]
                     target += weights[b, h, i]
@@ -433,10 +429,12 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds
                 features[e, h] = held
                 features[e, heads + h] = there
                 features[e, 2 * heads + h] = held / (there + np.float32(0.05))
-            channels = len(CHANCE)
-            background = background_of(known[e], known[e, channels + 1], known[e, channels + 2])
-            literal_of(
-                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], as_said, m, background,
+            channels = len(CHANNEL_CHANCE)
+            background = background_probability(
+                known[e], known[e, channels + 1], known[e, channels + 2]
+            )
+            score_literally(
+                agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], stated, m, background,
                 min(ends[e, 0], ends[e, 1]) == 0, known[e, channels] > 0.0,
                 features[e, 3 * heads :],
             )  # fmt: skip
@@ -444,24 +442,26 @@ def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds
 
 
 @kernel
-def add_to_ends(told, ends, bounds, t_starts):
-    """Sum what statements tell (E, 2 d) their sources and targets, (N, d)."""
-    d = told.shape[1] // 2
+def scatter_to_ends(messages, ends, bounds, t_starts):
+    """Add the messages (E, 2 d) of statements to their sources and targets, (N, d)."""
+    d = messages.shape[1] // 2
     out = np.zeros((t_starts[-1], d), np.float32)
     for p in range(len(bounds) - 1):
         for e in range(bounds[p], bounds[p + 1]):
             for side in range(2):
                 node = t_starts[p] + ends[e, side]
                 for c in range(d):
-                    out[node, c] += told[e, side * d + c]
+                    out[node, c] += messages[e, side * d + c]
     return out
 
 
 @kernel
-def literally(agreement, t_starts, m_starts, relations, ends, known, bounds):
-    """Sum over the statements of each pair (P,) of the last number of `literal_of`."""
+def sum_literal_scores(agreement, t_starts, m_starts, relations, ends, known, bounds):
+    """Sum the literal log-likelihood ratios over the statements of each pair, (P,)."""
     nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)
-    each = heard(nothing, agreement, t_starts, m_starts, relations, ends, known, bounds)
+    each = evaluate_statements(
+        nothing, agreement, t_starts, m_starts, relations, ends, known, bounds
+    )
     out = np.zeros(len(bounds) - 1, np.float32)
     for p in range(len(out)):
         for e in range(bounds[p], bounds[p + 1]):

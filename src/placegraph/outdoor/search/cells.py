@@ -16,8 +16,15 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.search.candidates import Candidates, find_cells, find_views_in
-from placegraph.outdoor.search.posterior import Posterior, apply_bayes, rerank, score
+from placegraph.outdoor.search.posterior import (
+    Candidates,
+    Posterior,
+    apply_bayes,
+    find_candidate_cells,
+    find_views_in_cells,
+    rerank,
+    score_candidates,
+)
 from placegraph.outdoor.search.request import LocationPrior, Matching, Request, is_count
 
 TIMEOUT = 0.1
@@ -62,27 +69,30 @@ def retrieve(
     if not is_count(top):
         raise OptionError(f"top is {top!r}; ask for at least one cell.")
     matching.check(city)
-    asked = Request(city, compile_query(description, city), matching=matching)
-    rows, scores = rank_cells(asked, timeout)
+    request = Request(city, compile_query(description, city), matching=matching)
+    rows, scores = rank_cells(request, timeout)
     best = np.argsort(-scores, kind="stable")[:top]
     ids = tuple(city.cells.id_of(row) for row in rows[best])
     return Ranking(rows[best], ids, scores[best])
 
 
-def search_cells(asked: Request) -> Posterior:
+def search_cells(request: Request) -> Posterior:
     """Posterior over the centres of cells, best first, that one of the paper's matchers has ranked.
 
     Log odds of matching are taken as log-likelihood ratios, and a cell that was not looked at fits
     as well as the lightest third of those that were: few candidates make nobody sure. A cosine or
     a number of edits is neither; there every cell keeps the probability of the prior.
     """
-    rows, scores = rank_cells(asked)
+    rows, scores = rank_cells(request)
     if not len(rows):
         return Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
     best = np.argsort(-scores, kind="stable")
-    rows, fits = rows[best], np.zeros(len(rows)) if asked.matching.ranks else scores[best]
-    centers = asked.city.cells.centers(np.arange(len(asked.city.cells)))
-    log_prior = asked.prior.log_of(centers)
+    rows, fits = (
+        rows[best],
+        np.zeros(len(rows)) if request.matching.is_ranking_only else scores[best],
+    )
+    centers = request.city.cells.centers(np.arange(len(request.city.cells)))
+    log_prior = request.prior.evaluate(centers)
     log_prior -= np.logaddexp.reduce(log_prior, initial=-700.0)  # where all of it is forbidden
     tail = fits[2 * len(rows) // 3 :]
     left = max(1e-12, 1.0 - float(np.exp(log_prior[rows]).sum()))
@@ -92,50 +102,50 @@ def search_cells(asked: Request) -> Posterior:
 
 
 def rank_cells(
-    asked: Request, timeout: float = TIMEOUT
+    request: Request, timeout: float = TIMEOUT
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Rows (K,) of `city.cells.points` of all candidates, and their scores (K,)."""
-    rows = find_cells(asked)
+    rows = find_candidate_cells(request)
     if not len(rows):
         return rows, np.zeros(0)
-    match asked.matching.matcher:
+    match request.matching.matcher:
         case "transformer":
-            match = asked.encoded.match(asked.text, asked.encoded.cells, rows)
-            scores = match.cosine if asked.matching.score == "cosine" else match.logit
+            match = request.encoded.match(request.text, request.encoded.cells, rows)
+            scores = match.cosine if request.matching.score == "cosine" else match.logit
             return rows, scores.astype(np.float64)
         case "embedding":
-            cosine = asked.encoded.embeddings[rows] @ asked.embedding[0]
+            cosine = request.encoded.embeddings[rows] @ request.embedding[0]
             return rows, cosine.astype(np.float64)
         case "edit-distance" | "edit-distance-plain":
-            return rows, _by_edits(asked, rows, timeout)
+            return rows, _by_edits(request, rows, timeout)
         case _:
-            return rows, _relational(asked, rows)
+            return rows, _relational(request, rows)
 
 
-def _by_edits(asked: Request, rows: NDArray[np.int64], timeout: float) -> NDArray[np.float64]:
+def _by_edits(request: Request, rows: NDArray[np.int64], timeout: float) -> NDArray[np.float64]:
     """Minus the edit distances (K,) of cells."""
     from placegraph.outdoor.search.edit_distance import rank
 
-    cells = asked.city.cells
-    graphs = [asked.city.graph(cells.id_of(row)) for row in rows]
+    cells = request.city.cells
+    graphs = [request.city.graph(cells.id_of(row)) for row in rows]
     ranked = rank(
-        asked.query.description, graphs, centers=cells.centers(rows), timeout=timeout,
-        plain=asked.matching.matcher == "edit-distance-plain",
+        request.query.description, graphs, centers=cells.centers(rows), timeout=timeout,
+        plain=request.matching.matcher == "edit-distance-plain",
     )  # fmt: skip
     scores = np.empty(len(rows))
     scores[ranked.rows] = -ranked.costs
     return scores
 
 
-def _relational(asked: Request, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def _relational(request: Request, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network if `fused`."""
-    city, scores = asked.city, np.full(len(rows), -1e9)
-    views = find_views_in(city, rows)
-    if not len(views) or not asked.is_positive:
+    city, scores = request.city, np.full(len(rows), -1e9)
+    views = find_views_in_cells(city, rows)
+    if not len(views) or not request.is_positive:
         return scores
-    plain = replace(asked, prior=LocationPrior())
-    found = score(plain, Candidates.given(plain, views))
-    found = rerank(plain, found) if asked.matching.matcher == "fused" else found
+    plain = replace(request, prior=LocationPrior())
+    found = score_candidates(plain, Candidates.of_views(plain, views))
+    found = rerank(plain, found) if request.matching.matcher == "fused" else found
     best = np.full(len(views), -1e9)
     best[np.searchsorted(views, found.rows)] = found.scores + found.log_prior
     for i, center in enumerate(city.cells.centers(rows)):  # cells may overlap

@@ -19,7 +19,13 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.likelihood.query import Query, Words, compile_query, ends, standing_at
+from placegraph.outdoor.likelihood.query import (
+    Query,
+    TokenWeights,
+    compile_query,
+    ends,
+    find_speaker_nodes,
+)
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.names import NameIndex
@@ -29,10 +35,10 @@ from placegraph.outdoor.search.ask import Answer
 from placegraph.vectors import Origin, Region, VectorStore
 from placegraph.vectors.stores import refuse_other
 
-WALK = 900.0
-"""Spread to either side of the places that a listener is told of [m]; half lie within 1.2 times it."""
+WALKING_SIGMA = 900.0
+"""Standard deviation, along each axis, of places around a listener whom somebody tells of them [m]."""
 Preset = Literal["default", "paper", "published"]
-_OF_VIEWPOINTS = ("fused", "relational")
+_RANKING_VIEWPOINTS = ("fused", "relational")
 
 
 class Route(NamedTuple):
@@ -47,7 +53,7 @@ class Route(NamedTuple):
     """[m], where the text states one."""
 
     def likelihood_ratio(self, delta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much it raises the probability (W,) of positions (W, 2) [m] from the listener."""
+        """Return the likelihood ratio (W,) of positions (W, 2) [m] from the listener, against anywhere."""
         sigma = 0.9 * self.sigma
         off = np.exp(-0.5 * (angle_between(bearing(delta), self.bearing) / sigma) ** 2)
         if self.distance is None:
@@ -61,7 +67,9 @@ class Route(NamedTuple):
 
 def _walk_density(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
-    return np.asarray(np.exp(-0.5 * (distance / WALK) ** 2) * 1e6 / (2.0 * np.pi * WALK**2))
+    return np.asarray(
+        np.exp(-0.5 * (distance / WALKING_SIGMA) ** 2) * 1e6 / (2.0 * np.pi * WALKING_SIGMA**2)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,31 +94,32 @@ class LocationPrior:
         Raises
         ------
         OptionError
-            These are no degrees, or the radius is out of range.
+            `near` is not in degrees, or the radius is out of range.
 
         """
         if near is not None and np.size(near) == 3:
             near, radius = near[:2], near[2]
-        if not 1.0 <= (find_inside := number(radius)) <= 1e7:
+        if not 1.0 <= to_number(radius) <= 1e7:
             raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
-        return cls(None if near is None else position(city, near, "near"), find_inside)
+        center = None if near is None else to_position(city, near, "near")
+        return cls(center, to_number(radius))
 
     @property
     def is_informative(self) -> bool:
         """Whether anything is known."""
         return not (self.near is None and self.listener is None and self.inside is None)
 
-    def is_off(self, city: City) -> bool:
+    def is_off_map(self, city: City) -> bool:
         """Whether the map does not reach the surroundings of `near`."""
         return self.near is not None and not len(
             city.views.near(self.near, 4.0 * self.radius + REACH)
         )
 
-    def log_of(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the log prior probability (W,) of all viewpoints of a map, by their positions (W, 2) [m].
+    def evaluate(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the log prior probability (W,) of all viewpoints of a map at positions (W, 2) [m].
 
-        Without any knowledge it is uniform; it is -inf where the speaker cannot be. `near` shifts
-        probability within the map; it puts some off the map only where the map ends before its radius.
+        Without any knowledge the prior is uniform; it is -inf where the speaker cannot be. `near` shifts
+        probability within the map, and off the map only where the map ends before the radius.
         """
         allowed = (
             np.ones(len(positions), np.bool_) if self.inside is None else self.inside(positions)
@@ -134,11 +143,11 @@ class LocationPrior:
                 prior += np.log(route.certainty * ratio + (1.0 - route.certainty) + 0.05)
         return prior
 
-    def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
+    def evaluate_views(self, views: ViewIndex) -> NDArray[np.float64]:
         """Return the log prior (W,) of all viewpoints, summing to at most 1; empty if nothing is known."""
         if not self.is_informative:
             return np.zeros(0)
-        log_prior = self.log_of(views.positions.astype(np.float64))
+        log_prior = self.evaluate(views.positions.astype(np.float64))
         # a route cannot lie off the map altogether
         mass = float(np.logaddexp.reduce(log_prior))
         return log_prior - (mass if self.listener is not None else max(0.0, mass))
@@ -150,42 +159,42 @@ def share_views(city: City, near: Sequence[float], radius: float) -> NDArray[np.
     Raises `OptionError` where the place lies on the map only if its numbers are swapped.
     """
     prior = LocationPrior.around(city, near, radius)
-    if prior.is_off(city) and (hint := hint_swapped(city, near)):
+    if prior.is_off_map(city) and (hint := hint_swapped(city, near)):
         raise OptionError(f"near is {near!r}, which is off the map.{hint}")
-    shares = np.exp(prior.log_of(city.views.positions.astype(np.float64)))
+    shares = np.exp(prior.evaluate(city.views.positions.astype(np.float64)))
     return np.asarray(shares / max(1.0, float(shares.sum())))
 
 
-def number(value: object) -> float:
-    """Return a number, or NaN for anything else, such as a text or `True`."""
+def to_number(value: object) -> float:
+    """Convert a value to a number, or to NaN where it is none, such as a text or `True`."""
     try:
         return nan if isinstance(value, str | bytes | bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return nan
 
 
-def finite(value: object, name: str, what: str) -> float:
-    """Return a finite number; raises `OptionError` otherwise."""
-    if not isfinite(found := number(value)):
+def check_finite(value: object, name: str, what: str) -> float:
+    """Convert a value to a finite number; raises `OptionError` otherwise."""
+    if not isfinite(found := to_number(value)):
         raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
     return found
 
 
-def positive(value: object, name: str) -> float:
-    """Return a finite number from 0 on; raises `OptionError` otherwise."""
-    if (found := finite(value, name, "an amount")) < 0.0:
+def check_nonnegative(value: object, name: str) -> float:
+    """Convert a value to a finite number of at least 0; raises `OptionError` otherwise."""
+    if (found := check_finite(value, name, "an amount")) < 0.0:
         raise OptionError(f"{name} is {value!r}; give 0 or more.")
     return found
 
 
 def is_count(value: object) -> bool:
-    """Whether a value is a whole number from 1 on."""
+    """Whether a value is an integer of at least 1."""
     return isinstance(value, int | np.integer) and value is not True and bool(value >= 1)
 
 
-def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:
-    """Return east and north (2,) [m] of a longitude and latitude [deg]; raises `OptionError`."""
-    numbers = [number(x) for x in lonlat] if np.iterable(lonlat) else []
+def to_position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:
+    """Convert a longitude and latitude [deg] to east and north (2,) [m]; raises `OptionError`."""
+    numbers = [to_number(x) for x in lonlat] if np.iterable(lonlat) else []
     if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
         raise OptionError(
             f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
@@ -206,8 +215,8 @@ def hint_swapped(city: City, lonlat: Sequence[float]) -> str:
     return f" Swapped, it lies on the map: longitude comes first, {longitude},{latitude}."
 
 
-def find_inside(city: City, positions: NDArray[np.float64], region: Region) -> NDArray[np.bool_]:
-    """Return which positions (K, 2) [m] lie in a region."""
+def find_in_region(city: City, positions: NDArray[np.float64], region: Region) -> NDArray[np.bool_]:
+    """Find which positions (K, 2) [m] lie in a region."""
     region.checked()
     longitude, latitude = city.plane.to_lonlat(positions).T
     east, west = longitude <= region.east, longitude >= region.west
@@ -247,69 +256,68 @@ class Matching(RankingOptions):
     region: Region | None = None
     """The place is known to lie in it."""
     encoded: EncodedCity | None = None
-    """The map as a network reads it; the shipped network if not given."""
+    """The map, encoded by a network; by the shipped one if not given."""
 
     @classmethod
     def preset(cls, name: Preset, **options: Unpack[MatchingOptions]) -> Matching:
-        """Options of a preset (`PRESETS`), but for those given.
+        """Make the options of a preset (`PRESETS`), with those given in their stead.
 
         Raises
         ------
         OptionError
-            As `Matching` does; or `candidates` are given where nothing counts cells.
+            An option is out of range, or `candidates` are given where no cells are counted.
 
         """
         if name not in PRESETS:
             raise OptionError(f"preset is {name!r}; choose among {', '.join(PRESETS)}.")
         chosen: dict[str, Any] = {**PRESETS[name], **options}
         matcher = chosen.get("matcher")
-        # what a preset says goes with its matcher: a score is the transformer's, cells are not
-        # what relational matching looks at
-        gone = {"score"} if matcher != "transformer" else set()
-        gone |= {"by", "candidates"} if matcher in _OF_VIEWPOINTS else set()
-        found = cls(**{k: v for k, v in chosen.items() if k in options or k not in gone})
-        if "candidates" in options and not found.counted:
+        # options of a preset fall where another matcher has no use for them
+        unused = {"score"} if matcher != "transformer" else set()
+        unused |= {"by", "candidates"} if matcher in _RANKING_VIEWPOINTS else set()
+        found = cls(**{k: v for k, v in chosen.items() if k in options or k not in unused})
+        if "candidates" in options and not found.counts_cells:
             raise OptionError(
-                f"candidates is {found.candidates}, but {found.matcher} by {found.way} does not "
+                f"candidates is {found.candidates}, but {found.matcher} by {found.source} does not "
                 "count cells; find them by dense or both, or leave it out."
             )
         return found
 
     @property
-    def way(self) -> By:
-        """Source of candidates."""
+    def source(self) -> By:
+        """Source of candidates: `by`, with ``auto`` resolved."""
         if self.by != "auto":
             return self.by
         return "sparse" if self.store is None else "both"
 
     @property
-    def counted(self) -> bool:
-        """Whether `candidates` says how many cells are looked at."""
-        return self.way in ("dense", "both") or (self.way == "sparse" and self.of_cells)
+    def counts_cells(self) -> bool:
+        """Whether `candidates` limits the number of cells that are matched."""
+        return self.source in ("dense", "both") or (self.source == "sparse" and self.ranks_cells)
 
     @property
-    def of_cells(self) -> bool:
+    def ranks_cells(self) -> bool:
         """Whether the matcher ranks cells, as in the paper, and not viewpoints."""
-        return self.matcher not in _OF_VIEWPOINTS
+        return self.matcher not in _RANKING_VIEWPOINTS
 
     @property
-    def ranks(self) -> bool:
-        """Whether the matcher's scores only rank: cosines and edits, but not the log odds of Eq. 17."""
-        return self.of_cells and (self.matcher != "transformer" or self.score == "cosine")
+    def is_ranking_only(self) -> bool:
+        """Whether scores of the matcher are cosines or edits, and not the log odds of Eq. 17."""
+        return self.ranks_cells and (self.matcher != "transformer" or self.score == "cosine")
 
     @property
     def uses_network(self) -> bool:
         """Whether a network takes part."""
         return self.matcher not in ("relational", "edit-distance", "edit-distance-plain") or (
-            self.way in ("dense", "both") or self.store is not None
+            self.source in ("dense", "both") or self.store is not None
         )
 
-    def read(self, city: City) -> EncodedCity:
-        """Return the city as the network reads it."""
-        return EncodedCity.shipped(city) if self.encoded is None else self.encoded
+    def encode(self, city: City) -> EncodedCity:
+        """Encode a city by the chosen network."""
+        return EncodedCity.of_city(city) if self.encoded is None else self.encoded
 
     def check(self, city: City) -> None:
-        """Raise `OptionError` or `StoreError` for a source that is none, or of another map or network."""
+        """Raise `OptionError` or `StoreError` for a region, store or network that does not fit the map."""
         if self.region is not None:
             if not isinstance(self.region, Region):
                 raise OptionError(
@@ -317,22 +325,22 @@ class Matching(RankingOptions):
                     "degrees."
                 )
             self.region.checked()
-        read = self.encoded
-        if read is not None and not (
-            isinstance(read, EncodedCity)
-            and (read.city is city or read.origin.map == city.fingerprint)
+        encoded = self.encoded
+        if encoded is not None and not (
+            isinstance(encoded, EncodedCity)
+            and (encoded.city is city or encoded.origin.map == city.fingerprint)
         ):
             raise OptionError(
-                f"encoded is not {city!r} as a network reads it; give `EncodedCity` of it."
+                f"encoded is not an encoding of {city!r}; give an `EncodedCity` of this map."
             )
         if self.store is None:
             return
         found = getattr(self.store, "origin", None)
         if not isinstance(found, Origin):
             raise OptionError(
-                f"store is {self.store!r}, no store of vectors; open one by `open_store`."
+                f"store is {self.store!r}, which is no vector store; open one by `open_store`."
             )
-        wanted = self.read(city).origin
+        wanted = self.encode(city).origin
         # empty is not known
         refuse_other(
             "The store", Origin(found.map or wanted.map, found.model or wanted.model), wanted
@@ -341,7 +349,7 @@ class Matching(RankingOptions):
 
 @dataclass(frozen=True, eq=False)
 class Hints:
-    """Knowledge of a user beside the words; see `CityMap.locate`."""
+    """Knowledge of a user beside the text; see `CityMap.locate`."""
 
     near: Sequence[float] | None = None
     radius: float = 1000.0
@@ -368,14 +376,14 @@ class Request:
         return any(not s.negated for s in self.query.used)
 
     @cached_property
-    def words(self) -> Words:
+    def token_weights(self) -> TokenWeights:
         """Weights of every token of the map for every mention."""
-        return self.query.words(len(self.city.views.share))
+        return self.query.token_weights(len(self.city.views.share))
 
     @cached_property
     def log_prior(self) -> NDArray[np.float64]:
         """Log prior (W,) of all viewpoints, or nothing where nothing is known."""
-        return self.prior.log_of_views(self.city.views)
+        return self.prior.evaluate_views(self.city.views)
 
     @cached_property
     def highest(self) -> float:
@@ -390,12 +398,12 @@ class Request:
 
     @cached_property
     def encoded(self) -> EncodedCity:
-        """The city as the network reads it."""
-        return self.matching.read(self.city)
+        """City encoded by the chosen network."""
+        return self.matching.encode(self.city)
 
     @cached_property
     def text(self) -> EncodedText:
-        """The query as the network reads it."""
+        """Query encoded by the chosen network."""
         return self.encoded.text(self.query)
 
     @cached_property
@@ -404,11 +412,11 @@ class Request:
         return self.encoded.network.embed_texts(self.text.graphs)
 
     def inside(self, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which positions (K, 2) [m] lie in the region of `matching`."""
+        """Find which positions (K, 2) [m] lie in the region of `matching`."""
         region = self.matching.region
         if region is None:
             return np.ones(len(positions), np.bool_)
-        return find_inside(self.city, positions, region)
+        return find_in_region(self.city, positions, region)
 
 
 class TextContext(Protocol):
@@ -434,7 +442,7 @@ def parse(
     language: str | None = None,
     answers: Sequence[Answer] = (),
 ) -> Description:
-    """Read a text in the words of a map (Eq. 3), its names and tag values included; add answers."""
+    """Parse a text with the names and tag values of a map (Eq. 3), and append answers to questions."""
     if not isinstance(text, Description):
         text = describe(
             text, vocabulary=context.vocabulary, names=context.name_index, heading=heading,
@@ -452,26 +460,24 @@ def parse(
 def make_request(city: City, text: str | Description, hints: Hints, matching: Matching) -> Request:
     """Check all options, read the text, and compile it; raises `OptionError`, `DescriptionError`."""
     prior = LocationPrior.around(city, hints.near, hints.radius)
-    if hints.heading is not None and not isfinite(number(hints.heading)):
-        raise OptionError(f"heading is {hints.heading!r}; give a finite angle.")
-    heading = None if hints.heading is None else number(hints.heading)
-    listener = None if hints.listener is None else position(city, hints.listener, "listener")
+    heading = None if hints.heading is None else check_finite(hints.heading, "heading", "an angle")
+    listener = None if hints.listener is None else to_position(city, hints.listener, "listener")
     understood = parse(
         city, text, heading=heading, language=hints.language, answers=hints.answers or ()
     )
     routes, others = ((), understood.statements) if listener is None else split_routes(understood)
     to_somebody = any(LISTENER in ends(s) for s in understood.statements)
-    query = compile_query(replace(understood, statements=others), city, on_a_way=to_somebody)
+    query = compile_query(replace(understood, statements=others), city, tells_way=to_somebody)
     matching.check(city)
     region = matching.region
-    inside = None if region is None else partial(find_inside, city, region=region)
+    inside = None if region is None else partial(find_in_region, city, region=region)
     prior = replace(prior, listener=listener, routes=routes, inside=inside)
     return Request(city, query, prior, matching, understood)
 
 
 def split_routes(description: Description) -> tuple[tuple[Route, ...], tuple[Statement, ...]]:
     """Split off directions between the listener and the speaker, or what the speaker stands at."""
-    here = standing_at(description.statements)
+    here = find_speaker_nodes(description.statements)
     routes, others = [], []
     for s in description.statements:
         turn = 0.0 if s.source in here and s.target == LISTENER else np.pi
@@ -483,12 +489,12 @@ def split_routes(description: Description) -> tuple[tuple[Route, ...], tuple[Sta
     return tuple(routes), tuple(others)
 
 
-def find_off_map(asked: Request, hints: Hints) -> str:
+def find_off_map(request: Request, hints: Hints) -> str:
     """Return why the speaker cannot be anywhere on the map; empty where they can."""
-    city, prior = asked.city, asked.prior
-    if hints.near is not None and prior.is_off(city):
+    city, prior = request.city, request.prior
+    if hints.near is not None and prior.is_off_map(city):
         near = tuple(hints.near[:2])
-        return f"The map does not reach the surroundings of {near}.{hint_swapped(city, near)}"
+        return f"The map does not cover the surroundings of {near}.{hint_swapped(city, near)}"
     if prior.inside is not None and not prior.inside(city.views.positions.astype(np.float64)).any():
-        return f"The map has nothing to see in {tuple(asked.matching.region or ())}."
+        return f"The map has no objects in {tuple(request.matching.region or ())}."
     return ""

@@ -24,18 +24,18 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.likelihood.query import Query, ends
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import POINT
-from placegraph.outdoor.search.posterior import WITHIN, Mode, Posterior
+from placegraph.outdoor.search.posterior import MODE_RADIUS, Mode, Posterior
 
-SURE = 0.85
-"""Calibrated probability of a claim from which an estimate is `OK`."""
-LARGEST = 1.0 - 1e-4
+MIN_CONFIDENCE = 0.85
+"""Smallest calibrated probability of the claim of an `OK` estimate."""
+MIN_BEST = 1.0 / 3.0
+"""Smallest share of the posterior at the best place of an `OK` estimate."""
+MAX_SHARE = 1.0 - 1e-4
 """Largest share of a posterior that is calibrated."""
-UNKNOWN = -2.0
-"""Added to the log odds where the text names something that the map should know and does not."""
-HERE = 1.0 / 3.0
-"""Share of the posterior that the best place of an `OK` estimate holds at least."""
-SHOWN = 3
-"""Unread words that a reason lists at most."""
+UNKNOWN_NAME = -2.0
+"""Change of the log odds where the text names something that the map should know and does not."""
+MAX_QUOTED = 3
+"""Largest number of unread words that a reason quotes."""
 UNREAD = ("unknown word", "not understood")
 
 
@@ -51,11 +51,11 @@ class Calibration:
     slope: float
 
     def apply(self, share: float, *, unknown_name: bool) -> float:
-        """Return the probability that a share of the posterior is worth, at most the share itself."""
-        share = min(share, LARGEST)
+        """Calibrate a share of the posterior; the result is at most the share itself."""
+        share = min(share, MAX_SHARE)
         if share <= 0.0:
             return 0.0
-        odds = self.level + self.slope * np.log(share / (1.0 - share)) + UNKNOWN * unknown_name
+        odds = self.level + self.slope * np.log(share / (1.0 - share)) + UNKNOWN_NAME * unknown_name
         return float(min(share, 1.0 / (1.0 + np.exp(-odds))))
 
 
@@ -68,10 +68,10 @@ class Claim:
     of_radius: Calibration
     """Of the share within `radius`."""
     of_place: Calibration
-    """Of the share within `WITHIN`, which is a place's probability."""
+    """Of the share within `MODE_RADIUS`, which is a place's probability."""
 
 
-IN_SIGHT = Claim(WITHIN, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79))
+IN_SIGHT = Claim(MODE_RADIUS, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79))
 """Claim for a text about what the speaker sees."""
 AT_A_PLACE = Claim(250.0, Calibration(-0.03, 0.48), Calibration(-0.49, 0.43))
 """Claim for a text that tells the way, or what the speaker stands at: people mean the block, and maps
@@ -88,12 +88,12 @@ class Diagnostics:
     """Conflict within the description that holds at the best place as well."""
     cell_matcher: str = ""
     """Name of the matcher where it ranks cells; empty for viewpoints."""
-    ranks_only: bool = False
-    """Whether the scores of the matcher are no probabilities."""
+    is_ranking_only: bool = False
+    """Whether scores of the matcher are cosines or edits, and no log odds."""
     elsewhere: float = 0.0
     """Posterior probability that the place is not on the map."""
     best: float | None = None
-    """Posterior share within `WITHIN` of the best place; None without a place."""
+    """Posterior share within `MODE_RADIUS` of the best place; None without a place."""
     near_best: float = 0.0
     """Posterior share within the radius of `claim` of the best place."""
     claim: Claim = IN_SIGHT
@@ -112,23 +112,26 @@ def decide(found: Diagnostics) -> tuple[Status, str]:
 
 
 def _decide(found: Diagnostics) -> tuple[Status, str]:
-    rankings = f"The {found.cell_matcher} matcher ranks places; how sure it is of the best it does not know."
+    ranked = f"The {found.cell_matcher} matcher only ranks places; its scores are no probabilities."
     if found.obstacle:
         return Status.LOST, found.obstacle
     if found.contradiction:
         return Status.LOST, f"The description contradicts itself: {found.contradiction}"
-    if found.ranks_only and found.best is not None:
-        return Status.AMBIGUOUS, rankings
+    if found.is_ranking_only and found.best is not None:
+        return Status.AMBIGUOUS, ranked
     if found.elsewhere > 0.5:
         return Status.LOST, "No place on the map fits the description better than chance."
     if found.best is None:
-        return Status.LOST, "Nowhere are the things of any one statement in sight together."
+        return (
+            Status.LOST,
+            "No place on the map has the objects of any statement in sight together.",
+        )
     names, claim = found.unknown_names, found.claim
     sure = claim.of_radius.apply(found.near_best, unknown_name=bool(names))
-    if sure >= SURE and found.best >= HERE and not names:
+    if sure >= MIN_CONFIDENCE and found.best >= MIN_BEST and not names:
         if found.cell_matcher:
-            return Status.AMBIGUOUS, rankings
-        wide = f" within {claim.radius:.0f} m" if claim.radius > WITHIN else ""
+            return Status.AMBIGUOUS, ranked
+        wide = f" within {claim.radius:.0f} m" if claim.radius > MODE_RADIUS else ""
         return Status.OK, f"One place holds {sure:.0%} of the probability{wide}."
     best = claim.of_place.apply(found.best, unknown_name=bool(names))
     if names:
@@ -138,7 +141,7 @@ def _decide(found: Diagnostics) -> tuple[Status, str]:
         why = f"Too many places fit: the best holds only {best:.1%} of the probability."
     else:
         why = f"The best place holds only {best:.0%} of the probability; others fit as well."
-    unread = f" Not understood: {_quote(found.unread[:SHOWN])}." if found.unread else ""
+    unread = f" Not understood: {_quote(found.unread[:MAX_QUOTED])}." if found.unread else ""
     return Status.AMBIGUOUS, why + unread
 
 
@@ -149,24 +152,24 @@ def _quote(words: tuple[str, ...]) -> str:
 
 
 def diagnose(
-    found: Posterior, peaks: list[Mode], claim: Claim, query: Query | None, city: City | None = None
+    found: Posterior, modes: list[Mode], claim: Claim, query: Query | None, city: City | None = None
 ) -> Diagnostics:
-    """Return what a posterior, its modes and its query tell of the status.
+    """Collect the findings of a posterior, its modes and its query that decide on the status.
 
     Unknown names of a query count where statements are about them. They do not count on a `city` of
     points alone: such a list of landmarks lacks most names.
     """
     names, unread = [], []
     if query is not None:
-        said = query.description
-        spoken = {node for s in said.statements for node in (*ends(s), s.target2)}
+        text = query.description
+        used = {node for s in text.statements for node in (*ends(s), s.target2)}
         if city is None or not (city.objects.kind == POINT).all():
-            names = [said.mentions[node].name for node in sorted(query.by_kind & spoken)]
-        unread = [i.text.strip() for i in said.ignored if i.reason in UNREAD]
+            names = [text.mentions[node].name for node in sorted(query.by_kind & used)]
+        unread = [i.text.strip() for i in text.ignored if i.reason in UNREAD]
     return Diagnostics(
         elsewhere=found.elsewhere,
-        best=peaks[0].probability if peaks else None,
-        near_best=found.within(peaks[0].position, claim.radius) if peaks else 0.0,
+        best=modes[0].probability if modes else None,
+        near_best=found.mass_within(modes[0].position, claim.radius) if modes else 0.0,
         claim=claim,
         unknown_names=tuple(dict.fromkeys(names)),
         unread=tuple(dict.fromkeys(filter(None, unread))),
@@ -174,24 +177,24 @@ def diagnose(
 
 
 def shrink(
-    found: Posterior, peaks: list[Mode], diagnostics: Diagnostics
+    found: Posterior, modes: list[Mode], diagnostics: Diagnostics
 ) -> tuple[Posterior, list[Mode]]:
     """Calibrate a posterior and its modes by the best one; the rest of the probability lies elsewhere."""
     best = diagnostics.best
     if best is None or best <= 0.0:
-        return found, peaks
+        return found, modes
     unknown = bool(diagnostics.unknown_names)
     factor = diagnostics.claim.of_place.apply(best, unknown_name=unknown) / best
     shares = factor * found.probabilities
     lost = float(found.probabilities.sum() - shares.sum())
     return (
         replace(found, probabilities=shares, elsewhere=found.elsewhere + lost),
-        [replace(peak, probability=factor * peak.probability) for peak in peaks],
+        [replace(mode, probability=factor * mode.probability) for mode in modes],
     )
 
 
 def infer_claim(description: Description) -> Claim:
-    """Return what an answer to a text claims."""
+    """Infer the claim of an answer to a text: a place in sight, or the block that the text tells of."""
     at_a_place = any(
         s.far
         or LISTENER in ends(s)
@@ -201,54 +204,55 @@ def infer_claim(description: Description) -> Claim:
     return AT_A_PLACE if at_a_place else IN_SIGHT
 
 
-def find_obstacle(query: Query, description: Description, *, way_told: bool = False) -> str:
+ADVICE = "describe the objects around you, and their directions."
+
+
+def find_obstacle(query: Query, description: Description, *, tells_way: bool = False) -> str:
     """Return why a text does not suffice to find a place; empty where it does.
 
-    `way_told`: the text tells the way to the place.
+    A text that tells the way to the place (`tells_way`) suffices.
     """
-    if way_told or any(not s.negated for s in query.used):
+    if tells_way or any(not s.negated for s in query.used):
         return ""
     if query.used:
-        return "Only what is absent was said; say what is there as well."
+        return "The text only says what is absent; also mention something you can see."
     if query.unused:
-        return f"Nothing that was said can be looked for: {_reasons(query)}."
+        return f"No statement of the text can be used: {_join_reasons(query)}."
     if description.ignored:
-        return "Nothing in the text could be understood; say what stands around you, and in which direction."
-    return (
-        "The text says nothing about a place; say what stands around you, and in which direction."
-    )
+        return f"The text could not be understood; {ADVICE}"
+    return f"The text says nothing about a place; {ADVICE}"
 
 
 def explain_no_change(query: Query) -> str:
-    """Return why one more text did not change an estimate."""
+    """Explain why one more text did not change an estimate."""
     if query.unused:
-        return f"Nothing that was said last can be looked for: {_reasons(query)}."
-    return "Nothing of what was said last could be understood."
+        return f"No statement of the last text can be used: {_join_reasons(query)}."
+    return "The last text could not be understood."
 
 
-def _reasons(query: Query) -> str:
+def _join_reasons(query: Query) -> str:
     return "; ".join(sorted({reason for _, reason in query.unused}))
 
 
 def find_contradiction(best: Place | None, query: Query | None) -> str:
     """Return the conflict in a description that holds at its best place; empty where there is none.
 
-    Most of the statements must exclude each other there, with no further thing that serves them.
+    Most of the statements must exclude each other there, with no further object that fits them.
     """
     if best is None or query is None or not query.description.conflicts:
         return ""
     evidence = best.evidence[: len(query.used)]
-    torn: set[int] = set()
+    opposed: set[int] = set()
     for i, a in enumerate(query.used):
-        things = sum(node not in (SPEAKER, LISTENER) for node in ends(a))
+        count = sum(node not in (SPEAKER, LISTENER) for node in ends(a))
         for j, b in enumerate(query.used[:i]):
             pair = evidence[i], evidence[j]
             if _are_opposed(a, b) and (
                 any(e.verdict == "against" for e in pair)
-                or len({o.id for e in pair for o in e.objects}) <= things
+                or len({o.id for e in pair for o in e.objects}) <= count
             ):
-                torn |= {i, j}
-    return query.description.conflicts[0] if 2 * len(torn) > len(query.used) else ""
+                opposed |= {i, j}
+    return query.description.conflicts[0] if 2 * len(opposed) > len(query.used) else ""
 
 
 def _are_opposed(a: Statement, b: Statement) -> bool:

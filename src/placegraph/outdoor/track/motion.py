@@ -1,7 +1,7 @@
-"""Motion in words: "I walked 200 m east", "went straight on for two minutes", "then I turned left".
+"""Motion in texts: "I walked 200 m east", "went straight on for two minutes", "then I turned left".
 
-A text is cut into the legs that were walked, and into what is said of places between them. What a leg
-says of its end ("to the church", "along the canal") becomes a sentence about the place that it leads to.
+A text is split into legs of motion and sentences about places between them. The destination of a leg
+("to the church", "along the canal") becomes a sentence about the place that it leads to.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _PAST = r"""walked|went|gone|moved|ran|jogged|drove|driven|cycled|biked|rode|hea
 _PRESENT = r"""walk|go|move|run|drive|cycle|head|continue|proceed|turn|carry\ on|cross
     |keep\ (?:on\ )?(?:walking|going|moving|heading|straight)"""
 _GOING = r"(?:i['’]m|i\ am|we['’]re|we\ are)\s+(?:now\s+)?(?:walking|going|moving|heading|running)"
-GO = re.compile(
+MOTION = re.compile(
     rf"^{_LEAD}(?:(?P<who>{_SUBJECT})?(?:(?P<past>{_PAST})|(?P<now>{_PRESENT}))|(?P<going>{_GOING}))"
     rf"\b(?P<rest>.*)$",
     re.VERBOSE | re.IGNORECASE | re.DOTALL,
@@ -62,7 +62,7 @@ STAY = re.compile(
         |haven['’]t\ moved|not\ moved)\b""",
     re.VERBOSE | re.IGNORECASE,
 )
-REACHED = re.compile(
+ARRIVAL = re.compile(
     rf"^{_LEAD}{_SUBJECT}?(?P<how>reached|arrived\s+at|got\s+to|came\s+to|entered)\s+(?P<what>.+)$",
     re.VERBOSE | re.IGNORECASE | re.DOTALL,
 )
@@ -71,11 +71,11 @@ AFTER = re.compile(
     r"^(?:and\s+|then\s+)*after\s+(?:walking|going|for|another|about|some|\s)*", re.IGNORECASE
 )
 STEPS = re.compile(r"(\d+|few|couple of|several|some)\s+steps\b", re.IGNORECASE)
-SMALL = re.compile(
+SMALL_DISTANCE = re.compile(
     r"\b(?:a\s+(?:little\s+)?bit|a\s+little|slightly\s+further|not\s+far)\b", re.IGNORECASE
 )
 DEGREES = re.compile(r"\b(\d+(?:\.\d+)?)\s*(?:°|deg(?:ree)?s?\b)", re.IGNORECASE)
-ENDS = re.compile(
+DESTINATION = re.compile(
     r"""\b(?P<how>along|down|up\s+to|up|onto|into|to|at|until|till)\s+
         (?P<what>(?:(?:the|a|an)\s+)?[^\W\d_][\w'’.-]*(?:\s+[\w'’.-]+?){0,4}?)
         (?=\s*$|\s+(?:for|along|down|to|towards?|in|at|until|till|past|from|about|around|by)\b
@@ -94,13 +94,22 @@ AHEAD = (
     "farther",
 )
 BACK = ("back", "backward", "backwards", "around", "round")
-JOINTS = frozenset(("and", "then", "before", "until", "till", "where", "while", "but", "when"))
+CONJUNCTIONS = frozenset(
+    ("and", "then", "before", "until", "till", "where", "while", "but", "when")
+)
 FILLERS = re.compile(
     r"\b(?:an?|the|to|in|on|for|of|about|another|more|some|roughly|towards?|direction|further|and"
     r"|then|again|heading)\b"
 )
-SAID = {"along": "on", "down": "on", "up": "on", "onto": "on", "into": "in", "entered": "in"}
-STEMS = re.compile(
+PREPOSITIONS = {
+    "along": "on",
+    "down": "on",
+    "up": "on",
+    "onto": "on",
+    "into": "in",
+    "entered": "in",
+}
+MOTION_STEMS = re.compile(
     r"\b(?:walk|went|gone|go|mov|r[au]n|jog|dr[io]v|cycl|bik|rode|head|contin|proceed|stroll|wander"
     r"|march|hik|travel|turn|carr|ke[ep]p?|kept|been|cross|step|stay|stood|wait|stop|reach|arriv|got"
     r"|came|enter|after)|\d|°",
@@ -108,15 +117,15 @@ STEMS = re.compile(
 )
 
 STRAIGHT_SIGMA, TURN_SIGMA = 0.35, 0.4
-"""How loosely "straight on" and "left" are meant [rad]."""
+"""Standard deviations of "straight on" and "left" [rad]."""
 
 
-def in_digits(text: str) -> str:
-    """Return a text with its numbers in digits: "two hundred and fifty" becomes "250"."""
-    return _RUN.sub(lambda match: str(_number(match.group())), text)
+def write_digits(text: str) -> str:
+    """Write the numbers of a text in digits: "two hundred and fifty" becomes "250"."""
+    return _RUN.sub(lambda match: str(_parse_number(match.group())), text)
 
 
-def _number(written: str) -> int:
+def _parse_number(written: str) -> int:
     total = group = 0
     for word in re.findall(r"[a-z]+", written.lower()):
         if word == "hundred":
@@ -128,17 +137,15 @@ def _number(written: str) -> int:
     return total + group
 
 
-def seconds(written: str) -> float:
-    """Seconds of a duration that `DURATION` matched."""
+def parse_duration(written: str) -> float:
+    """Parse a duration that matches `DURATION`; return seconds."""
     text = written.lower()
     words = re.findall(r"[a-z]+", text)
     unit = next(w for w in reversed(words) if w not in ("and", "a", "half"))
     numbers = [float(n.replace(",", ".")) for n in re.findall(r"\d+(?:[.,]\d+)?", text)]
-    amount = (
-        sum(numbers) / len(numbers)
-        if numbers
-        else next((_FEW[w] for w in words if w in _FEW), 0.0 if "half" in words else 1.0)
-    )
+    amount = next((_FEW[w] for w in words if w in _FEW), 0.0 if "half" in words else 1.0)
+    if numbers:
+        amount = sum(numbers) / len(numbers)
     if "half" in words:
         amount += 0.5
     if not numbers and re.search(r"and\s+a\s+half", text):
@@ -146,8 +153,8 @@ def seconds(written: str) -> float:
     return amount * _SECONDS[unit[0]]
 
 
-def direction(words: str) -> tuple[float | None, float | None, float] | None:
-    """Bearing, turn and sigma [rad] that words tell, or None."""
+def parse_direction(words: str) -> tuple[float | None, float | None, float] | None:
+    """Parse a direction; return bearing, turn and standard deviation [rad], or None."""
     if degrees := DEGREES.search(words):
         angle = radians(float(degrees[1]))
         side = re.search(r"\b(left|right)\b", words, re.IGNORECASE)
@@ -157,7 +164,7 @@ def direction(words: str) -> tuple[float | None, float | None, float] | None:
     tokens = re.findall(r"[^\W\d_]+", words)
     low = [w.lower() for w in tokens]
     for i in range(len(low)):
-        if (found := _one_direction(tokens, low, i)) is not None:
+        if (found := _parse_direction_at(tokens, low, i)) is not None:
             return found
     if any(w in BACK for w in low):
         return None, pi, TURN_SIGMA
@@ -166,10 +173,10 @@ def direction(words: str) -> tuple[float | None, float | None, float] | None:
     return None
 
 
-def _one_direction(
+def _parse_direction_at(
     tokens: list[str], low: list[str], i: int
 ) -> tuple[float | None, float | None, float] | None:
-    """Read the direction that begins at word i, or None."""
+    """Parse the direction that begins at word i, or return None."""
     loose = any(w in ("slightly", "mostly", "roughly", "half", "bit") for w in low)
     if low[i] == "left" or (low[i] == "right" and low[i + 1 : i + 2] != ["along"]):
         side = pi / 2 if low[i] == "right" else -pi / 2
@@ -186,61 +193,58 @@ def _one_direction(
     return direction.bearing, None, sigma
 
 
-LOOSE = 0.25
-"""Deviation of a stated distance, as a share of it; "exactly" makes it less, blocks and times more."""
-EXACT, BLOCKS, TIMED = 0.08, 0.4, 0.35
-UNSAID, UNSAID_SPREAD = 100.0, 80.0
-"""What "I walked on" may mean [m]."""
-A_BIT = 25.0
-"""What "a bit" may mean [m]."""
-CROSSED = 15.0
-"""Width of what one crosses [m]."""
-SPEED = {"ran": 2.5, "run": 2.5, "jogged": 2.5, "cycled": 4.5, "biked": 4.5, "cycle": 4.5,
+DISTANCE_ERROR = 0.25
+"""Standard deviation of a stated distance, as a share of it; smaller for "exactly", larger for others."""
+EXACT_ERROR, BLOCK_ERROR, TIME_ERROR = 0.08, 0.4, 0.35
+DEFAULT_DISTANCE, DEFAULT_SPREAD = 100.0, 80.0
+"""Mean and standard deviation of "I walked on" [m]."""
+SHORT_DISTANCE = 25.0
+"""Mean of "a bit" [m]."""
+ROAD_WIDTH = 15.0
+"""Mean width of a road or square that somebody crosses [m]."""
+SPEEDS = {"ran": 2.5, "run": 2.5, "jogged": 2.5, "cycled": 4.5, "biked": 4.5, "cycle": 4.5,
          "rode": 4.5, "drove": 8.0, "driven": 8.0, "drive": 8.0}  # fmt: skip
-WALKING = 4.0 / 3.0
+WALKING_SPEED = 4.0 / 3.0
 """Speed on foot [m/s]: 80 m a minute, as in "a 2 minute walk"."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A way that was gone, as far as it was told."""
+    """One leg of motion, as far as the text tells it."""
 
     text: str
     distance: float
-    """[m]; 0 of a turn."""
+    """[m]; 0 for a turn."""
     spread: float
     """Standard deviation of the distance [m]."""
     bearing: float | None = None
     """[rad] clockwise from north."""
     turn: float | None = None
-    """[rad] clockwise from the way before; where neither is known, it went in any direction."""
+    """[rad] clockwise from the leg before; any direction where bearing and turn are None."""
     sigma: float = 0.5
     """Standard deviation of the direction [rad]."""
 
 
 def split_legs(text: str) -> list[Leg | str]:
-    """Cut a text into legs and into texts about places, in the order in which they were told.
-
-    A text without motion comes back as it is.
-    """
-    if not STEMS.search(text):
+    """Split a text into legs and sentences about places, in order; one without motion stays as it is."""
+    if not MOTION_STEMS.search(text):
         return [text]
     parts: list[Leg | str] = []
     for sentence in scan_english(text, english()):
-        spans = list(_clauses(sentence))
-        for part in _of_sentence(text, spans):
+        spans = list(_split_clauses(sentence))
+        for part in _parse_sentence(text, spans):
             if isinstance(part, str) and parts and isinstance(parts[-1], str):
                 parts[-1] = f"{parts[-1]} {part}"
             else:
                 parts.append(part)
     if not any(isinstance(part, Leg) for part in parts):
         return [text]
-    return _onward(parts)
+    return _resolve_turns(parts)
 
 
-def _onward(parts: list[Leg | str]) -> list[Leg | str]:
-    """Go straight on after a turn: "turned right and went 50 m", "turned around and went back"."""
-    told: list[Leg | str] = []
+def _resolve_turns(parts: list[Leg | str]) -> list[Leg | str]:
+    """Make legs after a turn go straight on: "turned right and went 50 m", "turned around and went back"."""
+    legs: list[Leg | str] = []
     turned: Leg | None = None
     for part in parts:
         leg = part
@@ -250,171 +254,167 @@ def _onward(parts: list[Leg | str]) -> list[Leg | str]:
                 if again or (part.turn is None and part.bearing is None):
                     leg = replace(part, turn=0.0, sigma=STRAIGHT_SIGMA)
             turned = part if part.distance == 0.0 and part.sigma > 0.0 else None
-        told.append(leg)
-    return told
+        legs.append(leg)
+    return legs
 
 
-def _clauses(sentence: list[Word]) -> Iterator[tuple[int, int]]:
-    """Start and end of the clauses of a sentence of words, joints left out."""
+def _split_clauses(sentence: list[Word]) -> Iterator[tuple[int, int]]:
+    """Find start and end of each clause of a sentence, without conjunctions."""
     start = end = sentence[0].start
-    open_ = False
+    is_open = False
     for k, word in enumerate(sentence):
-        joint = word.kind == "comma" or word.lower in JOINTS
+        is_joint = word.kind == "comma" or word.lower in CONJUNCTIONS
         if word.lower == "and" and 0 < k < len(sentence) - 1:
-            before, after = in_digits(sentence[k - 1].lower), in_digits(sentence[k + 1].lower)
+            before, after = write_digits(sentence[k - 1].lower), write_digits(sentence[k + 1].lower)
             numbers = before[-1:].isdigit() and (after[:1].isdigit() or after == "a")
-            joint = not (numbers or after == "half")
-        if joint:
-            if open_:
+            is_joint = not (numbers or after == "half")
+        if is_joint:
+            if is_open:
                 yield start, end
-            open_ = False
+            is_open = False
             if word.lower in ("until", "till"):
-                start, open_ = word.start, True
-        elif not open_:
-            start, open_ = word.start, True
+                start, is_open = word.start, True
+        elif not is_open:
+            start, is_open = word.start, True
         end = word.end
-    if open_:
+    if is_open:
         yield start, end
 
 
-def _of_sentence(text: str, spans: list[tuple[int, int]]) -> Iterator[Leg | str]:
-    """Legs and statements of one sentence."""
+def _parse_sentence(text: str, spans: list[tuple[int, int]]) -> Iterator[Leg | str]:
+    """Parse the clauses of a sentence into legs and sentences about places."""
     going = False
-    said: tuple[int, int] | None = None
+    place: tuple[int, int] | None = None
     for a, b in spans:
-        found, rest = _leg(text[a:b], going=going, alone=len(spans) == 1)
+        found, rest = _parse_clause(text[a:b], going=going, alone=len(spans) == 1)
         if not found:
-            said = (a if said is None else said[0], b)
+            place = (a if place is None else place[0], b)
             continue
-        if said is not None:
-            yield _sentence(text[said[0] : said[1]])
-            said = None
+        if place is not None:
+            yield f"{text[slice(*place)].strip()}."
+            place = None
         going = True
         yield from found
         if rest:
-            said = (b - len(rest), b)
-    if said is not None:
-        yield _sentence(text[said[0] : said[1]])
+            place = (b - len(rest), b)
+    if place is not None:
+        yield f"{text[slice(*place)].strip()}."
 
 
-def _sentence(text: str) -> str:
-    return f"{text.strip()}."
-
-
-def _leg(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
-    """Read the motion in a clause; return legs, and the part that speaks of a place."""
-    words = STEPS.sub(r"\1 paces", in_digits(clause))
+def _parse_clause(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
+    """Parse the motion in a clause; return legs, and the part that is about a place."""
+    words = STEPS.sub(r"\1 paces", write_digits(clause))
     if match := STAY.match(words):
         return [Leg(clause, 0.0, 0.0, turn=0.0, sigma=0.0)], ""
     if match := AFTER.match(words):
-        return _after(clause, words, match.end())
+        return _parse_after(clause, words, match.end())
     until = re.match(r"(?:until|till)\s+(.*)", words, re.IGNORECASE | re.DOTALL)
-    if match := REACHED.match(until[1] if until else words):
-        at = SAID.get(match["how"].lower(), "at")
-        said = f"I am {at} {match['what'].strip()}."
-        unsaid = Leg(clause, UNSAID, UNSAID_SPREAD)
-        return [said] if going else [unsaid, said], ""
+    if match := ARRIVAL.match(until[1] if until else words):
+        at = PREPOSITIONS.get(match["how"].lower(), "at")
+        sentence = f"I am {at} {match['what'].strip()}."
+        leg = Leg(clause, DEFAULT_DISTANCE, DEFAULT_SPREAD)
+        return [sentence] if going else [leg, sentence], ""
     if until:
         return [f"I am at {until[1].strip()}."] if going else [], ""
-    if match := GO.match(words):
-        return _gone(clause, match), ""
-    leg = _direct(clause, words) if going or alone else None
-    return [] if leg is None else [leg], ""
+    if match := MOTION.match(words):
+        return _parse_motion(clause, match), ""
+    bare = _parse_bare_leg(clause, words) if going or alone else None
+    return [] if bare is None else [bare], ""
 
 
-def _after(clause: str, words: str, start: int) -> tuple[list[Leg | str], str]:
-    """Read "after 100 m I see a bakery"."""
+def _parse_after(clause: str, words: str, start: int) -> tuple[list[Leg | str], str]:
+    """Parse "after 100 m I see a bakery"."""
     quantity = QUANTITY.match(words, start)
     if quantity is None:
         return [], ""
     rest = words[quantity.end() :].strip(" ,")
-    told = re.match(r"(?:\s*(?:to\s+the\s+)?[\w-]+)?", rest)
-    heading = direction(told[0] if told else "")
-    if heading is not None and told is not None:
-        rest = rest[told.end() :].strip(" ,")
-    distance, spread = _amount(words, quantity, WALKING)
+    first = re.match(r"(?:\s*(?:to\s+the\s+)?[\w-]+)?", rest)
+    heading = parse_direction(first[0] if first else "")
+    if heading is not None and first is not None:
+        rest = rest[first.end() :].strip(" ,")
+    distance, spread = _parse_distance(words, quantity, WALKING_SPEED)
     bearing, turn, sigma = heading or (None, 0.0, STRAIGHT_SIGMA)
     return [Leg(clause, distance, spread, bearing, turn, sigma)], rest
 
 
-def _gone(clause: str, match: re.Match[str]) -> list[Leg | str]:
-    """Read a clause with a verb of motion; empty where it says something else."""
+def _parse_motion(clause: str, match: re.Match[str]) -> list[Leg | str]:
+    """Parse a clause with a verb of motion; return nothing where it is not about motion."""
     verb = (match["past"] or match["now"] or match["going"]).lower()
     rest = match["rest"]
     quantity = QUANTITY.search(rest)
     cut = rest if quantity is None else rest[: quantity.start()] + " , " + rest[quantity.end() :]
-    ends = [] if verb.startswith("cross") else list(_ends(cut))
-    bare = ENDS.sub(" ", cut) if ends else cut
-    if re.search(r"\byou", rest, re.IGNORECASE) or _position(cut):
+    ends = [] if verb.startswith("cross") else list(_parse_destinations(cut))
+    bare = DESTINATION.sub(" ", cut) if ends else cut
+    if re.search(r"\byou", rest, re.IGNORECASE) or _is_position(cut):
         return []
-    heading = direction(bare)
+    heading = parse_direction(bare)
     if match["going"] and quantity is None:
-        return []  # says which way one faces
+        return []  # tells which way the speaker faces
     if match["who"] is None and match["past"] is None and quantity is None and heading is None:
         return []
     bearing, turn, sigma = heading or (None, None, pi)
     if verb.startswith("turn"):
         leg = Leg(clause, 0.0, 0.0, bearing, turn, sigma)
         if quantity is not None:
-            distance, spread = _amount(rest, quantity, WALKING)
+            distance, spread = _parse_distance(rest, quantity, WALKING_SPEED)
             leg = replace(leg, distance=distance, spread=spread)
     elif verb.startswith("cross"):
-        leg = Leg(clause, CROSSED, 0.5 * CROSSED, bearing, turn, sigma)
+        leg = Leg(clause, ROAD_WIDTH, 0.5 * ROAD_WIDTH, bearing, turn, sigma)
     else:
         onward = verb.startswith(("contin", "carr", "kep", "kee", "proc"))
         if heading is None and onward and not ends:
             turn, sigma = 0.0, STRAIGHT_SIGMA
-        distance, spread = (
-            _amount(rest, quantity, SPEED.get(verb, WALKING))
-            if quantity is not None
-            else (A_BIT, 0.6 * A_BIT)
-            if SMALL.search(rest)
-            else (UNSAID, UNSAID_SPREAD)
-        )
+        distance, spread = DEFAULT_DISTANCE, DEFAULT_SPREAD
+        if quantity is not None:
+            distance, spread = _parse_distance(rest, quantity, SPEEDS.get(verb, WALKING_SPEED))
+        elif SMALL_DISTANCE.search(rest):
+            distance, spread = SHORT_DISTANCE, 0.6 * SHORT_DISTANCE
         leg = Leg(clause, distance, spread, bearing, turn, sigma)
     return [leg, *ends]
 
 
-def _direct(clause: str, words: str) -> Leg | None:
-    """Read "100 m north" after a way, or as all that is said."""
+def _parse_bare_leg(clause: str, words: str) -> Leg | None:
+    """Parse "100 m north" after another leg, or as a whole text."""
     quantity = QUANTITY.search(words)
     if quantity is None:
         return None
     rest = words[: quantity.start()] + " " + words[quantity.end() :]
-    heading = direction(rest)
+    heading = parse_direction(rest)
     left = re.findall(r"[^\W\d_]+", FILLERS.sub(" ", rest.lower()))
-    if heading is None or len(left) > 2 or _position(rest):
+    if heading is None or len(left) > 2 or _is_position(rest):
         return None
-    distance, spread = _amount(words, quantity, WALKING)
+    distance, spread = _parse_distance(words, quantity, WALKING_SPEED)
     return Leg(clause, distance, spread, *heading)
 
 
-def _amount(words: str, quantity: re.Match[str], speed: float) -> tuple[float, float]:
-    """Distance and its deviation [m]."""
+def _parse_distance(words: str, quantity: re.Match[str], speed: float) -> tuple[float, float]:
+    """Parse a distance; return it and its standard deviation [m]."""
     written = quantity.group()
     before = words[max(0, quantity.start() - 12) : quantity.end()].lower()
     if quantity["time"]:
-        distance, share = speed * seconds(written), TIMED
+        distance, share = speed * parse_duration(written), TIME_ERROR
     else:
         distance = metres(written, quantity["number"])
-        share = BLOCKS if "block" in written.lower() else LOOSE
+        share = BLOCK_ERROR if "block" in written.lower() else DISTANCE_ERROR
         if re.search(r"exact|precise", before):
-            share = EXACT
+            share = EXACT_ERROR
     return distance, share * distance + 2.0
 
 
-def _position(words: str) -> bool:
-    """Whether a direction says where something is ("north of the church"), not which way one went."""
+def _is_position(words: str) -> bool:
+    """Whether a direction is that of an object ("north of the church"), and not that of motion."""
     return bool(
         re.search(r"\b(?:north|south|east|west|left|right)\w*\s+of\b", words, re.IGNORECASE)
     )
 
 
-def _ends(words: str) -> Iterator[str]:
-    """Sentences about the place that a way leads to."""
-    for match in ENDS.finditer(words):
+def _parse_destinations(words: str) -> Iterator[str]:
+    """Make sentences about the place that a leg leads to."""
+    for match in DESTINATION.finditer(words):
         what = match["what"].strip(" .")
-        if direction(what) is not None or re.match(r"(?:my|your|me|you)\b", what, re.IGNORECASE):
+        if parse_direction(what) is not None or re.match(
+            r"(?:my|your|me|you)\b", what, re.IGNORECASE
+        ):
             continue
         how = match["how"].lower()
-        yield f"I am {SAID.get(how, 'at')} {what}."
+        yield f"I am {PREPOSITIONS.get(how, 'at')} {what}."

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.outdoor.search.ask import NO, NONE, YES, Question, Thing
+from placegraph.outdoor.search.ask import NO, NONE, YES, Question, Subject
 from placegraph_lab.tables.named.outdoor_dialogue import Speaker, dialogue, distance
 from placegraph_lab.tables.outdoor.queries import Query, load
 from placegraph_lab.worlds.town.town import Town
@@ -40,7 +40,7 @@ def world(tmp_path_factory):
 
 
 def yes_or_no(label, wind=""):
-    return Question("Is there one?", (YES, NO), (Thing("it", label, wind),), 1.0)
+    return Question("Is there one?", (YES, NO), (Subject("it", label, wind),), 1.0)
 
 
 def test_the_speaker_sees_things_in_their_direction_and_areas_around(world):
@@ -52,10 +52,13 @@ def test_the_speaker_sees_things_in_their_direction_and_areas_around(world):
     assert speaker.answer(yes_or_no("amenity=pub")).option == NO
     assert speaker.answer(yes_or_no("leisure=park")).option == YES
     names = Question(
-        "Which?", ("Volkspark", "Elsewhere", NONE), (Thing("Volkspark"), Thing("Elsewhere")), 1.0
+        "Which?",
+        ("Volkspark", "Elsewhere", NONE),
+        (Subject("Volkspark"), Subject("Elsewhere")),
+        1.0,
     )
     assert speaker.answer(names).option == "Volkspark"
-    none = Question("Which?", ("A", "B", NONE), (Thing("A"), Thing("B")), 1.0)
+    none = Question("Which?", ("A", "B", NONE), (Subject("A"), Subject("B")), 1.0)
     assert speaker.answer(none).option == NONE
 
 

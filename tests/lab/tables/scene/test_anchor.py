@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.world import Fitted
-from placegraph.world.outlines import footprints, within
+from placegraph.world import AnchorFit
+from placegraph.world.outlines import contains_points, find_footprints
 from placegraph_lab.tables.named.scene_anchor import (
     BUILDINGS,
     WALKS,
@@ -32,10 +32,10 @@ def test_a_building_lies_around_its_home(home, tmp_path):
     points = np.array([home.flat.corner(r + 0.5, c + 0.5) for r, c in cells.tolist()])
     for ring in (home.whole, home.part):
         if ring is not None:
-            assert within(points, [ring]).all()
+            assert contains_points(points, [ring]).all()
     rng = np.random.default_rng(0)
     file = extract(home, home.whole, tmp_path / "a.osm", rng, entrance=True)
-    (drawn,) = footprints(file, "House")
+    (drawn,) = find_footprints(file, "House")
     there = home.stands.to_map(
         drawn.base.to_earth(np.c_[drawn.rings[0], np.zeros(len(drawn.rings[0]))])
     )
@@ -49,12 +49,12 @@ def test_the_truth_is_right_and_a_turn_is_not(home):
         home.stands.shift_origin((3.0, 0, 0)), covariance=np.eye(4) * 0.01, probability=0.5
     )
     true = replace(home.stands, covariance=np.eye(4) * 0.01)
-    (found,) = judged(home, Fitted((true,), ()))["candidates"]
+    (found,) = judged(home, AnchorFit((true,), ()))["candidates"]
     assert right(found)
     assert found["chi2"] < 1e-6
     for wrong in (turned, far):
         anchor = replace(wrong, covariance=np.eye(4) * 0.01)
-        (found,) = judged(home, Fitted((anchor,), ()))["candidates"]
+        (found,) = judged(home, AnchorFit((anchor,), ()))["candidates"]
         assert not right(found)
     assert found["metres"] == pytest.approx(3.0, abs=1e-3)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.outdoor.likelihood.match_kernels import BLUR, DIRECTION, me_fit, pair_fit
+from placegraph.outdoor.likelihood.match_kernels import BLUR, DIRECTION, pair_fit, speaker_fit
 
 
 @kernel
@@ -66,7 +66,7 @@ def from_speaker(starts, objects, offsets, fits, op, table, bearing, noise, back
             for e in range(starts[v], starts[v + 1]):
                 called = fits[s, objects[e]]
                 if called > 0.0:
-                    served += called * me_fit(
+                    served += called * speaker_fit(
                         op[s], table, bearing[s, 0], bearing[s, 1], 0.0,
                         offsets[e, 0], offsets[e, 1], 2, False, BLUR,
                     )  # fmt: skip

@@ -30,7 +30,7 @@ from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE
 from placegraph.outdoor.map.directions_kernels import direction_table
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.network_kernels import MOST_THINGS
+from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
@@ -217,7 +217,7 @@ def places_of_graphs(graphs: Sequence[SceneGraph], centers: NDArray[np.float64])
     offsets, words, starts = [], [], [0]
     for graph, center in zip(graphs, centers, strict=True):
         off = graph.positions[:, :2] - center
-        nearest = np.argsort(np.hypot(*off.T), kind="stable")[:MOST_THINGS]
+        nearest = np.argsort(np.hypot(*off.T), kind="stable")[:MAX_OBJECTS]
         offsets.append(off[nearest])
         for i in nearest:
             called = [graph.labels[i]]
@@ -360,7 +360,7 @@ class Transformer:
         return total
 
     def _fits(self, texts: Any) -> Any:
-        from placegraph.outdoor.network.graphs import WordWeights, word_fits
+        from placegraph.outdoor.network.graphs import WordWeights, make_word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}
         row = np.array([own.get(word, -1) for word in texts.vocabulary], np.int64)
@@ -371,4 +371,4 @@ class Transformer:
         fits = WordWeights(
             starts.astype(np.int64), tokens[known].astype(np.int32), texts.weights[known]
         )
-        return word_fits(fits, borne, len(self.places.offsets))
+        return make_word_fits(fits, borne, len(self.places.offsets))

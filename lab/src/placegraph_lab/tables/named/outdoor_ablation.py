@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
-from placegraph.outdoor.search.candidates import find_dense_cells
+from placegraph.outdoor.search.posterior import find_dense_cells
 from placegraph.outdoor.search.request import Matching, Request, parse
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (

@@ -26,7 +26,7 @@ from placegraph.outdoor.search.ask import (
     Answer,
     Question,
     next_question,
-    possible_questions,
+    rank_questions,
 )
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, relations
@@ -54,11 +54,11 @@ class Speaker:
         """Answer truthfully from the raw data; "don't know" where the question has no such answer."""
         visible = list(self._visible())
         if question.options == (YES, NO):
-            thing = question.things[0]
+            thing = question.subjects[0]
             found = any(t == thing.label and thing.wind in ("", wind) for t, _, wind in visible)
             return question.answer(YES if found else NO)
         names = {name for _, name, _ in visible}
-        option = next((thing.words for thing in question.things if thing.words in names), NONE)
+        option = next((thing.words for thing in question.subjects if thing.words in names), NONE)
         return question.answer(option if option in question.options else UNKNOWN)
 
     def _visible(self) -> Iterator[tuple[str, str, str]]:
@@ -109,7 +109,7 @@ def dialogue(
 
 
 def _any_question(estimate: CityEstimate, city: CityMap, rng: Generator) -> Question | None:
-    questions = list(possible_questions(estimate, city))
+    questions = list(rank_questions(estimate, city))
     return questions[int(rng.integers(len(questions)))] if questions else None
 
 

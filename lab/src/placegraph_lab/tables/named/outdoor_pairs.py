@@ -24,7 +24,7 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordFits
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
-from placegraph.outdoor.search.posterior import TOGETHER
+from placegraph.outdoor.search.posterior import PRIOR_COHERENT
 from placegraph.outdoor.search.request import parse
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.queries import Query
@@ -107,12 +107,12 @@ class Pairs:
                     statements,
                     scene,
                     columns,
-                    query.words(tokens),
+                    query.token_weights(tokens),
                     chosen,
                     np.ones(len(chosen)),
                     np.zeros(len(chosen)),
                     np.zeros((len(chosen), len(statements.op)), np.float32),
-                    TOGETHER,
+                    PRIOR_COHERENT,
                     EVERYTHING,
                 )
             return sum(map(len, self.views))
@@ -144,7 +144,7 @@ class Pairs:
         """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
         import torch
 
-        from placegraph.outdoor.network.graphs import place_batch, text_batch
+        from placegraph.outdoor.network.graphs import make_place_batch, make_text_batch
         from placegraph_learn.city.batches import Batch, forward, pair_batch
         from placegraph_learn.city.network import Network
 
@@ -163,8 +163,8 @@ class Pairs:
                     every = np.arange(len(rows))
                     pairs = (np.zeros(len(rows), np.int64), every)
                     batch = Batch(
-                        text_batch(texts, one),
-                        place_batch(places, rows),
+                        make_text_batch(texts, one),
+                        make_place_batch(places, rows),
                         pair_batch(texts, places, one, rows, pairs, words),
                         slots=every,
                         right=np.zeros(len(rows), np.int8),
@@ -178,11 +178,16 @@ class Pairs:
         return work
 
     def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
-        from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, fits_of, word_fits
+        from placegraph.outdoor.network.graphs import (
+            PlaceGraphs,
+            TextGraphs,
+            find_word_weights,
+            make_word_fits,
+        )
 
         texts = TextGraphs.of(self.descriptions)
-        fits = fits_of(texts, [compile_query(d, self.city) for d in self.descriptions])
-        words = word_fits(fits, *self.city.word_counts)
+        fits = find_word_weights(texts, [compile_query(d, self.city) for d in self.descriptions])
+        words = make_word_fits(fits, *self.city.word_counts)
         return texts, PlaceGraphs.of_cells(self.city), words
 
 

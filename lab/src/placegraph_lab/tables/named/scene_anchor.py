@@ -20,7 +20,7 @@ from placegraph.indoor.mapping.outlines import trace_cells
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph.world import Fitted, fit_building, fit_capture
+from placegraph.world import AnchorFit, fit_building, fit_capture
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
 from placegraph_lab.tables.statistics import reliability
 from placegraph_lab.worlds.flat.flat import DOOR, OUTSIDE, Flat
@@ -210,7 +210,7 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
     return {"row": row, "seconds": process_time() - begun} | judged(home, found)
 
 
-def judged(home: House, found: Fitted) -> dict[str, Any]:
+def judged(home: House, found: AnchorFit) -> dict[str, Any]:
     middle = home.scene.bounds.mean(axis=0) * (1, 1, 0)
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     true, candidates = home.stands.shift_origin(-middle), []

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.locate import search
-from placegraph.outdoor.search.posterior import SPACING, WITHIN, find_modes
+from placegraph.outdoor.search.locate import search_views
+from placegraph.outdoor.search.posterior import MODE_RADIUS, SPACING, find_modes
 from placegraph.outdoor.search.request import Hints, Matching, make_request
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     IN_SIGHT,
-    LARGEST,
+    MAX_SHARE,
     Calibration,
     Claim,
     infer_claim,
@@ -225,7 +225,7 @@ def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
     """Of each radius that is claimed: its name, the best place's share, and whether it is right."""
     try:
         asked = make_request(city, told.text, Hints(listener=told.start), Matching())
-        peaks = find_modes(found := search(asked), 1, SPACING)
+        peaks = find_modes(found := search_views(asked), 1, SPACING)
     except PlacegraphError:
         return []
     if not peaks or told.goal is None:
@@ -233,16 +233,16 @@ def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
     claim: Claim = infer_claim(asked.understood)
     at = peaks[0].position
     off = float(np.hypot(*(city.plane.to_plane(told.goal) - at)))
-    radii = {WITHIN: "of_place", claim.radius: "of_radius"}
+    radii = {MODE_RADIUS: "of_place", claim.radius: "of_radius"}
     return [
-        (f"{NAMES[id(claim)]}.{name}", found.within(at, radius), off <= radius)
+        (f"{NAMES[id(claim)]}.{name}", found.mass_within(at, radius), off <= radius)
         for radius, name in radii.items()
     ]
 
 
 def logistic(share: Floats, right: NDArray[np.bool_]) -> Calibration:
     """Logistic regression (N,) of being right on log odds, by Newton's method."""
-    share = np.clip(share, 1.0 - LARGEST, LARGEST)
+    share = np.clip(share, 1.0 - MAX_SHARE, MAX_SHARE)
     columns = np.stack([np.ones(len(share)), np.log(share / (1.0 - share))], axis=1)
     weights = np.zeros(2)
     for _ in range(50):

@@ -71,8 +71,7 @@ def equal(path: Path, texts: Mapping[str, Sequence[str]], most: int) -> dict[str
 
 
 def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
-    from placegraph.outdoor.locate import search
-    from placegraph.outdoor.search.answer import answer
+    from placegraph.outdoor.search.locate import make_estimate, search_views
     from placegraph.outdoor.search.request import Hints, Matching, make_request
 
     off: list[float] = []
@@ -81,7 +80,9 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
         asked = make_request(city, text, Hints(), Matching())
         if not asked.is_positive:
             continue
-        some, every = (answer(asked, p, 5).modes for p in (search(asked), exhaustive(asked)))
+        some, every = (
+            make_estimate(asked, p, 5).modes for p in (search_views(asked), exhaustive(asked))
+        )
         if not (some and every):
             missed += [1.0] if some or every else []
             continue
@@ -100,11 +101,15 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
 
 
 def exhaustive(asked: Request) -> Posterior:
-    from placegraph.outdoor.search.candidates import Candidates
-    from placegraph.outdoor.search.posterior import ALL, compute_posterior, score
+    from placegraph.outdoor.search.posterior import (
+        NO_MARGIN,
+        Candidates,
+        compute_posterior,
+        score_candidates,
+    )
 
-    every = Candidates.given(asked, np.arange(len(asked.city.views)))
-    return compute_posterior(asked, score(asked, every, ALL))
+    every = Candidates.of_views(asked, np.arange(len(asked.city.views)))
+    return compute_posterior(asked, score_candidates(asked, every, NO_MARGIN))
 
 
 def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.network import EncodedCity, EncodedText, Matches
+from placegraph.outdoor.network.network import EncodedCity, EncodedText, MatchScores
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
 from placegraph.outdoor.search.request import Matching, MatchingOptions, parse
@@ -58,13 +58,13 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
     return Run(dict(zip(STAGES, np.diff(clock).tolist(), strict=True)), ranked)
 
 
-def matched(encoded: EncodedCity, said: EncodedText, rows: NDArray[np.int64]) -> Matches:
+def matched(encoded: EncodedCity, said: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
     """Match a text with cells `rows` (K,) (Eq. 14-17), some thousands at once."""
     found = [
         encoded.match(said, encoded.cells, rows[i : i + AT_ONCE])
         for i in range(0, len(rows), AT_ONCE)
     ]
-    return Matches(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    return MatchScores(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def medians(runs: Sequence[Run]) -> dict[str, float]:

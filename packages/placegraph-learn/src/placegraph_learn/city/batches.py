@@ -15,24 +15,24 @@ from torch.nn import functional as F  # noqa: N812
 
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.network.graphs import (
-    Bags,
     Floats,
     GraphBatch,
     NodeWords,
     PlaceGraphs,
     Rows,
+    SubwordBags,
     TextGraphs,
     WordFits,
     WordVectors,
-    agreements,
-    entries,
-    mask_of,
-    place_batch,
-    text_batch,
-    word_fits,
+    compute_agreements,
+    list_nodes,
+    make_mask,
+    make_place_batch,
+    make_text_batch,
+    make_word_fits,
 )
 from placegraph.outdoor.network.network_kernels import CHANNELS
-from placegraph.outdoor.search.posterior import HARD
+from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.city_kernels import holds_as_said, literal
 from placegraph_learn.city.descriptions import AT, NEARBY, ExamplePool
 from placegraph_learn.city.network import Graphs, Network, Pairs, Scores, Truth
@@ -78,7 +78,7 @@ def pair_batch(
     m = int((places.starts[place_rows + 1] - places.starts[place_rows]).max(initial=0)) + 1
     counts = texts.edge_starts[text_rows + 1] - texts.edge_starts[text_rows]
     s = max(1, int(counts.max()))
-    edge, at = entries(texts.edge_starts[text_rows], counts, s)
+    edge, at = list_nodes(texts.edge_starts[text_rows], counts, s)
     ends = np.zeros((len(text_rows), s, 2), np.int64)
     said = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
     ends.reshape(-1, 2)[at] = texts.ends[edge]
@@ -86,10 +86,10 @@ def pair_batch(
         [texts.channels[edge], texts.negated[edge]]
     )
     nodes = texts.starts[text_rows + 1] - texts.starts[text_rows]
-    node, at = entries(texts.starts[text_rows], nodes, n)
+    node, at = list_nodes(texts.starts[text_rows], nodes, n)
     rarity = np.zeros((len(text_rows), n), np.float32)
     rarity.reshape(-1)[at] = words.rarity[node]
-    agreement = agreements(texts, places, text_rows[text], place_rows[place], words, (n, m))
+    agreement = compute_agreements(texts, places, text_rows[text], place_rows[place], words, (n, m))
     holds = holds_as_said(
         texts.edge_starts, texts.channels, text_rows[text],
         places.starts, places.offsets, places.kinds, place_rows[place], s, m,
@@ -106,7 +106,7 @@ def pair_batch(
         rarity[text],
         ends[text],
         said[text],
-        mask_of(counts, s)[text],
+        make_mask(counts, s)[text],
         holds,
         said_literally,
     )
@@ -124,14 +124,14 @@ class Lessons:
     """Word vectors that stand for the words they know."""
 
     @cached_property
-    def text_bags(self) -> Bags:
+    def text_bags(self) -> SubwordBags:
         """Parts of the words of the texts."""
-        return Bags.of(self.pool.texts.vocabulary, self.subwords, self.known)
+        return SubwordBags.of(self.pool.texts.vocabulary, self.subwords, self.known)
 
     @cached_property
-    def place_bags(self) -> Bags:
+    def place_bags(self) -> SubwordBags:
         """Parts of the words of the map."""
-        return Bags.of(self.city.words, self.subwords, self.known)
+        return SubwordBags.of(self.city.words, self.subwords, self.known)
 
     @cached_property
     def right(self) -> NDArray[np.int8]:
@@ -142,7 +142,7 @@ class Lessons:
         """
         pool = self.pool
         scores = np.where(np.isfinite(pool.scores), pool.scores, -np.inf)
-        liked = np.argsort(np.argsort(-scores, axis=1), axis=1) < HARD
+        liked = np.argsort(np.argsort(-scores, axis=1), axis=1) < NUM_RERANKED
         found = liked & np.isfinite(scores)
         return np.where((pool.right == 1) & ~found, np.int8(-1), pool.right)
 
@@ -154,11 +154,11 @@ class Lessons:
         places = PlaceGraphs.of_views(city, views)
         every = np.arange(len(places))
         fits = pool.fits
-        words = word_fits(fits, *city.word_counts)
+        words = make_word_fits(fits, *city.word_counts)
         off = np.abs(city.views.positions[views][None] - pool.positions[rows][:, None]).max(2)
         return Batch(
-            text_batch(pool.texts, rows),
-            place_batch(places, every),
+            make_text_batch(pool.texts, rows),
+            make_place_batch(places, every),
             pair_batch(pool.texts, places, rows, every, (texts, every), words),
             slots,
             self.right[rows][texts, slots],
@@ -208,17 +208,17 @@ def forward(network: Network, lessons: Lessons, batch: Batch, device: str) -> Sc
     return Scores(logit, cosine, e_t @ e_m.T, residual)
 
 
-def _graphs(network: Network, batch: GraphBatch, bags: Bags, device: str) -> Graphs:
+def _graphs(network: Network, batch: GraphBatch, bags: SubwordBags, device: str) -> Graphs:
     arrays = (batch.nodes, batch.mask, batch.relations)
     nodes, mask, relations = (torch.from_numpy(a).to(device) for a in arrays)
     return Graphs(nodes, _words(network, batch.words, bags, mask), mask, relations)
 
 
-def _words(network: Network, words: NodeWords, bags: Bags, mask: Tensor) -> Tensor:
+def _words(network: Network, words: NodeWords, bags: SubwordBags, mask: Tensor) -> Tensor:
     """Return summed vectors of the words of every node, (B, n, d)."""
     used, row = np.unique(words.words, return_inverse=True)
     counts = bags.starts[used + 1] - bags.starts[used]
-    part, _ = entries(bags.starts[used], counts, 0)
+    part, _ = list_nodes(bags.starts[used], counts, 0)
     device = mask.device
 
     def tensor(array: NDArray[np.generic]) -> Tensor:

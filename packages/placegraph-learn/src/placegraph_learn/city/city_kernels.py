@@ -7,11 +7,11 @@ import numpy as np
 from placegraph.core.jit import kernel
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.network.network_kernels import (
-    CHANCE,
+    CHANNEL_CHANCE,
     LITERAL,
-    background_of,
-    literal_of,
+    background_probability,
     place_relations,
+    score_literally,
 )
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
@@ -56,7 +56,7 @@ def holds_as_said(edge_starts, channels, texts, starts, offsets, kinds, places, 
 
 @kernel(fastmath=True)
 def literal(agreement, holds, rarity, ends, said, counts, sizes):
-    """Return the evidence (P, S, LITERAL) of statements for places if words alone decide (`literal_of`).
+    """Return the evidence (P, S, LITERAL) of statements for places if words alone decide (`score_literally`).
 
     `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
     (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.
@@ -65,9 +65,9 @@ def literal(agreement, holds, rarity, ends, said, counts, sizes):
     for p in range(len(counts)):
         for s in range(counts[p]):
             a, b = ends[p, s]
-            background = background_of(said[p, s], rarity[p, a], rarity[p, b])
-            literal_of(
+            background = background_probability(said[p, s], rarity[p, a], rarity[p, b])
+            score_literally(
                 agreement[p, a], agreement[p, b], holds[p, s], sizes[p], background,
-                min(a, b) == 0, said[p, s, len(CHANCE)] > 0.0, out[p, s],
+                min(a, b) == 0, said[p, s, len(CHANNEL_CHANCE)] > 0.0, out[p, s],
             )  # fmt: skip
     return out

@@ -29,9 +29,8 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.objects import AREA, LINE
-from placegraph.outdoor.network.graphs import TextGraphs, WordWeights, fits_of
-from placegraph.outdoor.search.candidates import find_candidates
-from placegraph.outdoor.search.posterior import HARD, score
+from placegraph.outdoor.network.graphs import TextGraphs, WordWeights, find_word_weights
+from placegraph.outdoor.search.posterior import NUM_RERANKED, find_candidates, score_candidates
 from placegraph.outdoor.search.request import Request
 from placegraph_learn.city.city_kernels import _nearest
 
@@ -331,7 +330,7 @@ def look_around(
 
 
 OTHERS = 4
-"""Viewpoints from anywhere beside the `HARD` that relational matching finds best."""
+"""Viewpoints from anywhere beside the `NUM_RERANKED` that relational matching finds best."""
 AT = 25.0
 """A viewpoint is right where the speaker stands in the square of twice this edge around it [m]."""
 NEARBY = 60.0
@@ -384,7 +383,7 @@ def make_pool(
     texts = TextGraphs.of(descriptions)
     return ExamplePool(
         texts,
-        fits_of(texts, queries),
+        find_word_weights(texts, queries),
         np.array(positions),
         np.array(views, np.int64),
         np.array(scores, np.float32),
@@ -401,9 +400,9 @@ def _candidates(
     """
     views = speaker.city.views
     asked = Request(speaker.city, query)
-    found = score(asked, find_candidates(asked))
+    found = score_candidates(asked, find_candidates(asked))
     best = np.argsort(-found.scores, kind="stable")
-    best = best[speaker.may_see(views.positions_of(found.rows[best]))][:HARD]
+    best = best[speaker.may_see(views.positions_of(found.rows[best]))][:NUM_RERANKED]
     true = rng.permutation(views.near(position, AT))[:4]  # not the nearest: cells stand apart
     others = rng.integers(len(views), size=OTHERS)
     others = others[speaker.may_see(views.positions[others])]
@@ -411,7 +410,7 @@ def _candidates(
     known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
     rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
     values = np.array([known.get(int(row), np.nan) for row in rows], np.float32)
-    size = HARD + OTHERS + 4
+    size = NUM_RERANKED + OTHERS + 4
     short = size - len(rows)
     return np.pad(rows, (0, short), constant_values=-1), np.pad(
         values, (0, short), constant_values=np.nan

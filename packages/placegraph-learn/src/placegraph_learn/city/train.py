@@ -22,8 +22,14 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.graphs import TextGraphs, WordVectors, WordWeights
 from placegraph.outdoor.network.graphs import split_label as words_of
-from placegraph.outdoor.network.network import NETWORK, Shape, Weights, trained, write_weights
-from placegraph.outdoor.search.posterior import HARD
+from placegraph.outdoor.network.network import (
+    NETWORK,
+    Shape,
+    Weights,
+    round_weights,
+    write_weights,
+)
+from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
 from placegraph_learn.city.network import Network, Scores, Truth
@@ -170,7 +176,7 @@ def score_viewpoints(network: Network, lessons: Lessons, device: str) -> Viewpoi
     """Let the network judge the viewpoints that relational matching found best."""
     pool, views = lessons.pool, lessons.city.views
     relational = np.where(np.isfinite(pool.scores), pool.scores, -np.inf)
-    best = np.argsort(np.argsort(-relational, axis=1), axis=1) < HARD
+    best = np.argsort(np.argsort(-relational, axis=1), axis=1) < NUM_RERANKED
     asked = best & np.isfinite(relational)
     relational = np.where(asked, relational, -np.inf)
     logit, cosine, fused = (np.full(asked.shape, -np.inf) for _ in range(3))
@@ -422,7 +428,7 @@ def train(
     )
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": plan, "curves": rows_of(at)}
-    weights = trained(options.shape, state, training, known)
+    weights = round_weights(options.shape, state, training, known)
     write_weights(out, weights)
     return weights
 

@@ -2,7 +2,7 @@
 
 The text, the frames and a location prior weigh all scenes of all shards by their columns. Maps are
 opened of scenes that the text names and, where somebody may be indoors, of the likeliest ones and of those
-that stand at a town's best places. What the other scenes hold of the probability is `OtherScenes`.
+that stand at a town's best places. What the other scenes hold of the probability is `RemainingScenes`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from placegraph.errors import MapError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.search import SearchOptions, infer_from_frames
 from placegraph.outdoor.language.words import tokens
-from placegraph.world.evidence import UNANCHORED, OtherScenes, fit_prior
+from placegraph.world.evidence import FIT_UNANCHORED, RemainingScenes, fit_prior
 from placegraph.world.world import World
 from placegraph_scale.library.shards import SceneShards, Shard
 from placegraph_scale.library.write import NamedEntry, pack_shard
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import Entry
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world.estimate import WorldQuery
-    from placegraph.world.evidence import OutdoorText
+    from placegraph.world.evidence import OutdoorSearch
 
 
 LIKELIEST, NAMED, BESIDE = 16, 8, 8
@@ -125,7 +125,7 @@ class CandidateScenes(SceneShards):
         if query.near is not None:
             fits = fit_prior(self.stands[:, 1:3], self.stands[:, 3:6], query.near, query.radius)
             held = np.bincount(rows, priors * fits, len(self))
-        out = held + np.maximum(0.0, 1.0 - stand) * UNANCHORED
+        out = held + np.maximum(0.0, 1.0 - stand) * FIT_UNANCHORED
         return np.asarray(out if query.near is not None else np.where(stand > 0.0, out, 1.0))
 
     def find_beside(self, places: Sequence[tuple[float, float]]) -> list[int]:
@@ -138,12 +138,12 @@ class CandidateScenes(SceneShards):
                 away[row] = min(away.get(row, np.inf), float(off[k]))
         return sorted(away, key=lambda row: away[row])
 
-    def select(self, world: World, query: WorldQuery, text: OutdoorText) -> World:
+    def select(self, world: World, query: WorldQuery, text: OutdoorSearch) -> World:
         """Return a world of the scenes that a question may be about."""
         near = self.fit_prior(query)
         inside = text.parsed.inside if text.parsed else None
         weights = np.log(near) + (0.0 if inside is None else self.score_text(inside))
-        weighed, missing = None, self.missing * (1.0 if query.near is None else UNANCHORED)
+        weighed, missing = None, self.missing * (1.0 if query.near is None else FIT_UNANCHORED)
         if query.capture is not None:
             weighed = infer_from_frames(self, query.capture, query.frames, SearchOptions())
             weights += np.log(weighed.shares + 1e-12)
@@ -172,7 +172,7 @@ class CandidateScenes(SceneShards):
         modes = () if weighed is None else tuple(
             replace(weighed.mode(self, row), scene=name) for row, name in names.items()
         )  # fmt: skip
-        out.others = OtherScenes(
+        out.others = RemainingScenes(
             len(self), float(near.sum()) + missing, float(np.logaddexp.reduce(rest)), modes,
             weighed.elsewhere if weighed else 0.0, {"seconds": weighed.seconds if weighed else {}},
             tuple(notes),

@@ -19,8 +19,14 @@ from placegraph.errors import MapError
 from placegraph.outdoor.language.description import LISTENER
 from placegraph.outdoor.likelihood.query import compile_query, ends
 from placegraph.outdoor.map.objects import LINE
-from placegraph.outdoor.search.answer import MOST_SUPPORT
-from placegraph.outdoor.search.posterior import FINE, SPACING, Posterior, apply_bayes, find_modes
+from placegraph.outdoor.search.locate import MAX_SUPPORT
+from placegraph.outdoor.search.posterior import (
+    FINE_OFFSETS,
+    SPACING,
+    Posterior,
+    apply_bayes,
+    find_modes,
+)
 from placegraph.outdoor.search.status import (
     decide,
     diagnose,
@@ -29,7 +35,7 @@ from placegraph.outdoor.search.status import (
     infer_claim,
     shrink,
 )
-from placegraph.world.outside import BESIDE, BuildingMatch, TownMatch
+from placegraph.world.towns import MAX_CITY_DISTANCE, BuildingMatch, TownMatch
 from placegraph_scale.folder import WORDS, WorldFile, check_digest
 from placegraph_scale.shards.search import Search
 from placegraph_scale.shards.steps import (
@@ -107,7 +113,7 @@ class ShardPosterior:
     def support(self, row: int) -> Floats:
         """Return the heaviest points in a shard, as of `CityEstimate.support`."""
         chances, mine = self.posterior.probabilities, np.flatnonzero(self.shards == row)
-        heaviest = mine[np.argsort(-chances[mine], kind="stable")][:MOST_SUPPORT]
+        heaviest = mine[np.argsort(-chances[mine], kind="stable")][:MAX_SUPPORT]
         points = [(*self.stack.lonlat(self.posterior.positions[k]), chances[k]) for k in heaviest]
         return np.array(points, np.float64).reshape(-1, 3)
 
@@ -131,7 +137,9 @@ def compute_posterior(found: CandidatePool, beyond: float, searched: float) -> S
         look = found.looks.get(row)
         if look is not None:
             mine = mine[~np.isin(ranked.at[mine], look.at)]
-            share = np.repeat(proposal.log_prior[look.at] - np.log(len(FINE)), len(FINE))
+            share = np.repeat(
+                proposal.log_prior[look.at] - np.log(len(FINE_OFFSETS)), len(FINE_OFFSETS)
+            )
             at = stack.add(proposal.origin, look.positions.reshape(-1, 2))
             parts.append((at, look.scores.ravel(), share, np.full(len(share), row)))
         at = stack.add(proposal.origin, found.positions[row][ranked.at[mine]])
@@ -172,7 +180,7 @@ class ShardsMatch(TownMatch):
         of_shard: dict[int, list[int]] = {}
         for k, middle in enumerate(middles):
             away = distance(np.broadcast_to(middle, (len(self.cores), 2)), self.cores)
-            if away.min() <= BESIDE:
+            if away.min() <= MAX_CITY_DISTANCE:
                 of_shard.setdefault(int(away.argmin()), []).append(k)
         tasks = [
             (row, (self.asked, [corners[k] for k in of])) for row, of in sorted(of_shard.items())
@@ -302,8 +310,8 @@ class Planet:
             description = answer.added_to(description)
         things = RareObjects(table.labels, [])
         lexicon = QueryLexicon(self.words, partial(self._gather, search), things)
-        on_a_way = any(LISTENER in ends(s) for s in description.statements)
-        compiled = compile_query(description, lexicon, on_a_way=on_a_way)
+        tells_way = any(LISTENER in ends(s) for s in description.statements)
+        compiled = compile_query(description, lexicon, tells_way=tells_way)
         if reason := find_obstacle(compiled, description):
             return reason
         near, fix = query.near, None

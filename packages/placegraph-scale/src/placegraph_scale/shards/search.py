@@ -29,11 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.language.description import Relation
-from placegraph.outdoor.likelihood.match_kernels import ME, SLACK
+from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, ME
 from placegraph.outdoor.likelihood.query import OPERATION
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH, MOST_CANDIDATES, rank_bounds
-from placegraph.outdoor.search.posterior import CLOSER, ELSEWHERE, FEWEST, WITHIN, are_enough
+from placegraph.outdoor.search.posterior import (
+    DISTANT_REACH,
+    MAX_CANDIDATES,
+    MAX_SAMPLES,
+    MIN_SAMPLES,
+    MODE_RADIUS,
+    NUM_REFINED,
+    PRIOR_ELSEWHERE,
+    are_samples_enough,
+    select_by_bound,
+)
 from placegraph_scale.shards.steps import distance, join_columns
 from placegraph_scale.shards.workers import Failure, ShardSource, ShardTask, WorkerPool
 
@@ -118,7 +127,7 @@ def bound_weights(query: Query, table: WordTable, *, even: bool) -> Floats:
         if used:
             pull = float(table.pull[rows].max())
             found[rows] = _bound_dual(seen, rows, _gains(used, len(there), pull), even=even)
-    return found + query.statements.floor + SLACK
+    return found + query.statements.floor + BOUND_SLACK
 
 
 def _gains(used: list[tuple[float, int, int]], mentions: int, pull: float) -> Floats:
@@ -189,7 +198,7 @@ class Ranked(NamedTuple):
     """(K,) ... and among those of all shards, in order of the shards."""
     log_prior: Floats
     """(K,)"""
-    stands: Floats
+    multiplicity: Floats
     """(K,) as of `Candidates`."""
 
 
@@ -203,7 +212,7 @@ class CandidatePool:
     """Of each candidate of a shard; -inf where it was not scored."""
     positions: dict[int, Floats] = field(default_factory=dict)
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not scored."""
-    drawn: int = FEWEST
+    drawn: int = MIN_SAMPLES
     """Number of candidates that stand for others and are scored."""
     looks: dict[int, CloserLook] = field(default_factory=dict)
     """Closer look in each shard."""
@@ -235,27 +244,27 @@ class CandidatePool:
         given = sorted(self.proposals.items())
         highest = max((p.highest for _, p in given), default=-np.inf)
         bounds = join_columns([p.bounds * np.exp(p.highest - highest) for _, p in given])
-        rows, stands = rank_bounds(
-            bounds, join_columns([p.stands for _, p in given]), MOST_CANDIDATES
+        rows, multiplicity = select_by_bound(
+            bounds, join_columns([p.multiplicity for _, p in given]), MAX_CANDIDATES
         )
         return Ranked(
             join_columns([np.full(len(p.rows), r) for r, p in given], np.int64)[rows],
             join_columns([np.arange(len(p.rows)) for _, p in given], np.int64)[rows],
-            rows, join_columns([p.log_prior for _, p in given])[rows], stands,
+            rows, join_columns([p.log_prior for _, p in given])[rows], multiplicity,
         )  # fmt: skip
 
     @property
     def least(self) -> float:
         """Log of a bound times the prior from which on candidates count, however many more there are."""
         logs = np.sort(join_columns([p.log_bounds for p in self.proposals.values()]))
-        return float(logs[-MOST_CANDIDATES]) if len(logs) >= MOST_CANDIDATES else -np.inf
+        return float(logs[-MAX_CANDIDATES]) if len(logs) >= MAX_CANDIDATES else -np.inf
 
     def list_unscored(self, drawn: int) -> dict[int, NDArray[np.int64]]:
         """Return rows of candidates that count and have no score, by shard.
 
         `drawn`: how many of those that stand for others count.
         """
-        count = np.count_nonzero(self.ranked.stands == 0.0) + drawn
+        count = np.count_nonzero(self.ranked.multiplicity == 0.0) + drawn
         shard, rows = self.ranked.shard[:count], self.ranked.at[:count]
         every = {row: np.unique(rows[shard == row]) for row in np.unique(shard).tolist()}
         left = {row: at[np.isnan(self.positions[row][at, 0])] for row, at in every.items()}
@@ -264,7 +273,7 @@ class CandidatePool:
     def list_best(self) -> dict[int, NDArray[np.int64]]:
         """Return rows of the candidates that are worth a closer look, by shard."""
         weights = self.values() + self.ranked.log_prior
-        order = np.argsort(-weights, kind="stable")[:CLOSER]
+        order = np.argsort(-weights, kind="stable")[:NUM_REFINED]
         order = order[weights[order] > -np.inf]
         shard, at = self.ranked.shard[order], self.ranked.at[order]
         return {row: at[shard == row] for row in dict.fromkeys(shard.tolist())}
@@ -279,24 +288,24 @@ class CandidatePool:
         mine = (self.ranked.shard == row) & (here > -np.inf)
         positions = self.positions[row][self.ranked.at[mine]]
         delta = positions - self.positions[row][self.ranked.at[best]]
-        near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= WITHIN)
+        near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= MODE_RADIUS)
         weights, count = self._others()
-        if are_enough(np.exp(weights - self.weight), count, float(near)):
+        if are_samples_enough(np.exp(weights - self.weight), count, float(near)):
             return False
         self.drawn *= 4
         return True
 
     def _others(self) -> tuple[Floats, int]:
         """Return log weights of scored candidates that stand for others, and how many there are."""
-        ranked, others = self.ranked, self.ranked.stands > 0.0
+        ranked, others = self.ranked, self.ranked.multiplicity > 0.0
         scores = self._join_ranked(self.scores)[others][: self.drawn]
-        logs = ranked.log_prior + np.log(np.maximum(ranked.stands, 1e-300))
+        logs = ranked.log_prior + np.log(np.maximum(ranked.multiplicity, 1e-300))
         weights = scores + logs[others][: self.drawn]
         return weights[scores > -np.inf], int(np.count_nonzero(others))
 
     def values(self) -> Floats:
         """Return scores (K,) of the ranked; -inf of those that stand for others."""
-        return np.where(self.ranked.stands > 0.0, -np.inf, self._join_ranked(self.scores))
+        return np.where(self.ranked.multiplicity > 0.0, -np.inf, self._join_ranked(self.scores))
 
     def _join_ranked(self, columns: dict[int, Floats]) -> Floats:
         """Return a column (K,) of the ranked."""
@@ -314,7 +323,8 @@ class CandidatePool:
         weights, count = self._others()
         scale = np.log(count / max(1, len(weights))) if count else 0.0
         ranked = self.ranked
-        share = float(np.exp(ranked.log_prior) @ np.where(ranked.stands > 0.0, ranked.stands, 1.0))
+        counts = np.where(ranked.multiplicity > 0.0, ranked.multiplicity, 1.0)
+        share = float(np.exp(ranked.log_prior) @ counts)
         unseen = self.asked.query.statements.floor + np.log(max(1e-12, 1.0 - share))
         return float(np.logaddexp.reduce(weights + scale, initial=unseen))
 
@@ -383,7 +393,7 @@ class Search:
             reach = self.reach[self.left()]
             total = np.logaddexp.reduce(reach[reach < np.inf], initial=found.weight)
             share = np.exp(np.minimum(self.reach[rows] - total, 0.0))
-            drawn = np.clip(EVENLY * DRAWN * share, FEWEST_DRAWN, DRAWN)
+            drawn = np.clip(EVENLY * MAX_SAMPLES * share, FEWEST_DRAWN, MAX_SAMPLES)
             counts = [1 << k for k in np.ceil(np.log2(drawn)).astype(int).tolist()]
             tasks = [(row, (asked, least, n)) for row, n in zip(rows.tolist(), counts, strict=True)]
             for row, proposal in self.each("propose", tasks):
@@ -422,8 +432,8 @@ class Search:
 
     def _log_share(self, found: CandidatePool, weight: Any) -> Any:  # noqa: ANN401  # a number or an array
         """Return the log of the largest share of the posterior of a log weight beside what was found."""
-        total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
-        return weight + np.log1p(-ELSEWHERE) - total
+        total = np.logaddexp(np.log1p(-PRIOR_ELSEWHERE) + found.weight, np.log(PRIOR_ELSEWHERE))
+        return weight + np.log1p(-PRIOR_ELSEWHERE) - total
 
     def remaining(self) -> float:
         """Return an upper bound of the log weight of all shards that were not looked into."""
@@ -455,10 +465,12 @@ class Search:
     def _near_rare(self, asked: ShardQuery, cores: Floats) -> NDArray[np.bool_]:
         """Return shards (N,) from which a rare object out of sight may be mentioned."""
         near = np.zeros(len(cores), np.bool_)
-        far = asked.query.far
+        far = asked.query.distant
         if far is None:
             return near
-        reach = max(1.5 * FAR_REACH, 4.0 * float(far.scale.max(initial=0.0)))  # its corners count
+        reach = max(
+            1.5 * DISTANT_REACH, 4.0 * float(far.scale.max(initial=0.0))
+        )  # its corners count
         for row in np.unique(far.objects).tolist():
             thing = asked.things[row]
             center = np.broadcast_to(thing.center, (len(cores), 2))

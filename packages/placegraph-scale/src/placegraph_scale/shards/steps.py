@@ -13,15 +13,20 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
-from placegraph.outdoor.likelihood.query import Far, MentionTokens
+from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of, index_of
-from placegraph.outdoor.search.answer import find_evidence
-from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, find_candidates
-from placegraph.outdoor.search.posterior import ALL, look_around
-from placegraph.outdoor.search.posterior import score as score_of
+from placegraph.outdoor.search.locate import find_evidence
+from placegraph.outdoor.search.posterior import (
+    MAX_CANDIDATES,
+    NO_MARGIN,
+    Candidates,
+    find_candidates,
+    score_around,
+)
+from placegraph.outdoor.search.posterior import score_candidates as score_of
 from placegraph.outdoor.search.request import LocationPrior, Request
-from placegraph.world.outside import BuildingScore, BuildingScorer
+from placegraph.world.towns import BuildingScore, BuildingScorer
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Evidence
@@ -192,8 +197,8 @@ class Proposal(NamedTuple):
     """(K, S) contribution of objects out of sight; (K, 0) where it is nothing."""
     log_prior: Floats
     """(K,)"""
-    stands: Floats
-    """(K,) as of `Candidates`."""
+    multiplicity: Floats
+    """(K,) 0, or the number of viewpoints that a sample represents (`Candidates`)."""
     highest: float
     """Largest log prior of the shard."""
     origin: tuple[float, float]
@@ -207,7 +212,7 @@ class Proposal(NamedTuple):
         """Return some of the candidates."""
         return self._replace(
             rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
-            log_prior=self.log_prior[kept], stands=self.stands[kept], scored=None,
+            log_prior=self.log_prior[kept], multiplicity=self.multiplicity[kept], scored=None,
         )  # fmt: skip
 
     def candidates(self, statements: int) -> Candidates:
@@ -220,7 +225,7 @@ class Proposal(NamedTuple):
         """Log of bounds times the prior (K,), -inf for candidates that stand for others."""
         with np.errstate(divide="ignore"):
             logs = np.log(self.bounds) + self.highest
-        return np.where(self.stands == 0.0, logs, -np.inf)
+        return np.where(self.multiplicity == 0.0, logs, -np.inf)
 
 
 def choose_best(proposals: Sequence[Proposal]) -> list[tuple[int, NDArray[np.int64]]]:
@@ -231,7 +236,7 @@ def choose_best(proposals: Sequence[Proposal]) -> list[tuple[int, NDArray[np.int
     logs = join_columns([p.log_bounds for p in proposals])
     which = join_columns([np.full(len(p.rows), i) for i, p in enumerate(proposals)], np.int64)
     least = max((p.least for p in proposals), default=-np.inf)
-    best = np.argsort(-logs, kind="stable")[:MOST_CANDIDATES]
+    best = np.argsort(-logs, kind="stable")[:MAX_CANDIDATES]
     best = best[(logs[best] >= least) & (logs[best] > -np.inf)]
     first = np.concatenate(([0], np.cumsum([len(p.rows) for p in proposals]))).astype(np.int64)
     return [
@@ -297,7 +302,7 @@ class _GivenPrior(LocationPrior):
         """Always true: viewpoints outside the core are not meant."""
         return True
 
-    def log_of_views(self, views: ViewIndex) -> Floats:
+    def evaluate_views(self, views: ViewIndex) -> Floats:
         """Return the log prior (W,) of the shard's viewpoints among all of the world."""
         del views
         assert self.given is not None  # noqa: S101  # it is made with one
@@ -309,7 +314,7 @@ def _holds(plane: LocalPlane, key: str, positions: Floats) -> NDArray[np.bool_]:
 
 
 def _log_prior(shard: Shard, fix: Fix) -> Floats:
-    """Return the log weight (V,) of a fix at the viewpoints of the core, as `LocationPrior.log_of` has it."""
+    """Return the log weight (V,) of a fix at the viewpoints of the core; see `LocationPrior.evaluate`."""
     near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
     sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
     positions = shard.city.views.positions[shard.inside].astype(np.float64)
@@ -325,7 +330,7 @@ def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
     mentions = MentionTokens(
         before[query.mentions.starts], rows[known], query.mentions.weights[known]
     )
-    far = query.far
+    far = query.distant
     city: City = shard.city
     if far is not None:
         reach = 4.0 * float(far.scale.max(initial=0.0))
@@ -333,11 +338,11 @@ def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
         there = at[far.objects] >= 0
         before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
         anchors = at[far.anchors]
-        far = Far(
+        far = DistantObjects(
             before[far.starts], at[far.objects][there], far.fits[there], far.scale, far.share,
             anchors[anchors >= 0],
         )  # fmt: skip
-    return city, replace(query, mentions=mentions, far=far)
+    return city, replace(query, mentions=mentions, distant=far)
 
 
 def add_objects(
@@ -457,24 +462,26 @@ def propose(shard: Shard, asked: ShardQuery, least: float, drawn: int) -> Propos
     found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
     if highest > -np.inf:
         found = find_candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
-    rows, far = found.rows, found.far
-    if asked.query.far is None:
+    rows, far = found.rows, found.distant
+    if asked.query.distant is None:
         far = far[:, :0]
     origin = shard.city.plane.longitude, shard.city.plane.latitude
-    return Proposal(rows, found.bounds, far, prior[rows], found.stands, highest, origin, least)
+    return Proposal(
+        rows, found.bounds, far, prior[rows], found.multiplicity, highest, origin, least
+    )
 
 
 def compare(shard: Shard, asked: ShardQuery, chosen: Proposal) -> CandidateScores:
     """Score candidates."""
     some = chosen.candidates(len(asked.query.used))
-    scores = score_of(shard.request(asked), some, ALL).scores.astype(np.float64)
+    scores = score_of(shard.request(asked), some, NO_MARGIN).scores.astype(np.float64)
     return CandidateScores(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
 
 
 def look(shard: Shard, asked: ShardQuery, chosen: Proposal) -> tuple[Floats, Floats]:
-    """Look more closely around candidates; as `look_around`."""
+    """Look more closely around candidates; as `score_around`."""
     some = chosen.candidates(len(asked.query.used))
-    return look_around(shard.request(asked), some.rows, some.far)
+    return score_around(shard.request(asked), some.rows, some.distant)
 
 
 def explain(

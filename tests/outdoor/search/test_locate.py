@@ -6,8 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.answer import describe_object, find_evidence, score_positions, wind
-from placegraph.outdoor.search.answer import quote_statement as in_words
+from placegraph.outdoor.search.locate import (
+    describe_object,
+    find_evidence,
+    name_bearing,
+    score_positions,
+)
+from placegraph.outdoor.search.locate import quote_statement as in_words
 from placegraph.outdoor.search.request import parse
 
 BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
@@ -46,8 +51,8 @@ def test_what_is_true_speaks_for(told):
 def test_what_lies_elsewhere_speaks_against(told):
     south, between = told((BAKERY, "south", "me"), (BENCH, "north", BAKERY))
     assert south.verdict == between.verdict == "against"
-    assert south.note == "there it lies to the north"
-    assert between.note == "there it lies to the southwest"
+    assert south.note == "from here it lies to the north"
+    assert between.note == "from here it lies to the southwest"
     assert {o.id for o in between.objects} == {"node/5", "node/6"}
 
 
@@ -55,7 +60,7 @@ def test_what_is_not_there_speaks_against(told):
     [missing] = told((FOUNTAIN, "near", BENCH))
     assert missing.verdict == "against"
     assert missing.objects == ()
-    assert missing.note == "nothing in sight serves it"
+    assert missing.note == "nothing in sight fits it"
 
 
 def test_what_is_denied(told):
@@ -73,7 +78,7 @@ def test_what_cannot_be_used_is_silent_and_comes_last(told):
     assert bakery.verdict == "for" or zoo.verdict == "for"
     *_, last = told(("tourism=zoo", "north", "me"), (BAKERY, "north", "me"))
     assert (last.verdict, last.weight, last.objects) == ("silent", 0.0, ())
-    assert "knows no" in last.note
+    assert "not on the map" in last.note
 
 
 def test_nothing_can_be_used(told):
@@ -120,7 +125,7 @@ def test_references_are_those_of_the_map(harbour):
 def test_winds(angle):
     names = ["north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest"]
     off = [abs((angle - i * np.pi / 4 + np.pi) % (2 * np.pi) - np.pi) for i in range(8)]
-    assert off[names.index(wind(angle))] <= np.pi / 8 + 1e-9
+    assert off[names.index(name_bearing(angle))] <= np.pi / 8 + 1e-9
 
 
 def test_positions_that_lie_far_apart_are_judged_each_by_itself(harbour):

@@ -5,8 +5,8 @@ import pytest
 
 from placegraph.world.estimate import WorldQuery
 from placegraph.world.evidence import collect_evidence, match_outdoors
-from placegraph.world.outside import compare_address, find_roads
 from placegraph.world.sentence import parse_sentence
+from placegraph.world.towns import compare_address, find_roads
 
 
 def corners(city, name):

@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 from placegraph.core.geojson import is_inside
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.language.words import tokens
-from placegraph.outdoor.locate import search
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.objects import AREA, LINE, POINT
-from placegraph.outdoor.search.answer import TELLING, answer, find_evidence, score_positions
-from placegraph.outdoor.search.posterior import ELSEWHERE
+from placegraph.outdoor.search.locate import (
+    DECISIVE,
+    find_evidence,
+    make_estimate,
+    score_positions,
+    search_views,
+)
+from placegraph.outdoor.search.posterior import PRIOR_ELSEWHERE
 from placegraph.outdoor.search.request import (
     Hints,
     LocationPrior,
@@ -41,23 +46,23 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-NEAREST, NEXT, FALL, ANY = 0.8, 0.4, 12.0, 0.003
+SHARE_NEAREST, SHARE_NEXT, FALLOFF, SHARE_ANY = 0.8, 0.4, 12.0, 0.003
 """Share of houses whose address is of the nearest street with a name; of one that is hardly farther,
 and by how much farther [m] this falls to a third; and of any street. Of 28,000 pairs of house and
 street in Vancouver, Manhattan, Toronto, Ankara, Monaco and Liechtenstein."""
-ANY_WITHIN = 0.1
+SHARE_ANY_NEAR = 0.1
 """Share of houses whose address is of any one street within 150 m."""
-WRITTEN, ASIDE = 0.97, 0.3
+SHARE_ADDRESS, SHARE_CORNER = 0.97, 0.3
 """Share of people who name the street of the address on the map; of a corner house, the other street."""
-AWAY = 150.0
+MAX_STREET_DISTANCE = 150.0
 """No building stands on a street that is farther off [m]."""
-AROUND = (12.0, 24.0)
+SURROUNDINGS = (12.0, 24.0)
 """Distances from a building's walls of what is seen from its doors and windows [m]."""
-BESIDE = 100.0
+MAX_CITY_DISTANCE = 100.0
 """A scene so far off a city's map is in another town [m]."""
-THERE = 30.0
+SAME_BUILDING = 30.0
 """A building is the one that the speaker is in where its point is this near its middle [m]."""
-MISSED = -2.0
+MAX_RATIO_OUTSIDE = -2.0
 """Largest log-likelihood ratio of a building that the speaker is not in, by the text."""
 
 
@@ -113,9 +118,9 @@ class BuildingMatch:
         """Evidence of each statement for the building."""
         found = self.explain()
         own = [
-            e if abs(e.weight - w) < TELLING else replace(
-                e, weight=w, verdict="for" if w > TELLING else "against" if w < -TELLING else "silent",
-                note="" if w > TELLING else e.note,
+            e if abs(e.weight - w) < DECISIVE else replace(
+                e, weight=w, verdict="for" if w > DECISIVE else "against" if w < -DECISIVE else "silent",
+                note="" if w > DECISIVE else e.note,
             )
             for e, w in zip(found, self.score.weights, strict=False)
         ]  # fmt: skip
@@ -138,7 +143,7 @@ class TownMatch:
     def gain(self) -> float:
         """Log-likelihood ratio of this town, wherever in it, against anywhere else."""
         here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
-        ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
+        ratio = (here + 1e-9) / (off + 1e-9) * PRIOR_ELSEWHERE / (1.0 - PRIOR_ELSEWHERE)
         return infer_claim(self.query.description).of_radius.slope * float(np.log(ratio))
 
     @property
@@ -196,13 +201,13 @@ class CityTown:
         near = request.prior.near
         if near is not None and not len(city.views.near(near, 4.0 * request.prior.radius)):
             return ""
-        found = search(request)
-        made = answer(request, found, query.top)
+        found = search_views(request)
+        made = make_estimate(request, found, query.top)
         return CityMatch(request.query, found, made, {self.name: made}, "", city, request)
 
     def explain_prior(self, near: Sequence[float], radius: float) -> str | None:
         """Return None where the location prior is on the map; else a hint, which may be empty."""
-        is_off = LocationPrior.around(self.words, near, radius).is_off(self.words)
+        is_off = LocationPrior.around(self.words, near, radius).is_off_map(self.words)
         return hint_swapped(self.words, near) if is_off else None
 
     def ask(self, part: str, found: CityEstimate) -> Question | None:
@@ -238,7 +243,7 @@ class BuildingScorer:
         """
         footprint = self.home.plane.to_plane(corners)
         middle = footprint.mean(axis=0)
-        if not len(self.home.views.near(middle, BESIDE)):
+        if not len(self.home.views.near(middle, MAX_CITY_DISTANCE)):
             return None
         query = self.request.query
         inner = np.concatenate([middle[None], (footprint + middle) / 2.0])
@@ -246,7 +251,9 @@ class BuildingScorer:
             np.concatenate([footprint, (footprint + np.roll(footprint, 1, axis=0)) / 2.0]) - middle
         )
         far = np.linalg.norm(rays, axis=1, keepdims=True)
-        outer = np.concatenate([middle + rays * (1.0 + d / np.maximum(far, 1.0)) for d in AROUND])
+        outer = np.concatenate(
+            [middle + rays * (1.0 + d / np.maximum(far, 1.0)) for d in SURROUNDINGS]
+        )
         ratios, served = score_positions(np.concatenate([inner, outer]), self.request.city, query)
         weights, is_meant = [], False
         for i, s in enumerate(query.used):
@@ -257,7 +264,7 @@ class BuildingScorer:
             if is_within and not s.negated:
                 holds, is_building = self._contains(served[: len(inner), i], footprint)
                 is_meant |= is_building
-                ratio = ratio if holds else min(ratio, MISSED)
+                ratio = ratio if holds else min(ratio, MAX_RATIO_OUTSIDE)
             weights.append(ratio)
         slope = infer_claim(query.description).of_radius.slope
         return BuildingScore(slope * sum(weights), is_meant, tuple(weights))
@@ -271,7 +278,7 @@ class BuildingScorer:
         noise, is_negated = query.statements.noise[i], query.used[i].negated
         on = compare_address(self.home, self.streets[i], footprint)
         p = on.probability if on is not None else 0.0
-        odds = 1.0 - p if is_negated else p / ANY_WITHIN
+        odds = 1.0 - p if is_negated else p / SHARE_ANY_NEAR
         gain = float(np.log((1.0 - noise) * odds + noise))
         if on is None or is_negated:
             return gain
@@ -296,7 +303,7 @@ class BuildingScorer:
                 this = away == 0.0 or is_central
                 is_building = is_central or any(o.labels[k].startswith("building") for k in labels)
             else:
-                this = is_building = o.kind[r] == POINT and away < THERE
+                this = is_building = o.kind[r] == POINT and away < SAME_BUILDING
             holds, is_meant = holds or this, is_meant or (this and is_building)
         return holds, is_meant
 
@@ -334,11 +341,15 @@ def compare_address(city: CityMap, roads: NDArray[np.int64], corners: Floats) ->
     ]
     walls = np.concatenate([corners, *(p for row in buildings for p in o.parts(row))])
     there, position = min((_distance(city, row, walls) for row in roads), key=lambda x: x[0])
-    if there > AWAY:
+    if there > MAX_STREET_DISTANCE:
         return None
     named = [row for row in around if _is_road(city, row) and o.name(row)]
     farther = there - min([there, *(_distance(city, row, walls)[0] for row in named)])
-    near = NEAREST if farther < 0.1 else max(ANY, NEXT * float(np.exp(-farther / FALL)))
+    near = (
+        SHARE_NEAREST
+        if farther < 0.1
+        else max(SHARE_ANY, SHARE_NEXT * float(np.exp(-farther / FALLOFF)))
+    )
     written = set()
     for row in buildings:  # "7 Lange Straße" is on Lange Straße
         names = (o.names[i] for i in o.name_values[o.name_starts[row] : o.name_starts[row + 1]])
@@ -347,7 +358,9 @@ def compare_address(city: CityMap, roads: NDArray[np.int64], corners: Floats) ->
     if not written:
         return StreetMatch(near, position)
     called = {" ".join(tokens(o.name(int(row)))) for row in roads}
-    return StreetMatch(WRITTEN if written & called else max(ANY, ASIDE * near), position)
+    return StreetMatch(
+        SHARE_ADDRESS if written & called else max(SHARE_ANY, SHARE_CORNER * near), position
+    )
 
 
 def _distance(city: CityMap, row: int, points: Floats) -> tuple[float, Floats]:
