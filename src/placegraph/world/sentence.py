@@ -266,7 +266,9 @@ def parse_sentence(
     if not towns and inside is not None:
         ignored = inside.ignored
     if sentence is not None:  # the other wing could use these
-        used = {_normalize(sentence.mentions[t].words) for s in sentence.statements for t in s.mentions}
+        used = {
+            _normalize(sentence.mentions[t].words) for s in sentence.statements for t in s.mentions
+        }
         ignored = tuple(i for i in ignored if _normalize(i.text) not in used)
     # names of scenes and buildings count wherever they are spoken (`evidence`)
     ignored = tuple(
