@@ -19,7 +19,6 @@ from placegraph.core.geometry import (
 from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render import (
     SAMPLES,
     Renderer,
@@ -160,29 +159,6 @@ def test_nothing_to_see(room):
         assert np.isnan(drawn.points).all()
         assert (drawn.objects == -1).all()
     assert low[0] < high[0]
-
-
-def test_own_tree_draws_what_embree_draws(room, walk, truth):
-    mesh = room.mesh.vertices, room.mesh.triangles
-    own, other = (
-        Renderer(room, caster=RayCaster(*mesh, backend=backend)) for backend in ("bvh", "auto")
-    )
-    for pose in truth(walk)[::3]:
-        a, b = own.render(pose, WIDE), other.render(pose, WIDE)
-        alike = a.triangles == b.triangles
-        assert alike.mean() > 0.998
-        np.testing.assert_allclose(a.depth[alike], b.depth[alike], rtol=1e-4)
-        off = np.abs(a.colour.astype(int) - b.colour)[alike].max(axis=-1)
-        assert (off <= 1).mean() > 0.995
-
-
-@pytest.mark.parametrize("size", [(1, 1), (3, 2), (4, 4), (5, 9)])
-def test_small_pictures(size):
-    camera = Camera(*size, 10.0, 10.0, size[0] / 2, size[1] / 2)
-    drawn = render(scene_of(WALL), looking(), camera, samples=16)
-    assert drawn.depth.shape == size[::-1]
-    np.testing.assert_allclose(drawn.depth, 3.0, rtol=1e-6)
-    assert (drawn.colour == 255).all()
 
 
 # --- colours ---

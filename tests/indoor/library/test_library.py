@@ -118,13 +118,6 @@ def test_what_cannot_be_saved(maps, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_link_to_itself_gives_way_to_a_library(folder, tmp_path):
-    target = tmp_path / "a.library"
-    target.symlink_to(target.name)
-    SceneLibrary.open(folder / "homes.library").save(target)
-    assert len(SceneLibrary.open(target)) == len(SceneLibrary.open(folder / "homes.library"))
-
-
 def test_another_encoder_is_refused(folder):
     with pytest.raises(MapError, match="was encoded by labels"):
         SceneLibrary.open(folder / "homes.library", encoders="appearance")
@@ -230,15 +223,6 @@ def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status
     film = rooms["study"].film(21, 8, depth=True, labels=None)
     estimate = library.localize(film, refine=False)
     assert (estimate.status, estimate.best.scene) == (Status.OK, "study")
-
-
-def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
-    merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
-    library = make_library({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
-    estimate = library.localize(rooms["study"].film(21, 8, depth=True), refine=False)
-    assert estimate.best.scene == "house/study"
-    walk = rooms["study"].walk(21, 8)
-    assert off(estimate, walk) < 0.1
 
 
 def test_a_building_is_searched_by_its_parts(maps, rooms):

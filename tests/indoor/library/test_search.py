@@ -4,14 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.indoor.library import SceneLibrary, SearchOptions, make_library, search
-from placegraph.indoor.library.search import WORDS, cluster_vectors, encode_frames, score_scenes
-from placegraph.indoor.library.signature import find_distinct
+from placegraph.indoor.library import SceneLibrary, SearchOptions, make_library
+from placegraph.indoor.library.search import WORDS, encode_frames, score_scenes
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of
@@ -165,31 +162,6 @@ def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
     found = library.search(film, options=SearchOptions(method="cosines"))
     assert {m.scene: m.score for m in found.modes} == dict(zip(library, got.tolist(), strict=True))
     assert (len(query.parts[0].words) > WORDS) == (name == "appearance")
-
-
-def test_the_papers_sum_of_a_large_library_is_made_in_parts(by_labels, rooms, monkeypatch):
-    query = encode_frames(list(rooms["parlour"].film(6, frames=3)), by_labels.encoders, exact=True)
-    paper = SearchOptions(method="cosines")
-    whole = score_scenes(by_labels.own_index, query, paper).total
-    monkeypatch.setattr(search, "_TABLE", 1)
-    np.testing.assert_allclose(
-        score_scenes(by_labels.own_index, query, paper).total, whole, atol=1e-9
-    )
-
-
-@given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
-def test_words_stand_for_their_vectors(count, kinds, seed):
-    rng = np.random.default_rng(seed)
-    table = rng.normal(size=(kinds, 8)).astype(np.float32)
-    table /= np.linalg.norm(table, axis=1, keepdims=True)
-    row = rng.integers(0, kinds, count)
-    words, word = cluster_vectors(table[row])
-    assert len(words) <= WORDS
-    if len(np.unique(row)) <= WORDS:
-        np.testing.assert_array_equal(words[word], table[row])
-    first, code = find_distinct(table[row])
-    np.testing.assert_array_equal(table[row][first][code], table[row])
 
 
 def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):

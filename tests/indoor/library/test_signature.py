@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import encoder
@@ -11,12 +9,9 @@ from placegraph.indoor.library.signature import (
     BANDS,
     MIN_PLACE_DISTANCE,
     TURNS,
-    choose_distant,
-    coarsen_panoramas,
     compute_signature,
     load_decoys,
 )
-from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 
 LABELS = encoder("labels")
 
@@ -43,30 +38,6 @@ def test_places_are_apart(maps):
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e3 * np.eye(len(places))
     assert gaps.min() >= MIN_PLACE_DISTANCE - 0.01
     assert len(places) > 3
-
-
-@given(st.integers(1, 60), st.integers(1, 12), st.integers(0, 2**32 - 1))
-def test_far_apart_rows_are_apart_and_cover(count, most, seed):
-    points = np.random.default_rng(seed).uniform(0, 6, (count, 2))
-    rows = choose_distant(points, most)
-    assert len(set(rows.tolist())) == len(rows) <= most
-    away = np.linalg.norm(points[:, None] - points[rows][None], axis=2)
-    if len(rows) < min(most, count):
-        assert away.min(axis=1).max() < MIN_PLACE_DISTANCE
-    between = np.linalg.norm(points[rows][:, None] - points[rows][None], axis=2)
-    assert (between + 9.0 * np.eye(len(rows)) >= MIN_PLACE_DISTANCE - 1e-9).all()
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
-def test_a_coarse_bin_is_what_most_rays_hit(seed, count):
-    objects = np.random.default_rng(seed).integers(0, count + 1, (2, ELEVATIONS, AZIMUTHS))
-    bins = coarsen_panoramas(objects.astype(np.uint16), count)
-    wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
-    for turn, band in ((0, 0), (5, BANDS - 1), (TURNS - 1, 1)):
-        azimuths = (np.arange(wide) - wide // 2 + turn * wide) % AZIMUTHS
-        rays = objects[1, band * high : (band + 1) * high][:, azimuths]
-        counts = np.bincount(rays.ravel(), minlength=count + 1)
-        assert counts[bins[1, band, turn]] == counts.max()
 
 
 def test_scenes_that_say_nothing_are_refused(maps):

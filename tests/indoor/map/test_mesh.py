@@ -1,7 +1,6 @@
 """The mesh: arrays that fit each other, colours of hits, coordinates in steps."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -246,35 +245,6 @@ def test_near_by_it_shows_what_the_mesh_shows(flat, rng):
     assert off.mean() < 0.005
     assert np.ptp(expected) > 200
     np.testing.assert_array_equal(surface.object_of, mesh.object_of)
-
-
-def test_a_texture_repeats_even_at_its_seams():
-    texture = np.arange(4 * 3).reshape(1, 4, 3) * 20
-    mesh = quad(texture, uv=1.0)
-    for shift in (0.0, -1e-9, 1.0 - 2**-24, -3.0, 1e4):
-        moved = replace(mesh, uv=np.full((4, 2), shift, np.float32))
-        column = 3 if -1e-3 < shift < 0 or 0.5 < shift < 1 else 0
-        colour = np.array(
-            sample_colour(Surface.of(moved), 0, np.float32(0.3), np.float32(0.3), 0.0)
-        )
-        np.testing.assert_allclose(colour * 255, texture[0, column], atol=0.01)
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (1, 1), (1, 16), (5, 7), (3, 100), (64, 32)])
-def test_levels_halve_down_to_one_texel(shape, rng):
-    texture = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
-    surface = Surface.of(quad(texture))
-    (levels,) = surface.levels
-    assert levels[0].tolist() == [0, shape[1], shape[0]]
-    assert levels[-1, 1:].tolist() == [1, 1]
-    for (first, w, h), (following, w2, h2) in pairwise(levels.tolist()):
-        assert following == first + w * h
-        assert (w2, h2) == (max(1, w // 2), max(1, h // 2))
-    assert len(surface.texels) == levels[-1, 0] + 1
-    np.testing.assert_array_equal(surface.texels[: texture.size // 3], texture.reshape(-1, 3))
-    # halves of odd sides weigh some texels twice
-    off = 0.5 * len(levels) if all(n & (n - 1) == 0 for n in shape) else 8
-    np.testing.assert_allclose(surface.texels[-1], texture.mean(axis=(0, 1)), atol=off)
 
 
 def test_what_stands_for_more_sees_more():

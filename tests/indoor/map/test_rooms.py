@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from placegraph.indoor.map.map_kernels import distance_transform
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import assign_rooms, find_rooms
 from placegraph_lab.worlds.flat.flat import Flat
@@ -209,21 +208,6 @@ def test_any_boxes_have_sane_rooms(corners, floor, boxes):
     assert found.room_of.max() < len(found)
     counted = np.bincount(found.cells[found.cells >= 0], minlength=len(found))
     assert counted * found.cell**2 == pytest.approx(found.areas)
-
-
-@given(arrays.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9))), st.integers(0, 12))
-def test_nearest_is_what_all_pairs_say(mask, reach):
-    squared, number = distance_transform(mask, reach)
-    marked = np.argwhere(mask)
-    for x, y in np.ndindex(mask.shape):
-        least = min(((x - u) ** 2 + (y - v) ** 2 for u, v in marked), default=1000)
-        if least > reach**2:
-            assert squared[x, y] == (reach + 1) ** 2
-            assert number[x, y] == -1
-        else:
-            u, v = divmod(int(number[x, y]), mask.shape[1])
-            assert mask[u, v]
-            assert squared[x, y] == least == (x - u) ** 2 + (y - v) ** 2
 
 
 def test_the_house_has_two_rooms_behind_its_folding_doors(house):

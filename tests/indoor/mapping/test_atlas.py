@@ -12,7 +12,7 @@ from placegraph.core.geometry import Camera
 from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas.bake import bake, pack
+from placegraph.indoor.mapping.atlas.bake import bake
 from placegraph.indoor.mapping.atlas.colours import (
     frame_colours,
     group_keyframes,
@@ -258,19 +258,6 @@ def test_the_same_again_on_any_number_of_threads(ball, colour_of):
             made.append(bake(ball, colour_of))
     assert (made[0].uv == made[1].uv).all()
     assert all((a == b).all() for a, b in zip(made[0].textures, made[1].textures, strict=True))
-
-
-@given(st.lists(st.tuples(st.integers(1, 128), st.integers(1, 128)), min_size=1, max_size=60))
-def test_rectangles_lie_on_pages_and_nowhere_twice(sizes):
-    page, places, pages = pack(np.array(sizes), 128, np.arange(len(sizes)))
-    taken = [np.zeros((h, w), int) for w, h in pages]
-    for (w, h), k, (x, y) in zip(sizes, page, places, strict=True):
-        assert x + w <= pages[k][0]
-        assert y + h <= pages[k][1]
-        taken[k][y : y + h, x : x + w] += 1
-    assert max(t.max() for t in taken) == 1
-    assert pages.max() <= 128
-    assert all(t.any() for t in taken)
 
 
 PHONE = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)

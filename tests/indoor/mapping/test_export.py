@@ -13,7 +13,6 @@ from placegraph.indoor.mapping.export import (
     MARK,
     export,
     list_losses,
-    make_path_lines,
     paint_vertices,
 )
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -193,15 +192,6 @@ def test_camera_paths_that_do_not_fit(tmp_path, way):
     with pytest.raises(OptionError, match="27"):
         export(scene, tmp_path / "a.json", camera_paths={str(k): way for k in range(27)})
     assert not list(tmp_path.iterdir())
-
-
-def test_a_way_is_drawn_with_pyramids_that_look_ahead(way):
-    lines = make_path_lines(way)
-    assert len(lines) == 4 + 5 * 8
-    assert lines[:4] == pytest.approx(np.stack([way[:-1, :3, 3], way[1:, :3, 3]], axis=1))
-    assert lines[4:, :, 2].max() > 0  # OpenCV's z looks forward
-    assert lines[4:, :, 2].min() == 0
-    assert len(make_path_lines(way[:1])) == 8
 
 
 def quad(texture, colours=255):

@@ -298,14 +298,6 @@ def test_slips_are_told_from_walks_and_turns():
 EYE = np.array([90.0, 90.0, 60.0, 45.0])
 
 
-def test_a_slanted_plane_is_no_edge():
-    frame, _ = plane_view(2.0, slope=1.2)
-    facets = compute_facets(frame.depth(), EYE, 9.0, True)
-    assert (facets[:, :-2, 4] > 0).all()  # the last two columns lack neighbours, far and steep
-    normal = np.array([-1.2, 0.0, 1.0]) / np.hypot(1, 1.2)
-    assert np.abs(facets[facets[..., 4] > 0][:, :3] - normal).max() < 1e-3
-
-
 def test_readings_between_two_surfaces_are_dropped():
     frame, _ = plane_view(1.0)
     depth = frame.depth().copy()

@@ -234,20 +234,6 @@ def test_a_giant_triangle_under_small_ones(caster):
     assert (hits.triangle[1:] == [len(triangles)] * 3 + [-1]).all()
 
 
-def test_a_million_small_triangles(caster, rng):
-    n = 708
-    x, y = (a.ravel() for a in np.meshgrid(np.arange(n) * 0.02, np.arange(n) * 0.02, indexing="ij"))
-    row = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (r.ravel() for r in (row[:-1, :-1], row[1:, :-1], row[:-1, 1:], row[1:, 1:]))
-    triangles = np.stack([a, b, c, b, d, c], axis=1).reshape(-1, 3)
-    assert len(triangles) > 999_000
-    hill = caster(np.stack([x, y, 0.1 * x + 0.3 * y], axis=1), triangles)
-    origins = np.column_stack([rng.uniform(0.1, 14, (3000, 2)), np.full(3000, 9.0)])
-    hits = hill.cast(origins, np.tile([0.0, 0.0, -2.0], (3000, 1)))
-    height = 0.1 * origins[:, 0] + 0.3 * origins[:, 1]
-    np.testing.assert_allclose(hits.distance, (9.0 - height) / 2.0, atol=1e-4)
-
-
 def test_rays_that_start_on_a_surface(caster, rng):
     room = caster(*box((0, 0, 0), (4, 4, 3)))
     origins = np.column_stack([rng.uniform(0.5, 3.5, (1000, 2)), np.zeros(1000)])

@@ -143,19 +143,10 @@ def add_log_likelihoods(evidence, bin_of, word, weight, logs):
 def score_paths(bins, steps, off, chosen, code, index):
     """Score a path in chosen units (C,): log of the mean likelihood over all its starts.
 
-    Parameters
-    ----------
-    bins
-        told (B, O + 1), what the patches of a bin of a frame say of each object in sight, and of none,
-        summed [nat]; its azimuth relative to the camera (B,), its elevation (B,), first bin of each
-        frame (T + 1,).
-    steps
-        (T, 3) x, y [m] and bins of yaw from the reference frame to each.
-    off
-        (T,) what a frame is taken to say of a place that is not mapped [nat].
-    code
-        (M,) column of each object.
-
+    `bins`: evidence (B, O + 1) of the patches of a bin of a frame for each object in sight, and for
+    none; its azimuth relative to the camera (B,), its elevation (B,), first bin of each frame (T + 1,).
+    `steps`: (T, 3) x, y [m] and bins of yaw from the reference frame; `off`: (T,) evidence of a frame
+    beyond the map; `code`: (M,) column of each object.
     """
     out = np.empty(len(chosen), np.float64)
     units = chosen, index.starts, code, index.panoramas, index.place_starts, index.places

@@ -549,26 +549,13 @@ def _find_root(parent, i):
 
 @kernel
 def flood_basins(width, order, least, narrow, door, narrow_door):
-    """Return basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
+    """Flood basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
 
-    Cells are neighbours by their sides: walls askew touch at corners.
-
-    Parameters
-    ----------
-    width
-        Distance to the nearest wall.
-    order
-        (M,) cells x ny + y to be flooded, widest first.
-    least
-        A basin whose widest place is narrower is none of its own.
-    narrow
-        Two basins stay apart if the pass between them is at most this share of the widest place of
-        the narrower one; `narrow_door` where the pass is as narrow as `door`.
-
-    Returns
-    -------
-    Basin of each cell, -1 where it was not flooded; basins that meet (C, 2), the widest pass first.
-
+    `order` (M,): cells x ny + y to be flooded, widest first; they are neighbours by their sides, since
+    walls askew touch at corners. Two basins stay apart where the widest place of each is at least
+    `least`, and the pass between them at most the share `narrow` of the narrower one's (`narrow_door`
+    where the pass is at most `door`). Returns the basin of each cell, -1: not flooded, and basins that
+    meet (C, 2), the widest pass first.
     """
     nx, ny = width.shape
     flat = width.reshape(-1)

@@ -449,21 +449,10 @@ def matches_label(query: str, label: str) -> bool:
 
 
 def find_related(graph: SceneGraph, subject: str, query: str, target: str) -> NDArray[np.int64]:
-    """Return pairs of things between which a relation holds, under whichever name an edge says so.
+    """Find pairs (K, 2) of rows between which a relation holds, under whichever name; sorted.
 
-    Parameters
-    ----------
-    graph
-        Scene graph whose edges are relations by our names or 3DSSG's.
-    subject, target
-        Labels, "sofa" and "plant"; empty for anything.
-    query
-        The relation of the subject to the target: "next to", "on top of", "under".
-
-    Returns
-    -------
-    (K, 2) int64 rows of subject and target, sorted, none twice.
-
+    `subject` and `target` are labels, "sofa" and "plant", or empty for anything; `query` is the
+    relation of the subject to the target: "next to", "on top of", "under".
     """
     wanted = interpret_relation(query)
     labels = dict.fromkeys(graph.labels)

@@ -152,12 +152,12 @@ def clean_model(
 
 
 def find_flat_triangles(
-    vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any], grain: float = GRAIN
+    vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any]
 ) -> NDArray[np.bool_]:
     """Find triangles (T,) without area once their corners are snapped, but for the last of an object."""
     flat = np.zeros(len(triangles), np.bool_)
     for part in iterate_slices(len(triangles)):
-        a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / grain), 1, 0)
+        a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / GRAIN), 1, 0)
         flat[part] = ~np.cross(b - a, c - a).any(axis=1)
     bare = np.setdiff1d(object_of, object_of[~flat])
     flat &= ~np.isin(object_of, bare)  # an object that is nothing but a line stays one

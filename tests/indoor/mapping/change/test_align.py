@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.core.geometry import rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.change.align import (
     find_touched,
     invert_rigid,
-    make_rigid,
     register,
     sample_surface,
     transform_points,
@@ -34,17 +32,8 @@ def test_an_upright_motion_is_found_again(tent, yaw, shift):
     truth = turn_about(tent.points.mean(axis=0), yaw, tent.points.mean(axis=0) + shift)
     source = transform_points(invert_rigid(truth), tent.points[::10])
     found = register(source, tent, np.eye(4), reach=0.4)
-    off = invert_rigid(truth) @ found.motion
+    off = invert_rigid(truth) @ found
     assert np.linalg.norm(transform_points(off, tent.points) - tent.points, axis=1).max() < 0.02
-    assert found.share > 0.95
-    assert found.rms < 0.02
-
-
-def test_a_tilt_is_found_where_it_is_allowed(tent):
-    truth = make_rigid(rotation_from_vector([0.06, -0.05, 0.04]), np.array([0.02, 0.0, 0.03]))
-    source = transform_points(invert_rigid(truth), tent.points[::10])
-    found = register(source, tent, np.eye(4), reach=0.4, upright=False)
-    np.testing.assert_allclose(found.motion, truth, atol=0.01)
 
 
 def test_a_plane_is_not_slid_along_itself():
@@ -52,8 +41,8 @@ def test_a_plane_is_not_slid_along_itself():
     points = sample_surface(wall, np.arange(2), 2000, np.random.default_rng(0))
     source = points.points[points.points[:, 0] < 2.0] + (0.5, 0.05, 0.0)
     found = register(source, points, np.eye(4), reach=0.3)
-    assert abs(found.motion[0, 3]) < 0.01
-    assert found.motion[1, 3] == pytest.approx(-0.05, abs=5e-3)
+    assert abs(found[0, 3]) < 0.01
+    assert found[1, 3] == pytest.approx(-0.05, abs=5e-3)
 
 
 def test_samples_lie_on_their_triangles_and_touch_them(tent):

@@ -21,13 +21,15 @@ from numpy.random import Generator
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping.change.align import (
-    Registration,
+    SurfaceSamples,
     register,
     sample_surface,
+    transform_points,
     turn_about,
 )
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
@@ -60,7 +62,7 @@ def register_scans(map_: SceneMap, query: SceneMap, rng: Generator) -> Floats | 
         sample_surface(query.mesh, everything[1], n, rng).points for n in (_FINE, _COARSE)
     )
     middle, goal = _middle(source), _middle(target.points)
-    found: list[Registration] = []
+    fits: list[tuple[float, Floats]] = []
     for turn in range(4):
         starts = (
             turn_about(middle, turn * np.pi / 2, goal + np.array([x, y, 0.0]))
@@ -69,13 +71,20 @@ def register_scans(map_: SceneMap, query: SceneMap, rng: Generator) -> Floats | 
         )
         best = max(
             (register(few, rough, start, reach=_REACH, within=_COARSE_WITHIN) for start in starts),
-            key=lambda fit: fit.share,
+            key=lambda motion: _measure_fit(few, rough, motion, _COARSE_WITHIN),
         )
-        found.append(register(source, target, best.motion, reach=2 * _COARSE_WITHIN, within=WITHIN))
-    first, second = sorted(found, key=lambda fit: -fit.share)[:2]
-    if first.share < LEAST or first.share - second.share < LEAD:
-        return None
-    return first.motion
+        motion = register(source, target, best, reach=2 * _COARSE_WITHIN, within=WITHIN)
+        fits.append((_measure_fit(source, target, motion, WITHIN), motion))
+    (share, motion), (second, _) = sorted(fits, key=lambda fit: -fit[0])[:2]
+    return None if share < LEAST or share - second < LEAD else motion
+
+
+def _measure_fit(source: Floats, target: SurfaceSamples, motion: Floats, within: float) -> float:
+    """Measure the share of the points (N, 3) that `motion` brings within `within` of the surface."""
+    points = transform_points(motion, source)
+    rows = nearest(points, target.points, 2.0 * within)
+    off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])
+    return float(np.mean((rows >= 0) & (np.abs(off) < within)))
 
 
 def _middle(points: Floats) -> Floats:

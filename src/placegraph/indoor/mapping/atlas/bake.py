@@ -317,18 +317,8 @@ def _split_vertices(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[B
 def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, Ints]:
     """Pack rectangles (R, 2) width, height on pages no longer than `largest`.
 
-    Of one height, those of like `shade` (R,) lie side by side: in a coarse copy of the page, whose
-    texels are wider than gutters, a chart then mixes with its like.
-
-    Returns
-    -------
-    page
-        (R,) page of each.
-    places
-        (R, 2) x, y of its first corner.
-    pages
-        (K, 2) width and height of the pages.
-
+    Returns the page (R,) and corner (R, 2) of each, and sizes (K, 2) of the pages. Rectangles of one
+    height lie beside those of like `shade` (R,): coarse copies of a page mix neighbours.
     """
     room = -(-sizes // GRAIN) * GRAIN
     order = np.lexsort((shade, -room[:, 1]))
@@ -421,24 +411,10 @@ def bake(
 ) -> Mesh:
     """Bake the colours of a mesh into a texture atlas; triangles stay.
 
-    Charts of similar normal are laid flat, coloured by `colour_of` at every texel, made as coarse as
-    their content allows, and packed on pages. Charts of one colour take a few texels that many
-    share, so that blank walls cost nothing. What nobody saw looks like what is next to it.
-
-    Parameters
-    ----------
-    mesh
-        Triangles with shared vertices; its own colours and textures are not looked at. Triangles,
-        their order and their objects stay; vertices are doubled where charts meet.
-    colour_of
-        `mesh_colours` or `frame_colours`.
-    texel
-        Width of a texel [m].
-    largest
-        Longest side of a page [texels].
-    tolerance
-        What coarser charts may differ from the samples [of 255]; 0 keeps every texel.
-
+    Charts of similar normal are laid flat, coloured by `colour_of` at every texel of `texel` [m],
+    made as coarse as their content allows (within `tolerance` of 255), and packed on pages of at most
+    `largest` texels a side. Charts of one colour share a few texels, so that blank walls cost
+    nothing. Unseen parts look like their neighbours. Vertices are doubled where charts meet.
     """
     if not len(mesh):
         return mesh

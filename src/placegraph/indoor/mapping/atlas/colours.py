@@ -228,26 +228,11 @@ def frame_colours(
 
     Of frames taken from nearly one place the sharpest is kept. A texel looks at those that see it
     near, frontal, away from the image's border and from edges of depth, and not behind something
-    else: nearer than the frame's depth, or than the mesh where there is none. Of the five best,
-    those that agree are mixed. Before that, each frame's exposure is solved for, a channel at a
-    time, over what frames share.
+    nearer than the frame's depth, or than the mesh where there is none. Of the five best, those that
+    agree are mixed. Before that, each frame's exposure is solved for over what frames share.
 
-    Parameters
-    ----------
-    frames
-        With colour, optionally depth; their images may be of several sizes.
-    poses
-        (T, 4, 4) map_from_camera of the frames [m].
-    vertices, triangles
-        (V, 3) [m] and (T, 3): the surface, the denser the better.
-    progress
-        Called with frames read and all frames.
-
-    Raises
-    ------
-    InputError
-        An image cannot be read.
-
+    `poses`: (T, 4, 4) map_from_camera [m]; `progress` gets frames read and all frames. Raises
+    `InputError` where an image cannot be read.
     """
     caster = RayCaster(vertices, triangles)
     groups = group_keyframes(poses, VIEWS)

@@ -78,33 +78,12 @@ def sample_surface(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Registration:
-    """Motion that brings points onto a surface, and how well it fits."""
-
-    motion: Floats  # (4, 4) target_from_source
-    share: float  # Of the source's points that lie within the reach asked for of the target
-    rms: float  # Of their distances [m]; infinite where there are none
-
-
 def register(
-    source: Floats, target: SurfaceSamples, start: Floats, *, reach: float, upright: bool = True,
-    within: float = 0.03,
-) -> Registration:  # fmt: skip
-    """Find the motion (4, 4) target_from_source near `start` that brings points (N, 3) onto a surface.
+    source: Floats, target: SurfaceSamples, start: Floats, *, reach: float, within: float = 0.03
+) -> Floats:
+    """Find the upright motion (4, 4) near `start` that brings points (N, 3) onto a surface.
 
-    Parameters
-    ----------
-    source, target
-        Points, and the surface they belong to.
-    start
-        (4, 4) where to begin.
-    reach
-        Farthest that a point may be from the surface at first [m]; it shrinks to `within`.
-    upright
-        Turn about z alone.
-    within
-        What counts as fitting [m].
+    ICP, point to plane: points farther than `reach` [m] are left out; it shrinks to twice `within`.
     """
     motion = np.array(start, np.float64)
     limit = reach
@@ -114,20 +93,13 @@ def register(
         close = rows >= 0
         if np.count_nonzero(close) < 6:
             break
-        step = _step(
-            points[close], target.points[rows[close]], target.normals[rows[close]], upright
-        )
+        step = _step(points[close], target.points[rows[close]], target.normals[rows[close]])
         motion = step @ motion
         size = max(float(np.abs(step[:3, 3]).max()), float(np.abs(step[:3, :3] - np.eye(3)).max()))
         if size < _STILL and limit <= 2 * within:
             break
         limit = max(2 * within, 0.8 * limit)
-    points = transform_points(motion, source)
-    rows = nearest(points, target.points, 2.0 * within)
-    off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])
-    close = (rows >= 0) & (np.abs(off) < within)
-    rms = float(np.sqrt(np.mean(off[close] ** 2))) if close.any() else np.inf
-    return Registration(motion, float(close.mean()) if len(close) else 0.0, rms)
+    return motion
 
 
 def find_touched(
@@ -145,12 +117,11 @@ def find_touched(
     return found[0], found[1]
 
 
-def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Floats:
+def _step(points: Floats, onto: Floats, normals: Floats) -> Floats:
     """Compute a small motion (4, 4) by least squares of distances along the normals."""
     middle = points.mean(axis=0)
     arm = np.cross(points - middle, normals)
-    turns = arm[:, 2:] if upright else arm
-    jacobian = np.concatenate([normals, turns], axis=1)
+    jacobian = np.concatenate([normals, arm[:, 2:]], axis=1)
     error = np.einsum("nk,nk->n", onto - points, normals)
     weight = 1.0 / (1.0 + (error / max(float(np.median(np.abs(error))) * 3.0, 1e-4)) ** 2)
     information = jacobian.T @ (jacobian * weight[:, None])
@@ -158,8 +129,7 @@ def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Float
     known = values > _SLIDES * values[-1]
     right = axes.T @ (jacobian.T @ (weight * error))
     solved = axes[:, known] @ (right[known] / values[known])
-    vector = np.array([0.0, 0.0, solved[3]]) if upright else solved[3:]
-    rotation = rotation_from_vector(vector)
+    rotation = rotation_from_vector(np.array([0.0, 0.0, solved[3]]))
     return make_rigid(rotation, solved[:3] + middle - rotation @ middle)
 
 
@@ -243,10 +213,10 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
         if share > best + 0.02:  # of starts as good as each other the first: the axes as they are
             best, motion = share, start
     # from the map that shows less no point is drawn to a surface that it does not show
-    forth = register(ours.points, theirs, motion, reach=_COARSE, within=options.within).motion
+    forth = register(ours.points, theirs, motion, reach=_COARSE, within=options.within)
     back = register(theirs.points, ours, invert_rigid(motion), reach=_COARSE, within=options.within)
     found = max(
-        (forth, invert_rigid(back.motion), motion),
+        (forth, invert_rigid(back), motion),
         key=lambda m: _measure_overlap(a, b, ours, theirs, m, _FINE * options.within),
     )
     share = _measure_overlap(a, b, ours, theirs, found, options.within)

@@ -177,11 +177,11 @@ def fit_motion(
             ours.surface.points, theirs.surface, guess, reach=reach, within=options.within
         )
         both = 0.5 * (
-            _measure_share(ours.surface, theirs, there.motion, options.within)
-            + _measure_share(theirs.surface, ours, invert_rigid(there.motion), options.within)
+            _measure_share(ours.surface, theirs, there, options.within)
+            + _measure_share(theirs.surface, ours, invert_rigid(there), options.within)
         )
         if best is None or both > best[0] + 0.03:
-            best = both, there.motion
+            best = both, there
     if best is None:
         return Motion(np.eye(4), 0.0, 0.0)
     colour = 1.0 - float(np.abs(ours.colour - theirs.colour).max())
@@ -199,16 +199,9 @@ def match_ids(
 ) -> dict[int, int]:
     """Match objects by their ids: rows of theirs by rows of ours; empty where ids say nothing.
 
-    They do where most are shared, with labels that agree. Numbers agree by chance: what has a
-    label is to be of one size as well, and what has none is to lie where its counterpart does.
-
-    Parameters
-    ----------
-    ours, theirs
-        N and M objects.
-    on_theirs, on_ours
-        (N, M) and (M, N) shares of their points that lie on each other.
-
+    Ids count where most are shared, with labels that agree. Numbers agree by chance: objects with a
+    label are to be of one size as well, others to lie on each other by their shares `on_theirs` (N, M)
+    and `on_ours` (M, N).
     """
     row_of = {body.id: j for j, body in enumerate(theirs)}
     shared = {i: row_of[body.id] for i, body in enumerate(ours) if body.id in row_of}

@@ -292,7 +292,7 @@ def find_placements(
             continue
         begin = invert_rigid(turn_about(movable.middle, start[3], start[:3]))
         back = register(every[near], movable.many, begin, reach=0.15, within=0.03)
-        found.append(score_placement(unexplained, movable, invert_rigid(back.motion)))
+        found.append(score_placement(unexplained, movable, invert_rigid(back)))
     found.sort(key=lambda p: -p.score)
     return [_refine_placement(unexplained, movable, every, found[0]), *found[1:]] if found else []
 
@@ -310,7 +310,7 @@ def _refine_placement(
         if np.count_nonzero(near) < _LEAST_POINTS:
             continue
         fitted = register(every[near], movable.many, invert_rigid(start), reach=0.08, within=0.03)
-        motion = invert_rigid(fitted.motion)
+        motion = invert_rigid(fitted)
         tried = [motion]
         if abs(motion[2, 3]) < _LIFT:  # what stood on the floor does so still
             level = motion.copy()
