@@ -413,5 +413,7 @@ def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):
 
 @pytest.mark.parametrize("how", [{"capture": FromCapture()}, {"reader": {"groups": "o"}}])
 def test_options_of_other_sources_are_refused(how, ply):
-    with pytest.raises(OptionError, match=r"room\.ply is no capture|groups: no option of \.ply"):
+    with pytest.raises(
+        OptionError, match=r"room\.ply is no capture|groups: not an option of \.ply"
+    ):
         build_scene(ply, None, **how)

@@ -19,7 +19,7 @@ from placegraph.core.geometry import Floats, rotation_z
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.pose.window import Progress
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.capture import Capture, with_poses
+from placegraph.io.capture.capture import Capture, replace_poses
 from placegraph.io.capture.fixes import FILE, Fix, fixes_of
 from placegraph.world.outlines import Footprint
 
@@ -327,7 +327,7 @@ def _find_poses(
 ) -> tuple[Mapping[int, Floats], str]:
     """Return the pose (4, 4) in the map of each frame, by its row, and how the poses are known."""
     file = None if capture.path is None else capture.path / "trajectory.tum"
-    posed = [] if file is None or not file.exists() else [with_poses(capture, file)]
+    posed = [] if file is None or not file.exists() else [replace_poses(capture, file)]
     for known in (*posed, capture) if len(scene.viewpoints) >= _MIN_VIEWPOINTS else ():
         at = np.array([frame.odometry[:3, 3] for frame in known])
         away = np.linalg.norm(scene.viewpoints[:, None] - at[None], axis=2).min(axis=1)

@@ -77,7 +77,7 @@ def test_build_options(run, ply, tmp_path):
           for option in (["--frames", "1:2"], ["--voxel", "0.1"], ["--poses", "odometry"])),
         (["--landmarks"], 7, ["room.ply is no capture: landmarks can only be used"]),
         (["--reader", "x"], 7, ["--reader", "name=value"]),
-        (["--reader", "x=1"], 7, ["x: no option of .ply"]), (["--floor", "nan"], 7, ["floor"]),
+        (["--reader", "x=1"], 7, ["x: not an option of .ply"]), (["--floor", "nan"], 7, ["floor"]),
     ],
 )  # fmt: skip
 def test_build_refuses(options, code, words, run, ply, tmp_path):

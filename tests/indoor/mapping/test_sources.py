@@ -7,11 +7,11 @@ import pytest
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.mapping import sources
 from placegraph.indoor.mapping.export import export
-from placegraph.indoor.mapping.sources import ReadOptions, read_source, source_kinds
+from placegraph.indoor.mapping.sources import ReadOptions, read_source, source_formats
 
 
 def test_what_tells_little_is_asked_last():
-    kinds = source_kinds()
+    kinds = source_formats()
     assert [kind.ending for kind in kinds[:3]] == [".glb", ".gltf", ".obj"]
     assert kinds[-1].ending == ".ply"
     assert {kind.verb for kind in kinds if kind.is_graph} == {"spark_dsg", "conceptgraphs"}
@@ -19,7 +19,7 @@ def test_what_tells_little_is_asked_last():
 
 def test_without_its_plugin_a_folder_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "plugins", lambda _: {})
-    assert [kind.ending for kind in source_kinds()] == [".glb", ".gltf", ".obj", ".ply"]
+    assert [kind.ending for kind in source_formats()] == [".glb", ".gltf", ".obj", ".ply"]
     (tmp_path / "graph.json").write_text("{}")
     for path in (tmp_path, tmp_path / "graph.json"):
         with pytest.raises(InputError, match=r"placegraph\[io\]"):

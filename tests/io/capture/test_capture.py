@@ -8,7 +8,7 @@ import pytest
 import placegraph as pg
 from placegraph.core.plugins import plugins
 from placegraph.errors import InputError, MissingExtraError, OptionError
-from placegraph.io.capture.capture import capture_formats, format_of, is_capture, open_capture
+from placegraph.io.capture.capture import capture_formats, find_format, is_capture, open_capture
 from placegraph.io.capture.tum import read_tum, write_tum
 
 
@@ -96,7 +96,7 @@ def test_what_is_known_is_listed(tmp_path):
 
 def test_formats_are_told_by_what_lies_there(walk, tmp_path):
     (walk / "preview.mp4").touch()
-    assert format_of(walk).name == "capture folder"
+    assert find_format(walk).name == "capture folder"
     assert is_capture(walk)
     for name, files in {
         "TUM RGB-D": ("rgb.txt", "depth.txt"), "Stray Scanner": ("odometry.csv", "camera_matrix.csv"),
@@ -110,7 +110,7 @@ def test_formats_are_told_by_what_lies_there(walk, tmp_path):
         for file in files:
             (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / name / file).touch()
-        assert format_of(tmp_path / name).name == name
+        assert find_format(tmp_path / name).name == name
         with pytest.raises(InputError, match=str(tmp_path / name)):  # empty files, all of them
             open_capture(tmp_path / name)
 

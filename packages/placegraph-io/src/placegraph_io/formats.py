@@ -1,8 +1,8 @@
-"""Formats of captures that placegraph-io reads, in the order in which they are asked."""
+"""Formats of captures that placegraph-io reads, in the order in which they are tried."""
 
 from __future__ import annotations
 
-from placegraph.io.capture.capture import Format
+from placegraph.io.formats import Format
 
 FORMATS = (
     Format(

@@ -19,7 +19,7 @@ from placegraph.indoor.map.floor import find_floor_height
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Landmarks
 from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS
-from placegraph.io.capture.capture import Capture, format_of
+from placegraph.io.capture.capture import Capture, load_capture
 from placegraph.io.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tu
 def _open_capture(
     path: Path, how: FromCapture, poses: str | PathLike[str] | None, reader: Mapping[str, Any]
 ) -> Capture:
-    capture = format_of(path).open(path, {"poses": poses, **reader})[how.frames]
+    capture = load_capture(path, {"poses": poses, **reader})[how.frames]
     if not len(capture):
         raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
     if capture.depth_camera is None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from importlib import import_module
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from placegraph.indoor.mapping.osm import read_rooms
 from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import label_table
+from placegraph.io.formats import Format
 from placegraph.io.mesh.model import Model, Thing
 from placegraph.io.osm.indoor_osm import is_indoor_osm
 
@@ -34,57 +34,28 @@ Up = Literal["auto", "y", "z"]
 _FEW = 1000  # triangles: one object of fewer is meant to be one
 
 
-class SourceKind(NamedTuple):
-    """Kind of source that is a labelled mesh already."""
-
-    holds: str  # What it is recognized by, for the user
-    module: str  # Module with `read_X`, and with `is_X` where no ending tells
-    verb: str  # X
-    ending: str = ""
-    takes: tuple[str, ...] = ()
-    """Options that its reader takes of those that all sources share: up, table, object_property."""
-    own: tuple[str, ...] = ()  # Options of its reader alone
-    is_graph: bool = False  # Whether it is another program's scene graph
-
-    def recognizes(self, path: Path) -> bool:
-        """Return whether a path looks like it."""
-        if self.ending:
-            return path.suffix.lower() == self.ending
-        return bool(getattr(import_module(self.module), f"is_{self.verb}")(path))
-
-    def read(self, path: Path, options: Mapping[str, Any]) -> Model:
-        """Read the model of a path; raises `OptionError` for options of other kinds."""
-        strange = set(options) - {"up", "table", "object_property", *self.own}
-        if strange:
-            known = f"it has {', '.join(self.own)}" if self.own else "it has none of its own"
-            raise OptionError(f"{', '.join(sorted(strange))}: no option of {self.holds}; {known}.")
-        given = {k: v for k, v in options.items() if k in self.takes or k in self.own}
-        model: Model = getattr(import_module(self.module), f"read_{self.verb}")(path, **given)
-        return model
-
-
+_SHARED = ("up", "table", "object_property")
+"""Options of `build_scene` that readers need not take."""
 _MESHES = (
-    SourceKind(".glb", "placegraph.io.mesh.gltf", "glb", ".glb", ("up",)),
-    SourceKind(".gltf", "placegraph.io.mesh.gltf", "glb", ".gltf", ("up",)),
-    SourceKind(".obj", "placegraph.io.mesh.obj", "obj", ".obj", ("up", "table"), ("groups",)),
+    Format(".glb", "", "placegraph.io.mesh.gltf", "glb", ("up",), ".glb"),
+    Format(".gltf", "", "placegraph.io.mesh.gltf", "glb", ("up",), ".gltf"),
+    Format(".obj", "", "placegraph.io.mesh.obj", "obj", ("up", "table", "groups"), ".obj"),
 )
-_PLY = SourceKind(
-    ".ply", "placegraph.io.mesh.ply", "ply", ".ply", ("up", "table", "object_property")
-)
+_PLY = Format(".ply", "", "placegraph.io.mesh.ply", "ply", _SHARED, ".ply")
 
 
-def source_kinds() -> tuple[SourceKind, ...]:
-    """Return all kinds, plugins' included, in the order in which they are asked.
+def source_formats() -> tuple[Format, ...]:
+    """Return all formats of labelled meshes, plugins' included, in the order in which they are tried.
 
-    An ending that many kinds share tells little: .ply comes last.
+    Data sets also use .ply, which comes last.
     """
-    brought = (kind for point in plugins(SOURCES).values() for kind in point.load())
-    return (*_MESHES, *brought, _PLY)
+    added = (format_ for point in plugins(SOURCES).values() for format_ in point.load())
+    return (*_MESHES, *added, _PLY)
 
 
 def is_scene_graph(path: Path) -> bool:
     """Return whether another program's scene graph lies there."""
-    return any(kind.is_graph and kind.recognizes(path) for kind in source_kinds())
+    return any(f.is_graph and f.matches(path) for f in source_formats())
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +88,7 @@ def read_source(
     path = Path(path)
     if is_indoor_osm(path):
         return read_rooms(path, options.reader, left_out)
-    kind = next((k for k in source_kinds() if k.recognizes(path)), None)
+    kind = next((f for f in source_formats() if f.matches(path)), None)
     if kind is None and not is_capture(path):
         raise InputError(_describe_unknown(path))
     table = None
@@ -151,7 +122,7 @@ def read_source(
     # glTF is y-up, all others are z-up
     axis = options.up if options.up != "auto" else "y" if kind.verb == "glb" else "z"
     shared_options = {"up": axis, "object_property": options.object_property, "table": table}
-    model = kind.read(path, shared_options | dict(options.reader))
+    model: Model = kind.read(path, shared_options | dict(options.reader), _SHARED)
     left_out.update(model.left_out)
     alone = len(model.things) == 1 and model.things[0].label == UNKNOWN
     nameless = options.segment == "auto" and alone and len(model.triangles) > _FEW
@@ -215,7 +186,5 @@ def _describe_unknown(path: Path) -> str:
             " Data sets and other programs' scene graphs are read by placegraph-io, which is not "
             "installed; `pip install 'placegraph[io]'` brings it."
         )
-    kinds = [kind.holds for kind in source_kinds()] + [
-        f"{f.name} ({f.holds})" for f in capture_formats()
-    ]
-    return f"{path} {what}; a scene is built from {'; '.join(kinds)}.{mend}"
+    known = "; ".join(map(str, (*source_formats(), *capture_formats())))
+    return f"{path} {what}; a scene is built from {known}.{mend}"

@@ -1,9 +1,4 @@
-"""Opening captures: the formats that `open_capture` knows, and how each is recognized.
-
-A reader's module has `is_X(path)`, which looks at names alone and never raises, and
-`read_X(path, ...)`, which returns a `Capture`. Modules are imported where they are needed; what they
-read looks like `docs/formats.md` says.
-"""
+"""Opening captures of all recorders (`docs/formats.md`)."""
 
 from __future__ import annotations
 
@@ -11,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -31,6 +25,7 @@ from placegraph.io.capture.frame import (
 )
 from placegraph.io.capture.posed import SAME_MOMENT, nearest_stamps
 from placegraph.io.capture.tum import read_tum
+from placegraph.io.formats import Format
 
 __all__ = ["ArrayImages", "Capture", "Frame", "LabelKind", "open_capture"]
 
@@ -44,99 +39,64 @@ def open_capture(
     up: ArrayLike | None = None,
     topics: Mapping[str, Any] | None = None,
 ) -> Capture:
-    """Open a capture, whoever recorded it; images are read when they are asked for.
+    """Open a capture of any known recorder; images are read when they are needed.
 
     Parameters
     ----------
     path
-        A capture folder: `rgb/`, `camera.json`, `odometry.tum`, and optionally `depth/`,
-        `instances/` or `labels/` with `labels.json`, and `gravity.txt` (without which gravity is
-        -z of the odometry's frame, which must then be gravity-aligned). Or what another recorder
-        wrote: `capture_formats` lists them.
+        Capture folder: `rgb/`, `camera.json`, `odometry.tum`, and optionally `depth/`, `instances/`
+        or `labels/` with `labels.json`, and `gravity.txt`. Without `gravity.txt`, gravity is -z of the
+        odometry's frame. Or a capture of another recorder; `capture_formats` lists them.
     labels
-        Of capture folders: which labels to use; "auto" takes `instances/`, else `labels/`, else
-        none.
+        Labels of a capture folder: "auto" takes `instances/`, else `labels/`, else none.
     poses
-        Where the poses come from: None or "odometry": the recorder's own. "trajectory":
-        `trajectory.tum` in the folder, the truth, which nothing that localizes may see; for making
-        maps. Else a file in TUM's format, z up, OpenCV's camera axes, whose rows belong to the
-        images in order, if there are as many, or else to those of the same stamps (to 20 ms).
+        Source of the poses. None or "odometry": the recorder's own. "trajectory": the ground truth
+        `trajectory.tum`, for building maps, never for localizing. Or a file in TUM's format, z up,
+        OpenCV's camera axes; its rows belong to the images in order if there are as many, else to
+        images of the same stamps (within 20 ms).
     scale
-        Of COLMAP models and `transforms.json`: metres in a unit of the model; estimated from depth
+        For COLMAP models and `transforms.json`: metres in a unit of the model; estimated from depth
         if not given.
     up
-        Of COLMAP models and `transforms.json`: (3,) direction of up; estimated if not given.
+        For COLMAP models and `transforms.json`: (3,) direction of up; estimated if not given.
     topics
-        Of bags of ROS: topics, frames and intrinsics by their role, over what `BAG.json` beside the
-        bag says; `docs/howto-bags.md`. Found by type if not given.
+        For ROS bags: topics, frames and intrinsics by role, overriding `BAG.json` beside the bag
+        (`docs/howto-bags.md`); found by type if not given.
 
     Raises
     ------
     InputError
-        Nothing known lies there; a file is missing, unreadable, or not what it should be; rows and
-        images differ in number.
+        The format is unknown; a file is missing, unreadable or malformed; rows and images differ in
+        number.
     OptionError
-        `labels` is none of its values; an option is not one of that recorder's.
+        `labels` is none of its values; the recorder has no such option.
     MissingExtraError
-        What would decode its images is not installed.
+        A decoder of its images is not installed.
 
     """
     if labels not in {"auto", "labels", "instances", None}:
         raise OptionError(f"labels is {labels!r}; it is 'auto', 'labels', 'instances' or None.")
-    given: dict[str, Any] = {
-        name: value
-        for name, value in {"poses": poses, "scale": scale, "up": up, "topics": topics}.items()
-        if value is not None
-    }
-    return format_of(Path(path)).open(Path(path), given | {"labels": labels})
+    options = {"poses": poses, "scale": scale, "up": up, "topics": topics}
+    given = {name: value for name, value in options.items() if value is not None}
+    return load_capture(Path(path), given | {"labels": labels})
 
 
-class Format(NamedTuple):
-    """How one recorder's captures are told and read."""
-
-    name: str
-    """Of the recorder."""
-    holds: str
-    """What it is told by, for the user."""
-    module: str
-    """Of `placegraph.io`."""
-    verb: str
-    """X of its `is_X` and `read_X`."""
-    takes: tuple[str, ...] = ()
-    """Options of `open_capture` that its reader takes; `poses` else is left to `with_poses`."""
-    rank: int = 0
-    """Formats of a lower rank are asked first: those whose files no other format has."""
-
-    def fits(self, path: Path) -> bool:
-        """Return whether a path looks like one of this recorder's captures."""
-        try:
-            return bool(getattr(self._module(), f"is_{self.verb}")(path))
-        except OSError:  # no leave to look there
-            return False
-
-    def open(self, path: Path, options: dict[str, Any]) -> Capture:
-        """Read a capture; `OptionError` where the recorder has no such option."""
-        poses = options.get("poses")
-        given = {name: value for name, value in options.items() if name in self.takes}
-        idle = set(options) - set(given) - {"poses"}
-        if options.get("labels") in {"auto", None}:
-            idle.discard("labels")
-        if idle:
-            raise OptionError(f"{', '.join(sorted(idle))}: not an option of {self.name}.")
-        if poses is None or poses == "odometry":
-            given.pop("poses", None)
-            return self._read(path, given)
-        file = path / "trajectory.tum" if poses == "trajectory" else Path(poses)
-        if "poses" in self.takes:
-            return self._read(path, given | {"poses": file})
-        return with_poses(self._read(path, given), file)
-
-    def _read(self, path: Path, given: dict[str, Any]) -> Capture:
-        capture: Capture = getattr(self._module(), f"read_{self.verb}")(path, **given)
+def load_capture(path: Path, options: Mapping[str, Any]) -> Capture:
+    """Read a capture with options of its recorder's reader; raises as `open_capture`."""
+    format_ = find_format(path)
+    if isinstance(format_, AbsentFormat):
+        raise missing_extra(f"A reader of {path}", "io")
+    options = dict(options)
+    poses = options.pop("poses", None)
+    ignored = ("labels",) if options.get("labels") in {"auto", None} else ()
+    if poses in {None, "odometry"}:
+        own: Capture = format_.read(path, options, ignored)
+        return own
+    file = path / "trajectory.tum" if poses == "trajectory" else Path(poses)
+    if "poses" in format_.takes:
+        capture: Capture = format_.read(path, options | {"poses": file}, ignored)
         return capture
-
-    def _module(self) -> Any:  # noqa: ANN401  # a module
-        return import_module(self.module)
+    return replace_poses(format_.read(path, options, ignored), file)
 
 
 _OWN = (
@@ -165,63 +125,61 @@ _ELSEWHERE = {
     ),
     3: ("*.mcap", "*.db3", "*.bag", "*.mcap.zstd", "*.db3.zstd"),
 }  # fmt: skip
-"""Files, or what a folder has, by which formats of the extra `io` are recognized, by their rank."""
+"""Files, or files in a folder, of the formats that the extra `io` reads, by rank."""
 
 
 class AbsentFormat(NamedTuple):
-    """Formats that a distribution which is not installed would read."""
+    """Formats of a plugin that is not installed."""
 
     rank: int
     name: str = "captures of other recorders, data sets and bags"
-    holds: str = "install the extra `io` for them"
 
-    def fits(self, path: Path) -> bool:
-        """Return whether a path looks like one of them."""
+    def __str__(self) -> str:
+        return f"{self.name} (install the extra `io` for them)"
+
+    def matches(self, path: Path) -> bool:
+        """Return whether a path looks like one of these formats."""
         patterns = _ELSEWHERE[self.rank]
         try:
             if path.is_dir():
                 return any(next(path.glob(pattern), None) is not None for pattern in patterns)
             return any(path.match(pattern) for pattern in patterns)
-        except OSError:  # no leave to look there
+        except OSError:  # the path may not be read
             return False
-
-    def open(self, path: Path, options: dict[str, Any]) -> Capture:  # noqa: ARG002  # as `Format.open`
-        """Raise `MissingExtraError`, which names the extra."""
-        raise missing_extra(f"A reader of {path}", "io")
 
 
 @cache
 def capture_formats() -> tuple[Format | AbsentFormat, ...]:
-    """Return all formats, plugins' included, in the order in which they are asked."""
+    """Return all formats of captures, plugins' included, in the order in which they are tried."""
     points = plugins(CAPTURES)
-    found: list[Format | AbsentFormat] = [f for point in points.values() for f in point.load()]
+    formats: list[Format | AbsentFormat] = [f for point in points.values() for f in point.load()]
     if "io" not in points:
-        found += [AbsentFormat(rank) for rank in _ELSEWHERE]
-    return tuple(sorted([*found, *_OWN], key=lambda format_: format_.rank))
+        formats += [AbsentFormat(rank) for rank in _ELSEWHERE]
+    return tuple(sorted([*formats, *_OWN], key=lambda format_: format_.rank))
 
 
-def format_of(path: Path) -> Format | AbsentFormat:
-    """Return the format of a capture; raise `InputError`, which lists what is known, where none fits."""
+def find_format(path: Path) -> Format | AbsentFormat:
+    """Return the format of a capture; `InputError`, which lists all formats, where none matches."""
     if not path.exists():
         raise InputError(f"{path} does not exist; a capture is a folder that a recorder wrote.")
-    for known in capture_formats():
-        if known.fits(path):
-            return known
-    listed = "; ".join(f"{known.name} ({known.holds})" for known in capture_formats())
-    raise InputError(f"{path} holds no capture of a known recorder. Known are: {listed}.")
+    for format_ in capture_formats():
+        if format_.matches(path):
+            return format_
+    known = "; ".join(map(str, capture_formats()))
+    raise InputError(f"{path} holds no capture of a known recorder. Known are: {known}.")
 
 
 def is_capture(path: Path) -> bool:
-    """Return whether `open_capture` knows the recorder of what lies there."""
-    return path.exists() and any(known.fits(path) for known in capture_formats())
+    """Return whether a path is a capture of a known recorder."""
+    return path.exists() and any(format_.matches(path) for format_ in capture_formats())
 
 
-def with_poses(capture: Capture, path: Path) -> Capture:
-    """Return the capture with the poses of a TUM file instead of its own.
+def replace_poses(capture: Capture, path: Path) -> Capture:
+    """Return the capture with the poses of a TUM file; gravity is -z of these poses.
 
-    Rows belong to frames in order, where there are as many, else to those whose stamps differ by
-    20 ms at most; frames without a row are left out, and counted. Gravity is -z of the new poses.
-    Raises `InputError` where no row belongs to a frame.
+    Rows belong to frames in order if there are as many, else to frames whose stamps differ by 20 ms at
+    most. Frames without a row are left out and counted. Raises `InputError` where no row belongs to a
+    frame.
     """
     trajectory = read_tum(path)
     rows = np.arange(len(capture))
@@ -244,7 +202,7 @@ def with_poses(capture: Capture, path: Path) -> Capture:
 
 
 def _with_pose(frame: Frame, stored: np.ndarray[Any, np.dtype[np.float64]]) -> Frame:
-    """Return the frame whose stored image has this pose (4, 4)."""
+    """Return a frame whose stored image has this pose (4, 4)."""
     turns = frame.images.turns if isinstance(frame.images, LazyImages) else 0
     pose = stored.copy()
     pose[:3, :3] = stored[:3, :3] @ quarter_turn(turns).T

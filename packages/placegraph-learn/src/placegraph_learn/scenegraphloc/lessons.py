@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.mapfile import pack_strings, read_map, write_map
-from placegraph.errors import InputError, MapError, OptionError
+from placegraph.errors import MapError, OptionError
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.capture import Capture, is_capture, open_capture
 from placegraph_learn.scenegraphloc.features import ImageFeatures
 from placegraph_learn.scenegraphloc.inputs import (
     PointSource,
@@ -225,7 +225,7 @@ def _opened(file: Path) -> Material:
     from placegraph.indoor.scene_map import SceneMap
 
     at = file.with_suffix("")
-    inner = [] if _is_capture(at) else sorted(p for p in at.iterdir() if _is_capture(p))
+    inner = [] if is_capture(at) else sorted(p for p in at.iterdir() if is_capture(p))
     captures = [_with_poses(p) for p in inner or [at]]
     if len(captures) == 1:
         captures = [captures[0][::2], captures[0][1::2]]
@@ -233,16 +233,6 @@ def _opened(file: Path) -> Material:
         raise OptionError(f"{at}: a single image; two are the least, one to know objects by.")
     scene = SceneMap.open(file)
     return Material(Surveyed(scene, (captures[0],)), tuple(captures[1:]))
-
-
-def _is_capture(path: Path) -> bool:
-    from placegraph.io.capture.capture import format_of
-
-    try:
-        format_of(path)
-    except InputError:
-        return False
-    return True
 
 
 def _with_poses(path: Path) -> Capture:
