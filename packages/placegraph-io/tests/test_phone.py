@@ -127,9 +127,10 @@ def test_frames_without_a_pose(recorded, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("Frames.txt", "1.0,0", "line 1 is not a row .* `time, number"), ("Frames.txt", "", "holds no row"),
+        ("Frames.txt", "1.0,0", "line 1: 2 columns where 6 belong: `time, number"),
+        ("Frames.txt", "", "holds no row"),
         ("Frames.txt", "1600000100,0.5,1,1,1,1", "number is 0.5"),
-        ("ARposes.txt", "a,b", "could not convert"),
+        ("ARposes.txt", "a,b", "2 columns where 8 belong"),
         ("ARposes.txt", "1600000100,nan,0,0,1,0,0,0", "finite"),
         ("ARposes.txt", "1600000100,0,0,0,2,0,0,0", "length 2"), ("Frames.m4v", "no", "as a video"),
     ],

@@ -65,7 +65,7 @@ def build_scene(
         Map file to write (atomically); None writes nothing.
     labels
         Label of each object by its id or its name: a mapping, or a JSON file as
-        `placegraph.io.capture.json_files.label_table` reads it. It wins over what the source says.
+        `placegraph.io.capture.json_files.read_label_table` reads it. It wins over what the source says.
     floor
         Height of the floor [m, map]; found where not given.
     up

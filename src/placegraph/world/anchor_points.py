@@ -20,7 +20,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.pose.window import Progress
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, replace_poses
-from placegraph.io.capture.fixes import FILE, Fix, fixes_of
+from placegraph.io.capture.fixes import FIXES_FILE, Fix, read_fixes
 from placegraph.world.outlines import Footprint
 
 UNKNOWN_HEIGHT = 100.0
@@ -284,12 +284,12 @@ def fit_capture(
         Frames are not found in the map; fixes lie too close together for a heading.
 
     """
-    fixes = fixes_of(capture)
+    fixes = read_fixes(capture)
     if len(fixes) < MIN_POINTS:
         raise InputError(
             f"{capture.path or 'The capture'}: {len(fixes)} of {len(capture)} frames have a GPS fix, "
-            f"in {FILE} or in the EXIF of their images; {MIN_POINTS} are needed. Else give --pair, --pose "
-            "or --in."
+            f"in {FIXES_FILE} or in the EXIF of their images; {MIN_POINTS} are needed. Else give --pair, "
+            "--pose or --in."
         )
     poses, how = _find_poses(scene, capture, seed, progress)
     # a fix that several frames repeat is one, in their middle

@@ -10,7 +10,7 @@ from PIL import Image
 
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.capture import open_capture
-from placegraph.io.capture.fixes import Fix, exif_fix, fixes_of
+from placegraph.io.capture.fixes import Fix, parse_exif, read_fixes
 
 GPS = {1: "S", 2: (43.0, 30.0, 36.0), 3: "W", 4: (7.0, 15.0, 0.0)}
 
@@ -33,7 +33,7 @@ def folder(tmp_path):
 
 
 def test_fixes_come_from_exif(folder):
-    fixes = fixes_of(open_capture(folder))
+    fixes = read_fixes(open_capture(folder))
     assert list(fixes) == [0, 2]
     assert fixes[0] == pytest.approx((-7.25, -43.51, 61.5, 4.0))
     assert fixes[2][:2] == pytest.approx((-7.25, 43.51))
@@ -44,7 +44,7 @@ def test_a_table_goes_before_exif(folder):
     (folder / "fixes.txt").write_text(
         "# stamp longitude latitude height accuracy\n99.7 7.1 43.5 50 3\n102.2 7.2 43.6 nan nan\n200 7 43 0 1"
     )
-    fixes = fixes_of(open_capture(folder))
+    fixes = read_fixes(open_capture(folder))
     assert list(fixes) == [0, 2]  # the third belongs to no frame
     assert fixes[0] == Fix(7.1, 43.5, 50.0, 3.0)
     assert np.isnan(fixes[2][2:]).all()
@@ -60,7 +60,7 @@ def test_a_table_goes_before_exif(folder):
 def test_bad_tables_are_named(folder, row, named):
     (folder / "fixes.txt").write_text(row)
     with pytest.raises(InputError, match=named):
-        fixes_of(open_capture(folder))
+        read_fixes(open_capture(folder))
 
 
 @pytest.mark.parametrize(
@@ -73,14 +73,14 @@ def test_bad_tables_are_named(folder, row, named):
 def test_a_fix_that_is_none_is_none(gps):
     exif = Image.Exif()
     exif.get_ifd(0x8825).update(gps)
-    assert exif_fix(exif) is None
+    assert parse_exif(exif) is None
 
 
 @pytest.mark.parametrize(("above", "height"), [(b"\x02", 61.5), (3, -61.5), (b"\x00", None)])
 def test_heights_above_the_sea_are_not_taken_for_ellipsoidal_ones(above, height):
     exif = Image.Exif()
     exif.get_ifd(0x8825).update(GPS | {5: above, 6: 61.5})
-    fix = exif_fix(exif)
+    fix = parse_exif(exif)
     assert fix.height == height if height else math.isnan(fix.height)
 
 
@@ -92,6 +92,6 @@ def test_any_exif_is_a_fix_or_none(data):
     except Exception:  # noqa: BLE001 - Pillow's own
         return
     try:
-        exif_fix(exif)
+        parse_exif(exif)
     except PlacegraphError:
         raise AssertionError from None

@@ -13,10 +13,10 @@ from placegraph.io.capture.frame import (
     depth_file,
     posed_frame,
     quarter_turn,
-    turned_camera,
+    rotate_camera,
     upright_turns,
 )
-from placegraph.io.capture.posed import exact_pose, nearest_stamps, pose_of
+from placegraph.io.capture.posed import match_stamps, orthonormalize_pose, pose_from_quaternion
 
 CAMERA = Camera(8, 6, 10.0, 11.0, 4.5, 2.8, (0.1, -0.02, 0.003, -0.004, 0.01))
 
@@ -25,7 +25,7 @@ CAMERA = Camera(8, 6, 10.0, 11.0, 4.5, 2.8, (0.1, -0.02, 0.003, -0.004, 0.01))
 def test_a_turned_camera_sees_what_the_turned_image_shows(turns, xy):
     point = np.array([*xy, 1.0])
     u, v = CAMERA.project(point)
-    turned = turned_camera(CAMERA, turns)
+    turned = rotate_camera(CAMERA, turns)
     for _ in range(turns % 4):  # as np.rot90 moves pixels, once a turn
         wide = CAMERA.width if _ % 2 == 0 else CAMERA.height
         u, v = v, wide - u
@@ -36,10 +36,10 @@ def test_a_turned_camera_sees_what_the_turned_image_shows(turns, xy):
 def test_pixels_follow(turns):
     image = np.arange(48).reshape(6, 8)
     turned = LazyImages(lambda: image, turns=turns).rgb()
-    assert turned.shape == (turned_camera(CAMERA, turns).height, turned_camera(CAMERA, turns).width)
+    assert turned.shape == (rotate_camera(CAMERA, turns).height, rotate_camera(CAMERA, turns).width)
     pinhole = Camera(8, 6, 10.0, 11.0, 4.5, 2.8)
     ray = quarter_turn(turns) @ pinhole.directions([2.5, 4.5])
-    u, v = turned_camera(pinhole, turns).project(ray)
+    u, v = rotate_camera(pinhole, turns).project(ray)
     assert turned[int(v), int(u)] == image[4, 2]
 
 
@@ -55,7 +55,7 @@ def test_frames_stand_upright(turns, vector, roll):
     frame = posed_frame(0, 1.0, stored, CAMERA, LazyImages(lambda: None), turns=turns)
     np.testing.assert_allclose(frame.odometry, upright, atol=1e-9)
     np.testing.assert_allclose(frame.gravity, -upright[2, :3], atol=1e-9)
-    assert frame.camera == turned_camera(CAMERA, turns)
+    assert frame.camera == rotate_camera(CAMERA, turns)
 
 
 def test_confidence_and_images_of_another_size(save, tmp_path):
@@ -77,7 +77,7 @@ def test_confidence_and_images_of_another_size(save, tmp_path):
     st.floats(0, 3),
 )
 def test_nearest_stamps(known, asked, tolerance):
-    rows = nearest_stamps(known, asked, tolerance)
+    rows = match_stamps(known, asked, tolerance)
     for stamp, row in zip(asked, rows, strict=True):
         gaps = np.abs(np.array(known) - stamp)
         if row < 0:
@@ -91,14 +91,18 @@ def test_rigid_transforms(vector):
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(vector)
     pose[:3, 3] = vector
-    np.testing.assert_allclose(exact_pose(pose[:3].ravel().round(4), "it"), pose, atol=1e-3)
+    np.testing.assert_allclose(
+        orthonormalize_pose(pose[:3].ravel().round(4), "it"), pose, atol=1e-3
+    )
     for wrong in (pose * 1.1, pose @ np.diag([1, 1, -1, 1]), pose * np.nan):
         with pytest.raises(InputError, match="it "):
-            exact_pose(wrong, "it")
+            orthonormalize_pose(wrong, "it")
 
 
 def test_quaternions():
-    np.testing.assert_array_equal(pose_of([1, 2, 3], [0, 0, 0, 1], "it")[:3, 3], [1, 2, 3])
+    np.testing.assert_array_equal(
+        pose_from_quaternion([1, 2, 3], [0, 0, 0, 1], "it")[:3, 3], [1, 2, 3]
+    )
     for wrong in ([0, 0, 0, 0], [0, 0, 0, np.nan], [0, 0, 0, 2]):
         with pytest.raises(InputError, match="it: the quaternion has length"):
-            pose_of([1, 2, 3], wrong, "it")
+            pose_from_quaternion([1, 2, 3], wrong, "it")

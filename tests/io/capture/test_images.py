@@ -9,7 +9,7 @@ from PIL import Image
 
 from placegraph.errors import InputError
 from placegraph.io.capture import images
-from placegraph.io.capture.images import read_rgb, read_whole
+from placegraph.io.capture.images import read_integers, read_rgb
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.tum import read_tum
 from placegraph.io.mesh.gltf import read_glb
@@ -40,10 +40,10 @@ def test_intrinsics_say_whether_an_image_is_turned(photo):
 
 def test_more_pixels_than_a_frame_has_are_refused_before_they_are_read(tmp_path, monkeypatch):
     """13,000 x 13,000 black ones are a file of half a megabyte."""
-    monkeypatch.setattr(images, "MOST_PIXELS", 40 * 30 - 1)
+    monkeypatch.setattr(images, "MAX_PIXELS", 40 * 30 - 1)
     Image.new("L", (40, 30)).save(tmp_path / "a.png")
     monkeypatch.setattr(Image.Image, "load", None)
-    for read in (read_rgb, lambda *given: read_whole(*given, ("L",))):
+    for read in (read_rgb, lambda *given: read_integers(*given, ("L",))):
         with pytest.raises(InputError, match=r"a\.png has 40 x 30 pixels; frames of at most"):
             read(tmp_path / "a.png", (40, 30))
 
@@ -72,7 +72,7 @@ def test_of_a_large_image_no_second_copy_is_held(tmp_path, mode, each):
     image.paste(200, (0, 2000, 1500, 3001))
     image.convert(mode).save(path)
     tracemalloc.start()
-    read = read_rgb(path, large) if each == 3 else read_whole(path, large, (mode,))
+    read = read_rgb(path, large) if each == 3 else read_integers(path, large, (mode,))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < each * 1500 * 3001 + 16e6

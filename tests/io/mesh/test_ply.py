@@ -12,7 +12,7 @@ from tests.io.writers import ply
 
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.io.capture.json_files import LabelEntry as Entry
-from placegraph.io.capture.json_files import label_table
+from placegraph.io.capture.json_files import read_label_table
 from placegraph.io.mesh.ply import read_ply, write_ply
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
@@ -256,24 +256,27 @@ def test_tables_in_every_shape(content, tmp_path):
     path = tmp_path / "labels.json"
     path.write_text(json.dumps(content))
     for given_ in (path, str(path)):
-        assert {k: e.label for k, e in label_table(given_).items()} == {"3": "chair", "4": "table"}
+        assert {k: e.label for k, e in read_label_table(given_).items()} == {
+            "3": "chair",
+            "4": "table",
+        }
 
 
 def test_tables_in_memory_and_attributes(tmp_path):
-    assert label_table({3: "chair"}) == {"3": Entry("chair")}
+    assert read_label_table({3: "chair"}) == {"3": Entry("chair")}
     path = tmp_path / "objects.json"
     entry = {"id": 1, "label": "sofa", "name": "S"}
     path.write_text(json.dumps([entry | {"attributes": {"color": ["red", "blue"], "n": 2}}]))
-    assert label_table(path)["1"] == Entry("sofa", "S", {"color": "red, blue", "n": "2"})
+    assert read_label_table(path)["1"] == Entry("sofa", "S", {"color": "red, blue", "n": "2"})
 
 
 def test_the_right_scan_of_several(tmp_path):
     path = tmp_path / "objects.json"
     scans = [{"scan": s, "objects": [{"id": 1, "label": s}]} for s in ("a", "b")]
     path.write_text(json.dumps({"scans": scans}))
-    assert label_table(path, scan="b")["1"].label == "b"
+    assert read_label_table(path, scan="b")["1"].label == "b"
     with pytest.raises(InputError, match="none of which is 'c'"):
-        label_table(path, scan="c")
+        read_label_table(path, scan="c")
 
 
 @pytest.mark.parametrize(
@@ -290,10 +293,10 @@ def test_wrong_tables(text, says, tmp_path):
     path = tmp_path / "labels.json"
     path.write_text(text)
     with pytest.raises(InputError, match=says) as caught:
-        label_table(path)
+        read_label_table(path)
     assert str(path) in str(caught.value)
     with pytest.raises(InputError, match="does not exist"):
-        label_table(tmp_path / "no.json")
+        read_label_table(tmp_path / "no.json")
 
 
 FACES = np.array([(0, 2, 1), (0, 1, 3), (3, 2, 1)])

@@ -52,22 +52,22 @@ from placegraph.io.capture.frame import (
     colour_file,
     depth_file,
 )
-from placegraph.io.capture.images import image_size, images_of, natural, read_rgb
+from placegraph.io.capture.images import image_size, list_images, natural_key, read_rgb
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
     StoredFrame,
-    camera_of,
-    capture_of,
-    exact_pose,
-    nearest_stamps,
-    number,
-    numbers,
-    pose_of,
+    make_camera,
+    make_capture,
+    match_stamps,
+    orthonormalize_pose,
+    pose_from_quaternion,
+    read_number,
+    read_numbers,
     read_rows,
     read_text,
-    smaller_view,
+    resize_camera,
 )
 from placegraph.io.capture.video import Video
 from placegraph_io.storage import Archive
@@ -218,16 +218,16 @@ def read_record3d(path: Path) -> Capture:
     size = _record3d_size(meta, where, ("dw", "dh"), _LIDAR)
     left_out: Counter[str] = Counter()
     shots = []
-    for stem in sorted(pictures, key=natural):
+    for stem in sorted(pictures, key=natural_key):
         row = int(stem) if stem.isascii() and stem.isdigit() else -1
         depth = f"{depths}{stem}.{'exr' if exported else 'depth'}"
         if depth not in source.names or not 0 <= row < len(poses):
             left_out[f"no {'pose' if row < 0 or row >= len(poses) else 'depth'}"] += 1
             continue
         camera = cameras[row]
-        depth_camera = smaller_view(camera, size, f"{source.path}, {depth}")
+        depth_camera = resize_camera(camera, size, f"{source.path}, {depth}")
         name = f"{where}: poses[{row}]"
-        pose = pose_of(poses[row, 4:], poses[row, :4], name)
+        pose = pose_from_quaternion(poses[row, 4:], poses[row, :4], name)
         images = LazyImages(
             partial(_record3d_colour, source, pictures[stem], camera),
             partial(_record3d_depth, source, depth, depth_camera),
@@ -235,7 +235,7 @@ def read_record3d(path: Path) -> Capture:
         )
         pose = MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV
         shots.append(StoredFrame(name, stamps[row], pose, camera, images, depth_camera))
-    return capture_of(path, shots, left_out=left_out)
+    return make_capture(path, shots, left_out=left_out)
 
 
 def _exported(path: Path) -> Path | None:
@@ -299,11 +299,11 @@ def _record3d_cameras(meta: dict[str, Any], where: str, count: int) -> list[Came
         table = _record3d_table(meta, where, "perFrameIntrinsicCoeffs", 4)
         if len(table) >= count:
             return [
-                camera_of(f"{where}: perFrameIntrinsicCoeffs[{i}]", size, row)
+                make_camera(f"{where}: perFrameIntrinsicCoeffs[{i}]", size, row)
                 for i, row in enumerate(table.tolist())
             ]
     k = _record3d_table({"K": [meta.get("K")]}, where, "K", 9)[0].tolist()
-    return [camera_of(f"{where}: K", size, (k[0], k[4], k[6], k[7]))] * count
+    return [make_camera(f"{where}: K", size, (k[0], k[4], k[6], k[7]))] * count
 
 
 def _record3d_size(
@@ -332,10 +332,10 @@ def read_arkit_app(path: Path) -> Capture:
     Raises `InputError` where files are missing or broken, intrinsics are those of images of another
     size, or depth is not of the images' view.
     """
-    images = images_of(path)
+    images = list_images(path)
     left_out: Counter[str] = Counter()
     named = []
-    for stem in images_of(path, (".json",)):
+    for stem in list_images(path, (".json",)):
         row = stem.removeprefix("frame_")
         if row == stem or not (row.isascii() and row.isdigit()):
             continue  # info.json and the like
@@ -350,7 +350,7 @@ def read_arkit_app(path: Path) -> Capture:
             "recorded by a device with LiDAR."
         )
     first = images[f"frame_{named[0]}"], images[f"depth_{named[0]}"]
-    return capture_of(
+    return make_capture(
         path, (_arkit_app_shot(path, images, row, first) for row in named), left_out=left_out
     )
 
@@ -363,20 +363,22 @@ def _arkit_app_shot(
     content = read_json(file)
     if not isinstance(content, dict):
         raise InputError(f"{file} must be a JSON object with cameraPoseARFrame and intrinsics.")
-    fx, _, cx, _, fy, cy, *_ = numbers(file, content, "intrinsics", 9)
+    fx, _, cx, _, fy, cy, *_ = read_numbers(file, content, "intrinsics", 9)
     width, height = image_size(first[0])
     if not max(abs(cx / width - 0.5), abs(cy / height - 0.5)) < _OFF_CENTRE:
         raise InputError(
             f"{file}: the principal point {cx:g}, {cy:g} is not the middle of {first[0].name}, "
             f"{width} x {height}; the images were made smaller or turned: export them again."
         )
-    camera = camera_of(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
+    camera = make_camera(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
     depth, sure = images[f"depth_{row}"], images.get(f"conf_{row}")
-    depth_camera = smaller_view(camera, image_size(first[1]), first[1])
-    pose = exact_pose(numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame")
+    depth_camera = resize_camera(camera, image_size(first[1]), first[1])
+    pose = orthonormalize_pose(
+        read_numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame"
+    )
     return StoredFrame(
         name=str(file),
-        stamp=number(file, content, "time") if "time" in content else float(int(row)),
+        stamp=read_number(file, content, "time") if "time" in content else float(int(row)),
         pose=MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV,
         camera=camera,
         images=LazyImages(
@@ -405,7 +407,7 @@ def read_ios_logger(path: Path) -> Capture:
     video = Video(path / "Frames.m4v")
     frames = read_rows(path / "Frames.txt", (6,), "time, number, fx, fy, cx, cy")
     poses = read_rows(path / "ARposes.txt", (8,), "time, x, y, z, qw, qx, qy, qz")
-    found = nearest_stamps([row[0] for _, row in poses], [row[0] for _, row in frames], _SAME)
+    found = match_stamps([row[0] for _, row in poses], [row[0] for _, row in frames], _SAME)
     left_out: Counter[str] = Counter()
     shots = []
     for (line, (stamp, index, *intrinsics)), at in zip(frames, found.tolist(), strict=True):
@@ -416,11 +418,11 @@ def read_ios_logger(path: Path) -> Capture:
             left_out[f"no {'pose' if at < 0 else 'colour image'}"] += 1
             continue
         where, (_, x, y, z, qw, *q) = poses[at]
-        camera = camera_of(line, video.size, intrinsics)
-        pose = MAP_FROM_Y_UP @ pose_of((x, y, z), (*q, qw), where) @ ARKIT_FROM_OPENCV
+        camera = make_camera(line, video.size, intrinsics)
+        pose = MAP_FROM_Y_UP @ pose_from_quaternion((x, y, z), (*q, qw), where) @ ARKIT_FROM_OPENCV
         images = LazyImages(partial(video.picture, number, camera))
         shots.append(StoredFrame(where, stamp, pose, camera, images))
-    return capture_of(path, shots, left_out=left_out)
+    return make_capture(path, shots, left_out=left_out)
 
 
 def is_polycam(path: Path) -> bool:
@@ -436,11 +438,13 @@ def read_polycam(path: Path) -> Capture:
     Raises `InputError` where files are missing or broken, or depth is not of the images' view.
     """
     folder = _keyframes(path)
-    corrected = images_of(folder / "corrected_images")
-    kind = "corrected_" if corrected and images_of(folder / "corrected_cameras", (".json",)) else ""
-    colours = corrected if kind else images_of(folder / "images")
-    cameras = images_of(folder / f"{kind}cameras", (".json",))
-    depths, sure = images_of(folder / "depth"), images_of(folder / "confidence")
+    corrected = list_images(folder / "corrected_images")
+    kind = (
+        "corrected_" if corrected and list_images(folder / "corrected_cameras", (".json",)) else ""
+    )
+    colours = corrected if kind else list_images(folder / "images")
+    cameras = list_images(folder / f"{kind}cameras", (".json",))
+    depths, sure = list_images(folder / "depth"), list_images(folder / "confidence")
     if not colours:
         raise InputError(f"{folder / 'images'} holds no image; export the raw data again.")
     if not depths:
@@ -456,7 +460,7 @@ def read_polycam(path: Path) -> Capture:
             left_out[f"no {'camera' if stem not in cameras else 'depth'}"] += 1
             continue
         camera, pose = _read_polycam_camera(cameras[stem])
-        depth_camera = smaller_view(camera, size, first)
+        depth_camera = resize_camera(camera, size, first)
         depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
         shots.append(
             StoredFrame(
@@ -471,7 +475,7 @@ def read_polycam(path: Path) -> Capture:
     notes = (
         () if kind else ("Polycam's uncorrected poses and images are used: there are no others.",)
     )
-    return capture_of(path, shots, left_out=left_out, notes=notes)
+    return make_capture(path, shots, left_out=left_out, notes=notes)
 
 
 def _keyframes(path: Path) -> Path:
@@ -484,13 +488,13 @@ def _read_polycam_camera(path: Path) -> tuple[Camera, NDArray[np.float64]]:
     if not isinstance(content, dict):
         raise InputError(f"{path} must be a JSON object with fx, fy, cx, cy and t_00 to t_23.")
     try:
-        width, height = (int(number(path, content, name)) for name in ("width", "height"))
+        width, height = (int(read_number(path, content, name)) for name in ("width", "height"))
     except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: width and height are whole numbers of pixels.") from error
-    intrinsics = [number(path, content, name) for name in ("fx", "fy", "cx", "cy")]
-    rows = [number(path, content, f"t_{i}{j}") for i in range(3) for j in range(4)]
-    pose = MAP_FROM_Y_UP @ exact_pose(rows, str(path)) @ ARKIT_FROM_OPENCV
-    return camera_of(str(path), (width, height), intrinsics), pose
+    intrinsics = [read_number(path, content, name) for name in ("fx", "fy", "cx", "cy")]
+    rows = [read_number(path, content, f"t_{i}{j}") for i in range(3) for j in range(4)]
+    pose = MAP_FROM_Y_UP @ orthonormalize_pose(rows, str(path)) @ ARKIT_FROM_OPENCV
+    return make_camera(str(path), (width, height), intrinsics), pose
 
 
 _POSE = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -510,7 +514,7 @@ def read_stray(path: Path) -> Capture:
     """
     video = Video(path / "rgb.mp4")
     matrix = _stray_matrix(path / "camera_matrix.csv")
-    depths, sure = images_of(path / "depth"), images_of(path / "confidence")
+    depths, sure = list_images(path / "depth"), list_images(path / "confidence")
     if not depths:
         raise InputError(f"{path / 'depth'} holds no image; copy the whole recording.")
     first = next(iter(depths.values()))
@@ -524,21 +528,21 @@ def read_stray(path: Path) -> Capture:
             left_out[f"no {'colour image' if number >= len(video) else 'depth'}"] += 1
             continue
         intrinsics = [row.get(name, matrix[name]) for name in _INTRINSICS]
-        camera = camera_of(f"{path / 'camera_matrix.csv'}", video.size, intrinsics)
-        depth_camera = smaller_view(camera, size, first)
+        camera = make_camera(f"{path / 'camera_matrix.csv'}", video.size, intrinsics)
+        depth_camera = resize_camera(camera, size, first)
         position, xyzw = ([row[name] for name in _POSE[a:b]] for a, b in ((2, 5), (5, 9)))
         depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
         shots.append(
             StoredFrame(
                 name=line,
                 stamp=row["timestamp"],
-                pose=MAP_FROM_Y_UP @ pose_of(position, xyzw, line),
+                pose=MAP_FROM_Y_UP @ pose_from_quaternion(position, xyzw, line),
                 camera=camera,
                 images=LazyImages(partial(video.picture, number, camera), depth, unit=unit),
                 depth_camera=depth_camera,
             )
         )
-    return capture_of(path, shots, left_out=left_out)
+    return make_capture(path, shots, left_out=left_out)
 
 
 def _stray_matrix(path: Path) -> dict[str, float]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, MissingExtraError, OptionError, PlacegraphError
-from placegraph.io.capture.posed import pose_of
+from placegraph.io.capture.posed import pose_from_quaternion
 from placegraph.maps import open_scenes
 from placegraph_io.ros.decode import frame_of
 from placegraph_io.ros.poses import is_static
@@ -174,7 +174,9 @@ def told_pose(message: Any, map_frame: str) -> tuple[Floats, Floats]:  # noqa: A
             f"initialpose: the pose is told in {frame!r}; tell it in {map_frame!r} (in RViz: Fixed Frame)."
         )
     at, turn = message.pose.pose.position, message.pose.pose.orientation
-    pose = pose_of([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w], "initialpose: the pose")
+    pose = pose_from_quaternion(
+        [at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w], "initialpose: the pose"
+    )
     return pose, np.array(message.pose.covariance, np.float64).reshape(6, 6)
 
 

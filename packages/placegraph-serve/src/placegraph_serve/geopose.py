@@ -254,12 +254,12 @@ def frame_of(
     given = camera_of(reading, photo)
     turns = -round(number(reading["imageOrientation"], "rotation", 0.0) / 90.0) % 4
     rgb, camera = np.rot90(photo.rgb, turns), photo.camera(given, "imageBytes")
-    from placegraph.io.capture.frame import turned_camera
+    from placegraph.io.capture.frame import rotate_camera
 
     gravity = gravity_of(moved[-1]) if moved else None
     metres = depth_of(depth[-1], options) if depth else None
     frame = Frame.from_arrays(
-        np.ascontiguousarray(rgb), turned_camera(camera, turns),
+        np.ascontiguousarray(rgb), rotate_camera(camera, turns),
         depth=None if metres is None else np.ascontiguousarray(np.rot90(metres, turns)),
         gravity=LEVEL if gravity is None else gravity,
     )  # fmt: skip

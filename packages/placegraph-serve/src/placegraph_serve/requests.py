@@ -26,9 +26,9 @@ from placegraph.core.options import options_of
 from placegraph.errors import InputError, OptionError, RequestError
 from placegraph.indoor.pose.prior import Prior
 from placegraph.io.capture.capture import Capture, is_capture, open_capture
-from placegraph.io.capture.fixes import Fix, exif_fix
+from placegraph.io.capture.fixes import Fix, parse_exif
 from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.images import opened
+from placegraph.io.capture.images import open_image
 from placegraph.outdoor.options import LocateOptions
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import refused
@@ -240,19 +240,19 @@ def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:
         )  # fmt: skip
     if not data:
         raise InputError(f"{name} is empty; send a JPEG, PNG or WebP.")
-    with opened(BytesIO(data), name, bounded=True) as image:
+    with open_image(BytesIO(data), name, bounded=True) as image:
         if image.format not in {"JPEG", "MPO", "PNG", "WEBP"}:
             raise InputError(f"{name} is {image.format}; send a JPEG, PNG or WebP.")
         check_size(image.size, name, options)
         exif = image.getexif()
         turned = exif.get(0x0112, 1) >= 5  # EXIF's orientation: lies on its side
         size = image.size[::-1] if turned else image.size
-        return Photo(_pixels(image), size, _focal(exif, size), exif_fix(exif))
+        return Photo(_pixels(image), size, _focal(exif, size), parse_exif(exif))
 
 
 def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> NDArray[np.float32]:
     """Depth (h, w) [m], NaN: no reading, of a PNG of 16 bits."""
-    with opened(BytesIO(data), name, bounded=True) as image:
+    with open_image(BytesIO(data), name, bounded=True) as image:
         if not image.mode.startswith("I"):
             raise InputError(f"{name} has pixels of mode {image.mode!r}; send a PNG of 16 bits.")
         check_size(image.size, name, options)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh
-from placegraph.io.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened, rgb_of
+from placegraph.io.capture.images import FREE_PIXELS, PIXELS_A_BYTE, open_image, to_rgb
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -168,7 +168,7 @@ def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.ui
         nonlocal left
         name = f"{path}: texture {i}"
         try:
-            with opened(io.BytesIO(blobs[i]), name) as image:
+            with open_image(io.BytesIO(blobs[i]), name) as image:
                 if max(image.size) > _LARGEST_SIDE or image.format not in FORMATS:
                     raise MapError(
                         f"{name} is no WebP, PNG or JPEG of up to {_LARGEST_SIDE} texels a side."
@@ -180,7 +180,7 @@ def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.ui
                         f"{path}: its textures have more texels than {size:,} bytes can hold; the file "
                         "is damaged, or made to fill memory. Build the map again."
                     )
-                return rgb_of(image)
+                return to_rgb(image)
         except InputError as error:
             raise MapError(f"{error} Build the map again.") from error
 
@@ -195,7 +195,7 @@ def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64
     if picture.data is None:
         flat = np.rint(255.0 * srgb_from_linear(factor)).astype(np.uint8)
         return _encode(Image.fromarray(flat.reshape(1, 1, 3)), detail.quality)
-    with opened(io.BytesIO(picture.data), picture.name) as image:
+    with open_image(io.BytesIO(picture.data), picture.name) as image:
         width, height = _limit_size(image.size, detail.max_texture, needed)
         whole = image.format in FORMATS and image.mode == "RGB" and (width, height) == image.size
         image.draft("RGB", (width, height))  # JPEG's own halving: quick

@@ -25,7 +25,7 @@ from placegraph.indoor.mapping.from_capture import (
 from placegraph.indoor.mapping.osm import read_rooms
 from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
-from placegraph.io.capture.json_files import label_table
+from placegraph.io.capture.json_files import read_label_table
 from placegraph.io.formats import Format
 from placegraph.io.mesh.model import Model, Thing
 from placegraph.io.osm.indoor_osm import is_indoor_osm
@@ -63,7 +63,7 @@ class ReadOptions:
     """Options of `build_scene` for reading a source."""
 
     labels: Any = None
-    """As `label_table` takes them."""
+    """As `read_label_table` takes them."""
     up: Up = "auto"
     scale: float | None = None
     object_property: str | None = None
@@ -93,7 +93,7 @@ def read_source(
         raise InputError(_describe_unknown(path))
     table = None
     if options.labels is not None:
-        table = label_table(options.labels, scan=path.absolute().parent.name)
+        table = read_label_table(options.labels, scan=path.absolute().parent.name)
     if kind is None:
         if (
             options.up != "auto"

@@ -23,7 +23,7 @@ from placegraph.io.capture.frame import (
     LazyImages,
     quarter_turn,
 )
-from placegraph.io.capture.posed import SAME_MOMENT, nearest_stamps
+from placegraph.io.capture.posed import SAME_MOMENT, match_stamps
 from placegraph.io.capture.tum import read_tum
 from placegraph.io.formats import Format
 
@@ -184,7 +184,7 @@ def replace_poses(capture: Capture, path: Path) -> Capture:
     trajectory = read_tum(path)
     rows = np.arange(len(capture))
     if len(trajectory) != len(capture):
-        rows = nearest_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
+        rows = match_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
     if (rows < 0).all():
         raise InputError(
             f"{path} has {len(trajectory)} rows for {len(capture)} images, and no stamp of theirs "

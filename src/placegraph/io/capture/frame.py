@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.geometry import Camera
 from placegraph.core.pickling import PickleFields
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.images import WHOLE_MODES, read_rgb, read_whole
+from placegraph.io.capture.images import INTEGER_MODES, read_integers, read_rgb
 
 LabelKind = Literal["labels", "instances"]
 """What the values of label images are: ids of labels, or ids of objects of the map."""
@@ -144,15 +144,15 @@ class Frame(PickleFields):
             raise OptionError(f"rgb: {colours.dtype}; colours are uint8, 0 to 255.")
         if label_kind not in {"labels", "instances"}:
             raise OptionError(f"label_kind is {label_kind!r}; it is 'labels' or 'instances'.")
-        _fit("rgb", colours, camera, (3,))
-        metres = None if depth is None else _metres(depth)
-        ids = None if labels is None else _ids(labels)
+        _check_size("rgb", colours, camera, (3,))
+        metres = None if depth is None else _to_metres(depth)
+        ids = None if labels is None else _to_ids(labels)
         if metres is not None:
             depth_camera = depth_camera or _resized("depth", metres, camera)
-            _fit("depth", metres, depth_camera, ())
+            _check_size("depth", metres, depth_camera, ())
         if ids is not None:
             label_camera = label_camera or _resized("labels", ids, camera)
-            _fit("labels", ids, label_camera, ())
+            _check_size("labels", ids, label_camera, ())
         pose = np.eye(4) if odometry is None else _floats("odometry", odometry, (4, 4))
         down = -pose[2, :3] if gravity is None else _floats("gravity", gravity, (3,))
         length = float(np.linalg.norm(down))
@@ -161,17 +161,17 @@ class Frame(PickleFields):
         return cls(
             index=index,
             stamp=float(stamp),
-            odometry=_locked(pose),
-            gravity=_locked(down / length),
+            odometry=_freeze(pose),
+            gravity=_freeze(down / length),
             camera=camera,
             depth_camera=depth_camera,
             label_camera=label_camera,
             label_kind=None if label_camera is None else label_kind,
             label_names=dict(label_names or {}),
             images=ArrayImages(
-                _locked(colours),
-                None if metres is None else _locked(metres),
-                None if ids is None else _locked(ids),
+                _freeze(colours),
+                None if metres is None else _freeze(metres),
+                None if ids is None else _freeze(ids),
             ),
         )
 
@@ -197,7 +197,7 @@ class ArrayImages:
         return self.ids
 
 
-def _fit(what: str, array: NDArray[Any], camera: Camera, rest: tuple[int, ...]) -> None:
+def _check_size(what: str, array: NDArray[Any], camera: Camera, rest: tuple[int, ...]) -> None:
     wanted = (camera.height, camera.width, *rest)
     if array.shape != wanted:
         raise OptionError(f"{what}: shape {array.shape}, but its camera's images are {wanted}.")
@@ -216,7 +216,7 @@ def _resized(what: str, array: NDArray[Any], camera: Camera) -> Camera:
     return camera if array.shape == (camera.height, camera.width) else camera.resized(width, height)
 
 
-def _metres(depth: ArrayLike) -> NDArray[np.float32]:
+def _to_metres(depth: ArrayLike) -> NDArray[np.float32]:
     try:
         metres = np.array(depth, np.float32)
     except (TypeError, ValueError, OverflowError) as error:
@@ -225,7 +225,7 @@ def _metres(depth: ArrayLike) -> NDArray[np.float32]:
     return metres
 
 
-def _ids(labels: ArrayLike) -> NDArray[np.int32]:
+def _to_ids(labels: ArrayLike) -> NDArray[np.int32]:
     ids = np.asarray(labels)
     if ids.dtype.kind not in "iu":
         raise OptionError(f"labels: {ids.dtype}; ids are whole numbers.")
@@ -239,7 +239,7 @@ def _floats(what: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.
     return array
 
 
-def _locked(array: NDArray[Any]) -> NDArray[Any]:
+def _freeze(array: NDArray[Any]) -> NDArray[Any]:
     """Read-only view: the caller's array stays as it is."""
     view = array.view()
     view.flags.writeable = False
@@ -342,9 +342,9 @@ def posed_frame(
         stamp=float(stamp),
         odometry=pose,
         gravity=down,
-        camera=turned_camera(camera, turns),
-        depth_camera=None if depth_camera is None else turned_camera(depth_camera, turns),
-        label_camera=None if label_camera is None else turned_camera(label_camera, turns),
+        camera=rotate_camera(camera, turns),
+        depth_camera=None if depth_camera is None else rotate_camera(depth_camera, turns),
+        label_camera=None if label_camera is None else rotate_camera(label_camera, turns),
         label_kind=None if label_camera is None else label_kind,
         label_names=dict(label_names or {}),
         images=replace(images, turns=turns) if turns else images,
@@ -367,7 +367,7 @@ def quarter_turn(turns: int) -> NDArray[np.float64]:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turned_camera(camera: Camera, turns: int) -> Camera:
+def rotate_camera(camera: Camera, turns: int) -> Camera:
     """Return the intrinsics of a camera whose images are turned as `np.rot90` does."""
     for _ in range(turns % 4):
         bent = camera.distortion
@@ -418,16 +418,16 @@ def depth_file(
 def _depth(
     path: Path, size: tuple[int, int], per_metre: float, confidence: Path | None
 ) -> NDArray[np.float32]:
-    units = read_whole(path, size, DEPTH_MODES)
+    units = read_integers(path, size, DEPTH_MODES)
     metres = (units / per_metre).astype(np.float32)
     metres[units <= 0] = np.nan
     if confidence is not None:
-        metres[read_whole(confidence, size, WHOLE_MODES) == 0] = np.nan
+        metres[read_integers(confidence, size, INTEGER_MODES) == 0] = np.nan
     return metres
 
 
 def label_file(
-    path: Path, camera: Camera, offset: int = 0, known: LabelMeanings | None = None
+    path: Path, camera: Camera, offset: int = 0, known: LabelTable | None = None
 ) -> Callable[[], NDArray[np.int32]]:
     """Reads ids of labels or objects, of 8 or 16 bits; below `offset`, which is subtracted: none.
 
@@ -437,13 +437,13 @@ def label_file(
 
 
 def _labels(
-    path: Path, size: tuple[int, int], offset: int, known: LabelMeanings | None
+    path: Path, size: tuple[int, int], offset: int, known: LabelTable | None
 ) -> NDArray[np.int32]:
-    ids = np.maximum(read_whole(path, size, WHOLE_MODES) - offset, -1)
+    ids = np.maximum(read_integers(path, size, INTEGER_MODES) - offset, -1)
     return ids if known is None else known.of(ids, path)
 
 
-class LabelMeanings(NamedTuple):
+class LabelTable(NamedTuple):
     """What label ids mean."""
 
     names: Mapping[int, str | None]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ENDINGS = (".png", ".jpg", ".jpeg")
 """Endings of image files, in lower case."""
 
-MOST_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 """Of a frame; four times those of a good telephone's."""
 FREE_PIXELS, PIXELS_A_BYTE = 1 << 24, 64
 """Pixels that an image may have whatever its size, and for each of its bytes: Pillow takes memory for
@@ -31,7 +31,7 @@ all that the head promises before it reads the first, and drawings take an eight
 _STRIP = 1 << 20
 """Pixels that are copied from Pillow at a time: it holds all of them in three forms for a moment."""
 
-WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
+INTEGER_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
 
 _BROKEN = (
@@ -42,7 +42,7 @@ _BROKEN = (
 
 
 @contextmanager
-def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> Iterator[Image]:
+def open_image(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> Iterator[Image]:
     """Open an image; whatever fails inside the block becomes an `InputError` about `name`.
 
     So does one that says it has far more pixels than its bytes can hold, unless the caller says that
@@ -69,7 +69,7 @@ def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> 
         ) from error
 
 
-def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
+def list_images(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
     """Return the files of a folder with these endings by stem, in natural order: 2 comes before 10.
 
     A folder that does not exist has none. `InputError` where two bear one name.
@@ -81,14 +81,14 @@ def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Pat
     except OSError as error:
         raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
     found: dict[str, Path] = {}
-    for file in sorted(files, key=lambda p: (natural(p.stem), p.name)):
+    for file in sorted(files, key=lambda p: (natural_key(p.stem), p.name)):
         if file.stem in found:
             raise InputError(f"{file} and {found[file.stem].name} bear one name; keep one of them.")
         found[file.stem] = file
     return found
 
 
-def natural(stem: str) -> list[tuple[int, int, str]]:
+def natural_key(stem: str) -> list[tuple[int, int, str]]:
     """Return the key that sorts names with their numbers by value."""
     return [
         (0, int(part), part) if part.isascii() and part.isdigit() else (1, 0, part)
@@ -98,7 +98,7 @@ def natural(stem: str) -> list[tuple[int, int, str]]:
 
 def image_size(path: Path) -> tuple[int, int]:
     """Return the width and height [px] from the head of an image file."""
-    with opened(path, path) as image:
+    with open_image(path, path) as image:
         return image.size
 
 
@@ -111,18 +111,18 @@ def read_rgb(
     they have that size, as they are shown. `source` is where its bytes are, if they are not in a
     file of that name.
     """
-    with opened(source or path, path) as image:
+    with open_image(source or path, path) as image:
         if image.size != size and image.size[::-1] == size:
             from PIL import ImageOps
 
             ImageOps.exif_transpose(image, in_place=True)
         _check_size(image, path, size)
-        return rgb_of(image)
+        return to_rgb(image)
 
 
-def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
+def read_integers(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
     """Return the whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
-    with opened(path, path) as image:
+    with open_image(path, path) as image:
         _check_size(image, path, size)
         if image.mode not in modes:
             raise InputError(
@@ -132,7 +132,7 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
         return _pixels(image, image.mode, np.empty((size[1], size[0]), np.int32))
 
 
-def rgb_of(image: Image) -> NDArray[np.uint8]:
+def to_rgb(image: Image) -> NDArray[np.uint8]:
     """Return the colours (H, W, 3) of an image, read-only."""
     out = _pixels(image, "RGB", np.empty((image.height, image.width, 3), np.uint8))
     out.flags.writeable = False
@@ -163,10 +163,10 @@ def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:
 
 
 def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
-    if image.width * image.height > MOST_PIXELS:  # before any is read: black ones take no bytes
+    if image.width * image.height > MAX_PIXELS:  # before any is read: black ones take no bytes
         raise InputError(
             f"{path} has {image.width} x {image.height} pixels; frames of at most "
-            f"{MOST_PIXELS >> 20} million are read: make the images smaller, and their intrinsics."
+            f"{MAX_PIXELS >> 20} million are read: make the images smaller, and their intrinsics."
         )
     if image.size != size:
         raise InputError(

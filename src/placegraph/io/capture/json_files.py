@@ -74,11 +74,14 @@ def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
     return CameraFile(
         path=path,
         camera=camera,
-        depth=_sub(path, entries["depth"], "depth", camera) or camera,
+        depth=_entry_camera(path, entries["depth"], "depth", camera) or camera,
         depth_scale=scale,
-        labels={kind: _sub(path, entries[kind], kind, camera) for kind in ("labels", "instances")},
+        labels={
+            kind: _entry_camera(path, entries[kind], kind, camera)
+            for kind in ("labels", "instances")
+        },
         offsets={
-            kind: _whole(path, content.get(f"{kind}_offset", 0), f"{kind}_offset")
+            kind: _integer(path, content.get(f"{kind}_offset", 0), f"{kind}_offset")
             for kind in ("labels", "instances")
         },
     )
@@ -103,7 +106,7 @@ def _entry(path: Path, content: dict[str, Any], kind: str) -> dict[str, Any]:
     return entry
 
 
-def _sub(path: Path, entry: dict[str, Any], kind: str, camera: Camera) -> Camera | None:
+def _entry_camera(path: Path, entry: dict[str, Any], kind: str, camera: Camera) -> Camera | None:
     """Return the camera of an entry: its own, or the colour camera brought to the entry's size; else none."""
     if any(name in entry for name in _INTRINSICS):
         return _camera(path, entry, f"{kind}.")
@@ -131,7 +134,9 @@ def _camera(path: Path, content: dict[str, Any], prefix: str) -> Camera:
 
 
 def _size(path: Path, content: dict[str, Any], prefix: str) -> tuple[int, int]:
-    width, height = (_whole(path, content.get(name), prefix + name) for name in ("width", "height"))
+    width, height = (
+        _integer(path, content.get(name), prefix + name) for name in ("width", "height")
+    )
     if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
         raise InputError(f"{path}: {prefix}width and height are {width} and {height} pixels.")
     return width, height
@@ -144,7 +149,7 @@ def _number(path: Path, value: object, field: str) -> float:
     return float(value)
 
 
-def _whole(path: Path, value: object, field: str) -> int:
+def _integer(path: Path, value: object, field: str) -> int:
     number = _number(path, value, field)
     if number != int(number if abs(number) < 1e15 else 0):
         raise InputError(f"{path}: {field} is {number:g}; it must be a whole number.")
@@ -164,7 +169,7 @@ class LabelEntry:
     attributes: dict[str, str] = field(default_factory=dict)
 
 
-def label_table(
+def read_label_table(
     labels: Mapping[str, str] | Mapping[int, str] | str | PathLike[str], scan: str = ""
 ) -> dict[str, LabelEntry]:
     """Return the table by object id, of a mapping from id (or name) to label, or of a JSON file.
@@ -188,7 +193,7 @@ def label_table(
     if isinstance(content, dict):
         listed = next((content[k] for k in ("objects", "segGroups") if k in content), None)
         if listed is None:
-            return {str(key): _plain(path, key, label) for key, label in content.items()}
+            return {str(key): _label_entry(path, key, label) for key, label in content.items()}
         content = listed
     if not isinstance(content, list):
         raise InputError(
@@ -207,7 +212,7 @@ def _scan(path: Path, scans: object, scan: str) -> object:
     )
 
 
-def _plain(path: Path, key: str, label: object) -> LabelEntry:
+def _label_entry(path: Path, key: str, label: object) -> LabelEntry:
     if not isinstance(label, str) or not label:
         raise InputError(f"{path}: the label of {key!r} is {str(label)[:40]!r}, not text.")
     return LabelEntry(label)

@@ -1,8 +1,7 @@
-"""Poses, cameras and frames of other recorders' captures: checked, and converted to z up and OpenCV's axes.
+"""Checks and conversions of poses, cameras and frames for readers of other recorders' captures.
 
-They describe every frame as a `StoredFrame`, with images, intrinsics and pose as they are stored, in a
-world with z up and camera axes as OpenCV has them; `capture_of` makes a `Capture` of them and
-turns a telephone's images upright.
+Readers describe every frame as a `StoredFrame`: images, intrinsics and pose as stored, in a world with
+z up and OpenCV's camera axes. `make_capture` turns the images upright.
 """
 
 from __future__ import annotations
@@ -25,98 +24,88 @@ from placegraph.io.capture.frame import Capture, LazyImages, posed_frame, uprigh
 MAP_FROM_Y_UP = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From ARKit's and OpenGL's worlds, y up, to z up."""
+"""Transform from the y-up worlds of ARKit and OpenGL to z up."""
 ARKIT_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Of a camera: ARKit's and OpenGL's look along -z, with y up."""
+"""Transform of camera axes; cameras of ARKit and OpenGL look along -z, with y up."""
 
 SAME_MOMENT = 0.02
-"""Stamps that differ by less belong together [s]: half a frame of 30 a second, and some jitter."""
+"""Tolerance of stamps of one moment [s]: half a frame at 30 Hz, and some jitter."""
 _RIGID = 1e-2  # rotations are written with few digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredFrame:
-    """A frame as it is stored."""
+    """Frame as stored, before its images are turned upright."""
 
     name: str
     """File and field of its pose, for messages."""
     stamp: float
     """Seconds, or frame number."""
     pose: NDArray[np.float64]
-    """(4, 4) world_from_camera [m], world z up, camera axes as OpenCV's."""
+    """(4, 4) world_from_camera [m], world z up, OpenCV's camera axes."""
     camera: Camera
     images: LazyImages
     depth_camera: Camera | None = None
     """None where the capture has no depth."""
 
 
-def capture_of(
+def make_capture(
     path: Path,
-    shots: Iterable[StoredFrame],
+    frames: Iterable[StoredFrame],
     *,
     left_out: Counter[str] | None = None,
     notes: Sequence[str] = (),
 ) -> Capture:
-    """Return the capture of shots, sorted by time, turned upright by one number of quarter turns.
+    """Return the capture of stored frames, sorted by time, all turned upright by the same angle.
 
-    `left_out` counts frames that are not among them, by reason; `notes` are sentences for the user.
-    Raises `InputError` where there is no shot, a pose is not a rigid transform of finite numbers,
-    or two shots have one stamp.
+    `left_out` counts missing frames by reason; `notes` are sentences for the user. Raises `InputError`
+    where there is no frame, a pose is not a rigid transform of finite numbers, or stamps repeat.
     """
-    held = sorted(shots, key=lambda shot: shot.stamp)
+    stored = sorted(frames, key=lambda frame: frame.stamp)
     missing = left_out or Counter()
-    if not held:
+    if not stored:
         why = "; ".join(f"{count}: {reason}" for reason, count in missing.items())
         raise InputError(f"{path} holds no usable frame{f' ({why})' if why else ''}.")
-    for before, after in itertools.pairwise(held):
+    for before, after in itertools.pairwise(stored):
         if before.stamp == after.stamp:
             raise InputError(f"{after.name} has the stamp of {before.name}; keep one of them.")
-    poses = exact_poses(np.stack([shot.pose for shot in held]), [shot.name for shot in held])
+    poses = orthonormalize_poses(np.stack([f.pose for f in stored]), [f.name for f in stored])
     turns = upright_turns(-poses[:, 2, :3])
-    frames = tuple(
-        posed_frame(
-            i,
-            shot.stamp,
-            pose,
-            shot.camera,
-            shot.images,
-            depth_camera=shot.depth_camera,
-            turns=turns,
-        )
-        for i, (shot, pose) in enumerate(zip(held, poses, strict=True))
+    upright = tuple(
+        posed_frame(i, f.stamp, pose, f.camera, f.images, depth_camera=f.depth_camera, turns=turns)
+        for i, (f, pose) in enumerate(zip(stored, poses, strict=True))
     )
-    said = list(notes)
     if turns:
-        said.append(
-            f"Images are turned by {turns * 90} degrees counter-clockwise to stand upright."
-        )
+        turned = f"Images are turned by {turns * 90} degrees counter-clockwise to stand upright."
+        notes = [*notes, turned]
     return Capture(
         path=path,
-        frames=frames,
-        camera=frames[0].camera,
-        depth_camera=frames[0].depth_camera,
+        frames=upright,
+        camera=upright[0].camera,
+        depth_camera=upright[0].depth_camera,
         label_camera=None,
         label_kind=None,
         label_names={},
-        notes=tuple(said),
+        notes=tuple(notes),
         left_out=missing,
     )
 
 
-def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return the rigid transform (4, 4) of 12 or 16 numbers by rows, its rotation made exact.
+def orthonormalize_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return the rigid transform (4, 4) of 12 or 16 numbers by rows, with an exact rotation.
 
-    `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
+    Raises `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
     """
     rows = np.asarray(matrix, np.float64).reshape(1, -1, 4)
-    last = np.array([[[0.0, 0.0, 0.0, 1.0]]])
-    return exact_poses(
-        rows if rows.shape[1] == 4 else np.concatenate([rows, last], axis=1), [name]
-    )[0]
+    if rows.shape[1] != 4:
+        rows = np.concatenate([rows, np.array([[[0.0, 0.0, 0.0, 1.0]]])], axis=1)
+    return orthonormalize_poses(rows, [name])[0]
 
 
-def exact_poses(matrices: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
-    """Return the rigid transforms (T, 4, 4), their rotations made exact; `InputError` as `exact_pose`."""
+def orthonormalize_poses(
+    matrices: NDArray[np.float64], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """Return rigid transforms (T, 4, 4) with exact rotations; raises as `orthonormalize_pose`."""
     poses = matrices.copy()
     bad = ~np.isfinite(poses).all(axis=(1, 2))
     if bad.any():
@@ -135,8 +124,11 @@ def exact_poses(matrices: NDArray[np.float64], names: Sequence[str]) -> NDArray[
     return poses
 
 
-def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Pose (4, 4) of a position (3,) [m] and a unit quaternion (4,); `InputError` as `exact_pose`."""
+def pose_from_quaternion(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return the pose (4, 4) of a position (3,) [m] and a unit quaternion (4,) x, y, z, w.
+
+    Raises `InputError`, which begins with `name`.
+    """
     quaternion = np.asarray(xyzw, np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= _RIGID:
@@ -144,34 +136,33 @@ def pose_of(position: ArrayLike, xyzw: ArrayLike, name: str) -> NDArray[np.float
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_quaternion(quaternion)
     pose[:3, 3] = position
-    return exact_pose(pose, name)
+    return orthonormalize_pose(pose, name)
 
 
-def nearest_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDArray[np.intp]:
-    """Row (n,) of `stamps` (m,), in any order, nearest to each of `wanted` (n,); -1: none so near."""
-    known, asked = np.asarray(stamps, np.float64), np.asarray(wanted, np.float64)
-    if not known.size:
-        return np.full(asked.shape, -1, np.intp)
-    order = np.argsort(known, kind="stable")
-    ordered = known[order]
-    after = np.clip(np.searchsorted(ordered, asked), 0, len(known) - 1)
+def match_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDArray[np.intp]:
+    """Return the rows (n,) of `stamps` (m,) nearest to `wanted` (n,); -1 beyond the tolerance [s]."""
+    stamps, wanted = np.asarray(stamps, np.float64), np.asarray(wanted, np.float64)
+    if not stamps.size:
+        return np.full(wanted.shape, -1, np.intp)
+    order = np.argsort(stamps, kind="stable")
+    ascending = stamps[order]
+    after = np.clip(np.searchsorted(ascending, wanted), 0, len(stamps) - 1)
     before = np.maximum(after - 1, 0)
-    first = np.abs(ordered[before] - asked) <= np.abs(ordered[after] - asked)
-    best = np.where(first, before, after)
-    rows: NDArray[np.intp] = np.where(
-        np.abs(ordered[best] - asked) <= tolerance, order[best], -1
-    ).astype(np.intp)
+    is_before = np.abs(ascending[before] - wanted) <= np.abs(ascending[after] - wanted)
+    best = np.where(is_before, before, after)
+    is_near = np.abs(ascending[best] - wanted) <= tolerance
+    rows: NDArray[np.intp] = np.where(is_near, order[best], -1).astype(np.intp)
     return rows
 
 
-def camera_of(
+def make_camera(
     name: str,
     size: tuple[int, int],
     intrinsics: Sequence[float],
     distortion: Sequence[float] = (),
     model: str = "opencv",
 ) -> Camera:
-    """Camera of width and height [px] and fx, fy, cx, cy; `InputError`, which begins with `name`."""
+    """Return a camera of width and height [px], fx, fy, cx, cy; `InputError` begins with `name`."""
     fx, fy, cx, cy = (float(v) for v in intrinsics)
     try:
         return Camera(*size, fx, fy, cx, cy, tuple(float(v) for v in distortion), model)
@@ -179,8 +170,8 @@ def camera_of(
         raise InputError(f"{name}: {error}") from error
 
 
-def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
-    """Return the camera of images of another size that show the same; `InputError` where they cannot."""
+def resize_camera(camera: Camera, size: tuple[int, int], name: object) -> Camera:
+    """Return the camera of the same view in another size; `InputError` where proportions differ."""
     width, height = size
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise InputError(
@@ -196,36 +187,44 @@ def read_text(path: Path) -> str:
         return check_regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not text: {error.reason}.") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read as text ({error}).") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
 
 
-def read_rows(path: Path, widths: tuple[int, ...], columns: str) -> list[tuple[str, list[float]]]:
-    """Return the rows of numbers of a text without header, with commas or blanks, and where each stands.
+def read_rows(
+    path: Path, widths: tuple[int, ...], columns: str, *, finite: bool = True
+) -> list[tuple[str, list[float]]]:
+    """Read rows of numbers without header, separated by commas or blanks, each with its location.
 
-    A row has as many numbers as one of `widths`. `InputError`, which names the `columns`, where one
-    has not, where a number is not finite, or where there is no row.
+    A row has as many numbers as one of `widths`. Raises `InputError`, which names the `columns`, for
+    another row, for a number that is not `finite`, and for a file without rows.
     """
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
             continue
-        where = f"{path}, line {number}"
+        location = f"{path}, line {number}"
+        if len(words) not in widths:
+            count = " or ".join(map(str, widths))
+            raise InputError(f"{location}: {len(words)} columns where {count} belong: `{columns}`.")
         try:
             row = [float(word) for word in words]
         except ValueError as error:
-            raise InputError(f"{where}: {error}; the columns are `{columns}`.") from error
-        if len(row) not in widths or not np.isfinite(row).all():
-            raise InputError(f"{where} is not a row of finite numbers `{columns}`.")
-        rows.append((where, row))
+            raise InputError(f"{location}: {error}; columns are `{columns}`.") from error
+        if finite and not np.isfinite(row).all():
+            raise InputError(f"{location} is not a row of finite numbers `{columns}`.")
+        rows.append((location, row))
     if not rows:
         raise InputError(f"{path} holds no row; a row is `{columns}`.")
     return rows
 
 
-def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list[float]:
-    """Return the list of `count` numbers in a JSON object; `InputError` names the file and the field."""
+def read_numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list[float]:
+    """Return a list of `count` numbers of a JSON object; `InputError` names file and field."""
     values = content.get(field)
     if not (
         isinstance(values, list)
@@ -240,6 +239,6 @@ def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list
         raise InputError(f"{path}: {field} holds a number beyond all bounds.") from error
 
 
-def number(path: Path, content: dict[str, Any], field: str) -> float:
-    """Return a number in a JSON object; `InputError` names the file and the field."""
-    return numbers(path, {field: [content[field]] if field in content else None}, field, 1)[0]
+def read_number(path: Path, content: dict[str, Any], field: str) -> float:
+    """Return a number of a JSON object; `InputError` names file and field."""
+    return read_numbers(path, {field: [content[field]] if field in content else None}, field, 1)[0]

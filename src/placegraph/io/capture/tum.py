@@ -1,7 +1,6 @@
-"""Trajectories in TUM's text format, and other tables of numbers with a stamp a row.
+"""Trajectories in TUM's text format, and other tables whose rows begin with a stamp.
 
-A row is `stamp tx ty tz qx qy qz qw`, metres and a unit quaternion xyzw; `#` begins a comment. What
-the pose leads from and to (`odometry_from_camera`, `map_from_camera`) is for the caller to know.
+A row is `stamp tx ty tz qx qy qz qw`, metres and a unit quaternion xyzw; `#` begins a comment.
 """
 
 from __future__ import annotations
@@ -13,14 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import check_regular, write_output
+from placegraph.core.files import write_output
 from placegraph.core.geometry import quaternion_from_rotation, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import read_json
+from placegraph.io.capture.posed import read_rows
 
 POSE_COLUMNS = ("stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 UNIT_TOLERANCE = 1e-3
-"""A quaternion whose length is off by less was rounded, and is normalised; others are refused."""
+"""Largest error of a quaternion's length that counts as rounding, and is normalized."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,17 +38,16 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Rows of a text file of numbers, and where they stand."""
+    """Rows of a text file of numbers, with their locations."""
 
-    path: Path
     values: NDArray[np.float64]
     """(T, C), finite; column 0 is the stamp."""
-    lines: tuple[int, ...]
-    """(T,) line of each row, from 1."""
+    locations: tuple[str, ...]
+    """(T,) file and line of each row, for messages."""
 
-    def error(self, row: int, what: str) -> InputError:
+    def error(self, row: int, fault: str) -> InputError:
         """Return the error that names the file and the line of a row."""
-        return InputError(f"{self.path}, line {self.lines[row]}: {what}")
+        return InputError(f"{self.locations[row]}: {fault}")
 
 
 def read_tum(path: str | PathLike[str]) -> Trajectory:
@@ -57,9 +56,8 @@ def read_tum(path: str | PathLike[str]) -> Trajectory:
     Raises
     ------
     InputError
-        The file is missing, unreadable or without a row; a row has not eight finite numbers, a
-        stamp does not ascend, a quaternion is not of unit length (to 1e-3; below that it is
-        normalised). The message names file and line.
+        The file is missing, unreadable or empty; a row has not eight finite numbers, stamps do not
+        ascend, a quaternion's length is not 1 (within 1e-3). The message names file and line.
 
     """
     table = read_table(path, POSE_COLUMNS)
@@ -84,13 +82,9 @@ def read_tum(path: str | PathLike[str]) -> Trajectory:
 
 
 def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
-    """Return the poses (T, 4, 4) map_from_camera of a TUM file, or of what `scene localize --json` printed.
+    """Return the poses (T, 4, 4) map_from_camera of a TUM file, or of output of `scene localize --json`.
 
-    Raises
-    ------
-    InputError
-        The file is missing or neither, or holds no pose.
-
+    Raises `InputError` where the file is missing, holds no pose, or is of another format.
     """
     path = Path(path)
     if path.suffix.lower() != ".json":
@@ -112,10 +106,10 @@ def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
 def write_tum(
     path: str | PathLike[str], stamps: ArrayLike, poses: ArrayLike, *, comment: str = ""
 ) -> None:
-    """Write poses (T, 4, 4) with stamps (T,) as TUM text, to a nanometre; `comment` heads the file.
+    """Write poses (T, 4, 4) with stamps (T,) as TUM text, to a nanometre, after a `comment`.
 
-    Raises `OptionError` where the arrays do not fit or hold what `read_tum` would refuse, and
-    `InputError` where the file cannot be written.
+    Raises `OptionError` where the arrays do not fit or `read_tum` would refuse them, `InputError`
+    where the file cannot be written.
     """
     times = np.asarray(stamps, np.float64)
     matrices = np.asarray(poses, np.float64)
@@ -138,34 +132,12 @@ def write_tum(
 def read_table(
     path: str | PathLike[str], columns: tuple[str, ...], *, unknown: tuple[str, ...] = ()
 ) -> Table:
-    """Read rows of as many numbers as `columns` names, the first of which ascends strictly.
+    """Read rows of the numbers that `columns` names, the first of which ascends strictly.
 
-    Of `unknown` columns a number may be NaN. Raises `InputError` as `read_tum` does.
+    Numbers of `unknown` columns may be NaN. Raises `InputError` as `read_tum` does.
     """
-    path = Path(path)
-    names = " ".join(columns)
-    rows, lines = [], []
-    for number, line in enumerate(_text(path).splitlines(), 1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        if len(words) != len(columns):
-            raise InputError(
-                f"{path}, line {number}: {len(words)} columns where {len(columns)} belong: `{names}`."
-            )
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError as error:
-            raise InputError(f"{path}, line {number}: {error}; columns are `{names}`.") from error
-        lines.append(number)
-    if not rows:
-        raise InputError(f"{path} holds no row; a row is `{names}`.")
-    table = Table(path, np.array(rows), tuple(lines))
-    _check(table, columns, unknown)
-    return table
-
-
-def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> None:
+    rows = read_rows(Path(path), (len(columns),), " ".join(columns), finite=False)
+    table = Table(np.array([row for _, row in rows]), tuple(location for location, _ in rows))
     finite = np.isfinite(table.values)
     finite |= np.isnan(table.values) & np.isin(columns, unknown)
     if not finite.all():
@@ -177,20 +149,10 @@ def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> 
     late = np.flatnonzero(np.diff(stamps) <= 0)
     if late.size:
         row = int(late[0]) + 1
-        how = "is repeated" if stamps[row] == stamps[row - 1] else "is earlier than the one before"
-        raise table.error(
-            row, f"the stamp {stamps[row]:.10g} {how}; stamps ascend from row to row."
+        fault = (
+            "is repeated" if stamps[row] == stamps[row - 1] else "is earlier than the previous one"
         )
-
-
-def _text(path: Path) -> str:
-    try:
-        return check_regular(path).read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not text; expected rows of numbers.") from error
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path} cannot be read: {getattr(error, 'strerror', None) or error}."
-        ) from error
+        raise table.error(
+            row, f"the stamp {stamps[row]:.10g} {fault}; stamps must ascend from row to row."
+        )
+    return table

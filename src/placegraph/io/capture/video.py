@@ -25,11 +25,11 @@ from placegraph.io.capture.json_files import read_camera, read_json
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
     StoredFrame,
-    capture_of,
-    exact_pose,
-    nearest_stamps,
-    number,
-    pose_of,
+    make_capture,
+    match_stamps,
+    orthonormalize_pose,
+    pose_from_quaternion,
+    read_number,
     read_rows,
 )
 from placegraph.io.capture.tum import read_tum
@@ -131,12 +131,12 @@ def read_video_folder(path: Path) -> Capture:
     cameras = read_camera(path / "camera.json")
     said = read_json(cameras.path)
     stamps, poses = _trajectory(path)
-    start = number(cameras.path, said, "start") if "start" in said else 0.0
+    start = read_number(cameras.path, said, "start") if "start" in said else 0.0
     body_from_camera = _matrix(cameras.path, said)
     moments = start + np.arange(len(video)) / video.rate
     rows = np.arange(len(video))
     if len(stamps) != len(video):
-        rows = nearest_stamps(stamps, moments, SAME_MOMENT)
+        rows = match_stamps(stamps, moments, SAME_MOMENT)
         if (rows < 0).all():
             raise InputError(
                 f"{path}: the video lasts from {moments[0]:.6g} to {moments[-1]:.6g} s, and no row of the "
@@ -157,7 +157,7 @@ def read_video_folder(path: Path) -> Capture:
         if row >= 0
     ]
     left_out = Counter({"no pose": len(video) - len(shots)})
-    return capture_of(path, shots, left_out=+left_out)
+    return make_capture(path, shots, left_out=+left_out)
 
 
 def _videos(path: Path) -> list[Path]:
@@ -176,7 +176,7 @@ def _trajectory(path: Path) -> Poses:
     stamps = np.array([row[0] for _, row in rows]) * 1e-9
     if (np.diff(stamps) <= 0).any():
         raise InputError(f"{file}: the stamps do not ascend; sort the rows.")
-    poses = [pose_of(row[1:4], (*row[5:8], row[4]), where) for where, row in rows]
+    poses = [pose_from_quaternion(row[1:4], (*row[5:8], row[4]), where) for where, row in rows]
     return stamps, np.stack(poses)
 
 
@@ -190,4 +190,4 @@ def _matrix(path: Path, said: dict[str, Any]) -> NDArray[np.float64]:
         raise InputError(f"{name} is not 16 numbers by rows.") from error
     if rows.size != 16:
         raise InputError(f"{name} has {rows.size} numbers; 16 by rows belong.")
-    return exact_pose(rows, name)
+    return orthonormalize_pose(rows, name)

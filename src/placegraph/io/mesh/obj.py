@@ -66,7 +66,7 @@ def read_obj(
         Which keyword parts the file into objects; auto: the first of `o`, `g` and `usemtl` that
         names two or more, else the first that names any.
     table
-        What the names are called: `placegraph.io.capture.json_files.label_table`.
+        What the names are called: `placegraph.io.capture.json_files.read_label_table`.
 
     Raises
     ------

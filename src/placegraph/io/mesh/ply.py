@@ -83,7 +83,7 @@ def read_ply(
     object_property
         Property of faces or vertices that holds object ids; one of `OBJECT_PROPERTIES` if not given.
     table
-        What the ids are called: `placegraph.io.capture.json_files.label_table`.
+        What the ids are called: `placegraph.io.capture.json_files.read_label_table`.
 
     Raises
     ------

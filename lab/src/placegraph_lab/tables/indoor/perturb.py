@@ -26,7 +26,7 @@ from placegraph.core.geometry import (
 )
 from placegraph.errors import OptionError
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.frame import ArrayImages, Frame, quarter_turn, turned_camera
+from placegraph.io.capture.frame import ArrayImages, Frame, quarter_turn, rotate_camera
 
 WIDE = 640  # width of the image that shifts in pixels are meant for
 
@@ -265,8 +265,8 @@ def turned(shot: Shot, degrees: float, rng: Generator) -> Shot:  # noqa: ARG001
             frame,
             rgb=np.ascontiguousarray(np.rot90(frame.rgb(), turns)),
             depth=np.ascontiguousarray(np.rot90(_depth(frame), turns)),
-            camera=turned_camera(frame.camera, turns),
-            depth_camera=turned_camera(frame.depth_camera, turns),
+            camera=rotate_camera(frame.camera, turns),
+            depth_camera=rotate_camera(frame.depth_camera, turns),
             odometry=odometry,
             gravity=turn @ frame.gravity,
         )

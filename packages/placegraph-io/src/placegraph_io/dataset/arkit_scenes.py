@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
-from placegraph.io.capture.images import image_size, images_of
+from placegraph.io.capture.images import image_size, list_images
 from placegraph.io.capture.posed import (
     StoredFrame,
-    camera_of,
-    capture_of,
-    nearest_stamps,
+    make_camera,
+    make_capture,
+    match_stamps,
     read_text,
-    smaller_view,
+    resize_camera,
 )
 from placegraph.io.capture.tum import read_table
 
@@ -51,9 +51,9 @@ def read_arkit_scenes(path: Path) -> Capture:
     stamps, poses = _trajectory(folder / "lowres_wide.traj")
     asked = [stamp for stamp, _ in files[0]]
     depth_of, sure_of, camera_file_of = (
-        nearest_stamps([stamp for stamp, _ in found], asked, _TOLERANCE) for found in files[1:]
+        match_stamps([stamp for stamp, _ in found], asked, _TOLERANCE) for found in files[1:]
     )
-    pose_of = nearest_stamps(stamps, asked, _TOLERANCE)
+    pose_of = match_stamps(stamps, asked, _TOLERANCE)
     first = files[1][0][1]
     size, unit = image_size(first), DepthUnit(str(folder / "lowres_depth"), _UNIT)
     left_out: Counter[str] = Counter()
@@ -66,7 +66,7 @@ def read_arkit_scenes(path: Path) -> Capture:
             continue
         camera = _pincam(files[3][camera_file_of[i]][1])
         depth = files[1][depth_of[i]][1]
-        depth_camera = smaller_view(camera, size, first)
+        depth_camera = resize_camera(camera, size, first)
         sure = files[2][sure_of[i]][1] if sure_of[i] >= 0 else None
         images = LazyImages(
             colour_file(file, camera),
@@ -74,7 +74,7 @@ def read_arkit_scenes(path: Path) -> Capture:
             unit=unit,
         )
         shots.append(StoredFrame(str(file), stamp, poses[pose_of[i]], camera, images, depth_camera))
-    return capture_of(path, shots, left_out=left_out)
+    return make_capture(path, shots, left_out=left_out)
 
 
 def _frames(path: Path) -> Path:
@@ -88,7 +88,7 @@ def _frames(path: Path) -> Path:
 def _stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]:
     """Return the stamps and files VIDEO_STAMP of a folder."""
     found = []
-    for stem, file in images_of(folder, endings).items():
+    for stem, file in list_images(folder, endings).items():
         try:
             stamp = float(stem.rpartition("_")[2])
         except ValueError:
@@ -117,4 +117,4 @@ def _pincam(path: Path) -> Camera:
         raise InputError(f"{path} must be one row `width height fx fy cx cy`.") from error
     if len(intrinsics) != 4:
         raise InputError(f"{path} must be one row `width height fx fy cx cy`.")
-    return camera_of(str(path), size, intrinsics)
+    return make_camera(str(path), size, intrinsics)

@@ -34,14 +34,14 @@ from placegraph.io.capture.frame import (
     colour_file,
     depth_file,
 )
-from placegraph.io.capture.images import image_size, natural
+from placegraph.io.capture.images import image_size, natural_key
 from placegraph.io.capture.posed import (
     StoredFrame,
-    camera_of,
-    capture_of,
-    pose_of,
+    make_camera,
+    make_capture,
+    pose_from_quaternion,
     read_text,
-    smaller_view,
+    resize_camera,
 )
 from placegraph_io.up import estimated_up, surface_normals, upright
 
@@ -156,7 +156,7 @@ def model_camera(where: str, model: str, size: tuple[int, int], values: list[flo
             "give its folder."
         )
     kind = "fisheye" if model in {*_RADIAL_FISHEYE, "OPENCV_FISHEYE"} else "opencv"
-    return camera_of(where, size, values[:4], distortion, kind)
+    return make_camera(where, size, values[:4], distortion, kind)
 
 
 class _Reader:
@@ -269,7 +269,9 @@ def _picture(
 ) -> Picture:
     w, x, y, z, *position = pose
     known = points != _NO_POINT
-    return Picture(name, pose_of(position, (x, y, z, w), where), camera, uv[known], points[known])
+    return Picture(
+        name, pose_from_quaternion(position, (x, y, z, w), where), camera, uv[known], points[known]
+    )
 
 
 def _lines(path: Path, *, blank: bool = False) -> Iterator[tuple[str, list[str]]]:
@@ -363,7 +365,7 @@ def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None 
         )
         name = f"{folder / 'images'}, {view.picture.name!r}"
         shots.append(StoredFrame(name, float(i), pose, view.camera, images, view.depth_camera))
-    return capture_of(path, shots, left_out=left_out, notes=(said, direction))
+    return make_capture(path, shots, left_out=left_out, notes=(said, direction))
 
 
 def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View]:
@@ -376,7 +378,7 @@ def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View
         )
     sizes: dict[int, tuple[int, int]] = {}
     views = []
-    for picture in sorted(model.pictures, key=lambda p: natural(p.name)):
+    for picture in sorted(model.pictures, key=lambda p: natural_key(p.name)):
         name = PurePosixPath(picture.name)
         if name.is_absolute() or ".." in name.parts:
             raise InputError(f"{path}: the image name {picture.name!r} leads out of the folder.")
@@ -391,7 +393,7 @@ def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View
         if picture.camera not in sizes:
             sizes[picture.camera] = _depth_size(depth)
         camera = model.cameras[picture.camera]
-        depth_camera = smaller_view(camera, sizes[picture.camera], depth)
+        depth_camera = resize_camera(camera, sizes[picture.camera], depth)
         views.append(_View(picture, colour, depth, camera, depth_camera))
     if len({view.depth.suffix for view in views}) > 1:
         raise InputError(

@@ -29,13 +29,13 @@ from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
     StoredFrame,
-    camera_of,
-    capture_of,
-    exact_pose,
-    number,
-    numbers,
+    make_camera,
+    make_capture,
+    orthonormalize_pose,
+    read_number,
+    read_numbers,
     read_text,
-    smaller_view,
+    resize_camera,
 )
 from placegraph.io.capture.video import Video
 
@@ -79,7 +79,7 @@ def read_multiscan(path: Path) -> Capture:
             left_out["its stamp twice"] += 1
             continue
         shots[shot.stamp] = shot if depth is None else _with_depth(shot, i, said, (depth, sure))
-    return capture_of(path, shots.values(), left_out=left_out)
+    return make_capture(path, shots.values(), left_out=left_out)
 
 
 class _StreamSizes(NamedTuple):
@@ -107,7 +107,7 @@ class _StreamSizes(NamedTuple):
 def _size(path: Path, stream: dict[str, Any]) -> tuple[int, int] | None:
     if "resolution" not in stream:
         return None
-    height, width = numbers(path, stream, "resolution", 2)
+    height, width = read_numbers(path, stream, "resolution", 2)
     if not (0 < width < 1 << 16 and 0 < height < 1 << 16 and width * height <= _MOST):
         raise InputError(
             f"{path}: resolution is {height:g} x {width:g}; it is a height and a width."
@@ -137,13 +137,15 @@ def _shot(where: Path, line: str, index: int, video: Video, said: _StreamSizes) 
         raise InputError(f"{where} is not JSON ({error}).") from error
     if not isinstance(content, dict):
         raise InputError(f"{where} must be a JSON object with intrinsics, transform and timestamp.")
-    k = numbers(where, content, "intrinsics", 9)
-    camera = camera_of(f"{where}: intrinsics", said.colour or video.size, (k[0], k[4], k[6], k[7]))
-    camera = smaller_view(camera, video.size, video.path)
-    turn = np.array(numbers(where, content, "transform", 16)).reshape(4, 4).T
-    pose = MAP_FROM_Y_UP @ exact_pose(turn, f"{where}: transform") @ ARKIT_FROM_OPENCV
+    k = read_numbers(where, content, "intrinsics", 9)
+    camera = make_camera(
+        f"{where}: intrinsics", said.colour or video.size, (k[0], k[4], k[6], k[7])
+    )
+    camera = resize_camera(camera, video.size, video.path)
+    turn = np.array(read_numbers(where, content, "transform", 16)).reshape(4, 4).T
+    pose = MAP_FROM_Y_UP @ orthonormalize_pose(turn, f"{where}: transform") @ ARKIT_FROM_OPENCV
     images = LazyImages(partial(video.picture, index, camera))
-    stamp = number(where, content, "timestamp") / 1e9
+    stamp = read_number(where, content, "timestamp") / 1e9
     return StoredFrame(f"{where}: transform", stamp, pose, camera, images)
 
 
@@ -151,7 +153,7 @@ def _with_depth(
     shot: StoredFrame, index: int, said: _StreamSizes, streams: tuple[Deflated, Deflated | None]
 ) -> StoredFrame:
     assert said.depth is not None  # noqa: S101  # else there is no stream
-    camera = smaller_view(shot.camera, said.depth, streams[0].path)
+    camera = resize_camera(shot.camera, said.depth, streams[0].path)
     metres = partial(_metres, *streams, index, camera, said.unit)
     unit = DepthUnit(f"`depth_unit` in {said.path}", _UNITS[said.unit][1])
     images = LazyImages(shot.images.colours, metres, unit=unit)

@@ -30,8 +30,14 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
-from placegraph.io.capture.images import opened, read_rgb
-from placegraph.io.capture.posed import StoredFrame, camera_of, capture_of, exact_pose, smaller_view
+from placegraph.io.capture.images import open_image, read_rgb
+from placegraph.io.capture.posed import (
+    StoredFrame,
+    make_camera,
+    make_capture,
+    orthonormalize_pose,
+    resize_camera,
+)
 from placegraph_io.storage import Database, rvl_image
 
 _TYPES = {0: "u1", 4: "<i4", 5: "<f4"}
@@ -57,7 +63,7 @@ class Calibration(NamedTuple):
     def camera(self, size: tuple[int, int], name: str) -> Camera:
         """Return the camera of images of this size, where the calibration has none of its own."""
         fx, fy, cx, cy = self.intrinsics
-        return camera_of(
+        return make_camera(
             name, size if self.size == (0, 0) else self.size, (fx, fy, cx + 0.5, cy + 0.5)
         )
 
@@ -95,7 +101,7 @@ def calibration(data: bytes, version: tuple[int, ...], name: str) -> Calibration
     values = np.frombuffer(data, "<f4").astype(np.float64)
     fx, fy, cx, cy = values[:4].tolist()
     width, height = (0, 0) if head == 4 else _whole(values[4:6], name)
-    pose = exact_pose(values[head : head + 12], f"{name}: the local transform")
+    pose = orthonormalize_pose(values[head : head + 12], f"{name}: the local transform")
     return Calibration((width, height), (fx, fy, cx, cy), pose, len(data) // (4 * (head + 12)))
 
 
@@ -129,7 +135,7 @@ def _model(data: bytes, head: list[int], ends: list[int], name: str) -> Calibrat
     m = np.frombuffer(used, "<f8").reshape(3, columns)
     pose = np.eye(4)
     if local:
-        pose = exact_pose(np.frombuffer(local, "<f4"), f"{name}: the local transform")
+        pose = orthonormalize_pose(np.frombuffer(local, "<f4"), f"{name}: the local transform")
     size = _whole(np.array(head[4:6], np.float64), name)
     return Calibration(
         size, (float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2])), pose, 1
@@ -175,7 +181,7 @@ def _units(data: bytes, name: str) -> NDArray[Any]:
     """Return the pixels (h, w): whole numbers, or float32."""
     if data.startswith(_RVL):
         return rvl_image(data[len(_RVL) :], name)
-    with opened(io.BytesIO(data), name) as image:
+    with open_image(io.BytesIO(data), name) as image:
         if image.mode == "RGBA":
             bgra = np.ascontiguousarray(np.asarray(image)[..., [2, 1, 0, 3]])
             return bgra.view("<f4")[..., 0]
@@ -309,7 +315,7 @@ def _capture(
             left_out["its stamp twice"] += 1
         else:
             shots[node.stamp] = _shot(base, version, node, pose, sizes)
-    return capture_of(base.path, shots.values(), left_out=+left_out, notes=notes)
+    return make_capture(base.path, shots.values(), left_out=+left_out, notes=notes)
 
 
 class _Sizes:
@@ -326,7 +332,7 @@ class _Sizes:
             if kind == "depth":
                 height, width = depth_image(data, name).shape
             else:
-                with opened(io.BytesIO(data), name) as image:
+                with open_image(io.BytesIO(data), name) as image:
                     width, height = image.size
             self.known[kind] = width, height
         return self.known[kind]
@@ -346,7 +352,7 @@ def _shot(
     depth_camera = metres = None
     if node.depth:
         wide, height = sizes.of("depth", node.id)
-        depth_camera = smaller_view(camera, (wide // model.cameras, height), f"{name}, depth")
+        depth_camera = resize_camera(camera, (wide // model.cameras, height), f"{name}, depth")
         metres = partial(_metres, base, node.id, depth_camera, model.cameras, bool(node.sure))
     pose = np.vstack([world_from_base, (0.0, 0.0, 0.0, 1.0)]) @ model.base_from_camera
     images = LazyImages(

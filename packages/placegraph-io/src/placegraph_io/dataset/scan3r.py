@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import check_regular
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.json_files import LabelEntry, label_table, read_json
+from placegraph.io.capture.json_files import LabelEntry, read_json, read_label_table
 from placegraph.io.mesh.model import Model
 from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph.io.mesh.obj import read_obj
@@ -78,7 +78,7 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
     """
     scan = folder.absolute().name
     groups = first_of(folder, GROUPS)
-    objects = label_table(groups) if groups else {}
+    objects = read_label_table(groups) if groups else {}
     described = next(
         (found for file in around(folder, OBJECTS, given) if (found := _objects(file, scan))), {}
     )

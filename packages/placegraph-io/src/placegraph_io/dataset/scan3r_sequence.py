@@ -31,7 +31,7 @@ from placegraph.io.capture.frame import (
     posed_frame,
     upright_turns,
 )
-from placegraph.io.capture.images import opened, rgb_of
+from placegraph.io.capture.images import open_image, to_rgb
 from placegraph_io.dataset.scannet import camera_of_matrix, is_rigid
 from placegraph_io.storage import Archive
 
@@ -208,8 +208,8 @@ def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.floa
 
 
 def _colours(files: _Files, name: str, camera: Camera) -> NDArray[np.uint8]:
-    with opened(io.BytesIO(files.read(name)), files.where(name)) as image:
-        found = rgb_of(image)
+    with open_image(io.BytesIO(files.read(name)), files.where(name)) as image:
+        found = to_rgb(image)
     check_shape(found, camera, files.where(name))
     return found
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.frame import LabelKind, LabelMeanings, label_file
+from placegraph.io.capture.frame import LabelKind, LabelTable, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import UNKNOWN, Model, Thing
@@ -269,7 +269,7 @@ class LabelImages:
     camera: Camera | None = None
     kind: LabelKind = "labels"
     names: dict[int, str] = field(default_factory=dict)
-    known: LabelMeanings | None = None
+    known: LabelTable | None = None
     notes: tuple[str, ...] = ()
     """Why label images are not used."""
 
@@ -331,7 +331,7 @@ def find_labels(
 
 def _meanings(
     folder: Path, kind: LabelKind, column: str | None
-) -> tuple[dict[int, str], LabelMeanings | None]:
+) -> tuple[dict[int, str], LabelTable | None]:
     """Return the names by id, and what ids mean."""
     table = find_table(folder)
     labels = read_label_map(table, column or "raw_category") if table else None
@@ -347,7 +347,7 @@ def _meanings(
             f"{folder} or above."
         )
     names = dict(labels.of_id)
-    return names, LabelMeanings(names, labels.path, 0)
+    return names, LabelTable(names, labels.path, 0)
 
 
 def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:

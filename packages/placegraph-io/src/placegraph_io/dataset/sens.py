@@ -42,7 +42,7 @@ from placegraph.io.capture.frame import (
     depth_file,
     posed_frame,
 )
-from placegraph.io.capture.images import ENDINGS, image_size, opened, rgb_of
+from placegraph.io.capture.images import ENDINGS, image_size, open_image, to_rgb
 from placegraph_io.dataset.scannet import (
     LabelImages,
     Wanted,
@@ -212,13 +212,13 @@ def read_colour(header: SensHeader, frame: SensFrame) -> NDArray[np.uint8]:
     if header.colour_coding == RAW:
         _length(name, len(data), 3 * width * height)
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)
-    with opened(io.BytesIO(data), name) as image:
+    with open_image(io.BytesIO(data), name) as image:
         if image.size != header.colour_size:
             raise InputError(
                 f"{name} has {image.width} x {image.height} pixels, but the header says {width} x "
                 f"{height}; download the file again."
             )
-        return rgb_of(image)
+        return to_rgb(image)
 
 
 def read_depth(header: SensHeader, frame: SensFrame) -> NDArray[np.float32]:

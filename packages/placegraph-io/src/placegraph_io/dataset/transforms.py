@@ -25,11 +25,11 @@ from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     StoredFrame,
-    camera_of,
-    capture_of,
-    exact_pose,
-    number,
-    smaller_view,
+    make_camera,
+    make_capture,
+    orthonormalize_pose,
+    read_number,
+    resize_camera,
 )
 from placegraph_io.up import upright
 
@@ -78,7 +78,7 @@ def read_transforms(
         moved = pose.copy()
         moved[:3, 3] *= scale or 1.0
         shots.append(_shot(path, content, i, image, map_from_world @ moved @ ARKIT_FROM_OPENCV))
-    return capture_of(path, shots, left_out=left_out, notes=(note,))
+    return make_capture(path, shots, left_out=left_out, notes=(note,))
 
 
 def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
@@ -89,7 +89,7 @@ def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
         raise InputError(f"{name} is not 4 x 4 numbers; export the capture again.") from error
     if rows.shape not in {(4, 4), (3, 4)}:
         raise InputError(f"{name} has shape {rows.shape}; 4 x 4 numbers belong.")
-    return exact_pose(rows, name)
+    return orthonormalize_pose(rows, name)
 
 
 def _written_by(content: dict[str, Any]) -> int | None:
@@ -166,28 +166,28 @@ def _shot(
             f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
             "Undistort the images."
         )
-    width, height = (number(file, said, field) for field in ("w", "h"))
+    width, height = (read_number(file, said, field) for field in ("w", "h"))
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
         raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
-    intrinsics = [number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
-    bent = [number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
+    intrinsics = [read_number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
+    bent = [read_number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
     bent = bent if any(bent) or lens == "fisheye" else []
-    camera = camera_of(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)
+    camera = make_camera(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)
     depth_camera = metres = None
     named = frame.get("depth_file_path") or frame.get("depth_path")
     per_metre = 1000.0
     if content.get("integer_depth_scale"):
-        step = number(file, content, "integer_depth_scale")
+        step = read_number(file, content, "integer_depth_scale")
         if not 1e-6 <= step <= 1.0:
             raise InputError(f"{file}: integer_depth_scale is {step:g}; it is metres in a unit.")
         per_metre = 1.0 / step
     if isinstance(named, str) and (depth := _inside(path, named, i)).is_file():
-        depth_camera = smaller_view(camera, image_size(depth), depth)
+        depth_camera = resize_camera(camera, image_size(depth), depth)
         metres = depth_file(depth, depth_camera, per_metre)
     unit = DepthUnit(f"the depth images that {file} names", per_metre)
     return StoredFrame(
         name=f"{file}: frames[{i}].transform_matrix",
-        stamp=number(file, frame, "timestamp") if "timestamp" in frame else float(i),
+        stamp=read_number(file, frame, "timestamp") if "timestamp" in frame else float(i),
         pose=pose,
         camera=camera,
         images=LazyImages(colour_file(image, camera), metres, unit=unit),

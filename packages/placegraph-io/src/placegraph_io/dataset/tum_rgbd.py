@@ -20,8 +20,8 @@ from placegraph.io.capture.json_files import read_camera
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
     StoredFrame,
-    capture_of,
-    nearest_stamps,
+    make_capture,
+    match_stamps,
     read_text,
 )
 from placegraph.io.capture.tum import read_tum
@@ -62,8 +62,8 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
     camera, depth_camera, per_metre, said = _cameras(path)
     colours, depths = _listed(path, "rgb.txt"), _listed(path, "depth.txt")
     stamps = [stamp for stamp, _ in colours]
-    depth_of = nearest_stamps([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
-    pose_of = nearest_stamps(trajectory.stamps, stamps, SAME_MOMENT)
+    depth_of = match_stamps([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
+    pose_of = match_stamps(trajectory.stamps, stamps, SAME_MOMENT)
     if poses and len(trajectory) == len(colours):
         pose_of = np.arange(len(colours))
     left_out: Counter[str] = Counter()
@@ -85,7 +85,7 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
             )
         )
     notes = () if poses else (f"Poses are those of {path / 'groundtruth.txt'}, the truth.",)
-    return capture_of(path, shots, left_out=left_out, notes=notes)
+    return make_capture(path, shots, left_out=left_out, notes=notes)
 
 
 def _truth(path: Path) -> Path:

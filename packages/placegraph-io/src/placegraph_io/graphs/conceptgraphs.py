@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.capture.posed import numbers
+from placegraph.io.capture.posed import read_numbers
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph_io.graphs.spark_dsg import MARGIN, box_corners, box_piece, join_pieces
 
@@ -127,7 +127,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
         if not isinstance(entry, dict):
             raise InputError(f"{where} must be a JSON object with id, object_tag and bbox_center.")
         centre, extent = (
-            np.array(numbers(where, entry, name, 3)) for name in ("bbox_center", "bbox_extent")
+            np.array(read_numbers(where, entry, name, 3)) for name in ("bbox_center", "bbox_extent")
         )
         if not (np.isfinite([centre, extent]).all() and (extent >= 0).all() and extent.any()):
             left_out["objects whose box has no size"] += 1

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
-from placegraph.io.capture.posed import SAME_MOMENT, StoredFrame, capture_of, nearest_stamps
+from placegraph.io.capture.posed import SAME_MOMENT, StoredFrame, make_capture, match_stamps
 from placegraph.io.capture.tum import read_tum
 from placegraph_io.ros.containers import Message, Topic, looks_like_bag, open_bag
 from placegraph_io.ros.decode import Registration, colours, decoded, depths
@@ -55,7 +55,7 @@ def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
         shots = _shots(plan, pose_reader, pose_reader.poses(), missing)
     else:
         shots = _shots(plan, pose_reader, _given(poses, pose_reader), f"no pose in {poses.name}")
-    return capture_of(plan.bag.path, shots, left_out=pose_reader.left_out, notes=plan.notes)
+    return make_capture(plan.bag.path, shots, left_out=pose_reader.left_out, notes=plan.notes)
 
 
 def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
@@ -63,7 +63,7 @@ def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
     trajectory, stamps = read_tum(poses), pose_reader.stamps[pose_reader.rows]
     row_of = np.arange(len(stamps))
     if len(trajectory) != len(stamps):
-        row_of = nearest_stamps(trajectory.stamps, stamps, SAME_MOMENT)
+        row_of = match_stamps(trajectory.stamps, stamps, SAME_MOMENT)
     return np.where((row_of >= 0)[:, None, None], trajectory.poses[row_of], np.nan)
 
 
@@ -77,7 +77,7 @@ def _shots(
     lost = np.full(len(stamps), "", object)
     depth_of, moved = np.full(len(stamps), -1), None
     if depth is not None:
-        depth_of = nearest_stamps(pose_reader.depth_stamps, stamps, SAME_MOMENT)
+        depth_of = match_stamps(pose_reader.depth_stamps, stamps, SAME_MOMENT)
         lost[depth_of < 0] = f"no depth within {SAME_MOMENT * 1000:.0f} ms"
         if plan.registration is not None:
             moved = pose_reader.tree.between(colour.frame, depth.frame, stamps)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.images import opened, rgb_of
+from placegraph.io.capture.images import open_image, to_rgb
 from placegraph_io.ros.containers import Message, Topic
 from placegraph_io.storage import rvl_image, rvl_size
 
@@ -215,7 +215,7 @@ def size_of(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # r
         said, data = said or "16UC1", data[_PACKED_HEAD:]
         if _is_rvl(image):
             return *rvl_size(data), said
-    with opened(io.BytesIO(data), f"{name} ({image.format[:40]!r})") as picture:
+    with open_image(io.BytesIO(data), f"{name} ({image.format[:40]!r})") as picture:
         inside = {"L": "mono8", "I;16": "16UC1", "I;16B": "16UC1", "I": "16UC1"}.get(
             picture.mode, "rgb8"
         )
@@ -292,11 +292,11 @@ def _from_yuv(
 
 
 def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
-    with opened(io.BytesIO(bytes(image.data)), f"{name} ({image.format[:40]!r})") as picture:
+    with open_image(io.BytesIO(bytes(image.data)), f"{name} ({image.format[:40]!r})") as picture:
         red = _bayer(image.format.partition(";")[0].strip())
         if red is not None and picture.mode == "L":
             return demosaiced(np.asarray(picture), red)
-        return rgb_of(picture)
+        return to_rgb(picture)
 
 
 def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
@@ -307,7 +307,7 @@ def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # r
     if packed and _is_rvl(image):
         units = rvl_image(pixels, what)
     else:
-        with opened(io.BytesIO(pixels), what) as held:
+        with open_image(io.BytesIO(pixels), what) as held:
             if not held.mode.startswith("I"):
                 raise InputError(
                     f"{name}: format {said[:40]!r} holds pixels of mode {held.mode!r}, which is no "

@@ -16,7 +16,7 @@ import numpy as np
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.capture.posed import camera_of
+from placegraph.io.capture.posed import make_camera
 from placegraph_io.ros.containers import Bag, Topic
 from placegraph_io.ros.decode import (
     DEPTHS,
@@ -220,7 +220,7 @@ def camera_of_info(info: Any, size: tuple[int, int], name: str, *, rectified: bo
     if whole == (0, 0):  # drivers that leave it out
         whole = size
     model = "opencv" if rectified else _MODELS[said]
-    camera = camera_of(name, whole, (fx, fy, cx, cy), bent, model)
+    camera = make_camera(name, whole, (fx, fy, cx, cy), bent, model)
     if abs(size[0] * whole[1] - size[1] * whole[0]) > max(*size, *whole):
         raise InputError(
             f"{name} is of {whole[0]} x {whole[1]} pixels, but the images have {size[0]} x {size[1]}, "
@@ -244,7 +244,7 @@ def camera_of_dict(content: Mapping[str, Any], size: tuple[int, int], name: str)
         raise InputError(
             f"{name} is of {whole[0]} x {whole[1]} pixels, but the images have {size[0]} x {size[1]}."
         )
-    return camera_of(name, size, numbers, bent, model)
+    return make_camera(name, size, numbers, bent, model)
 
 
 def _field(info: Any, name: str) -> Any:  # noqa: ANN401  # capital letters in ROS 1
