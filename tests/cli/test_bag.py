@@ -53,7 +53,7 @@ def test_what_lies_in_it(run, world):
 @pytest.mark.parametrize(
     ("layout", "lacks"),
     [
-        (Layout(depth=False), {"build": "holds no depth, of which a map is fused; record"}),
+        (Layout(depth=False), {"build": "holds no depth, which a map needs; record"}),
         (Layout(poses="none"), {"localize": "no transform leads", "track": "no transform leads"}),
         (Layout(infos=False), {"localize": "no CameraInfo of", "build": "no CameraInfo of"}),
         (Layout(images="none"), {"localize": "holds no colour images", "refine": "no colour"}),
@@ -86,7 +86,7 @@ def test_what_is_not_read_is_said(run, world, tmp_path):
     assert "/battery" in out
     assert "Not read:" in out
     assert "track: no. " in out
-    assert "which tracking itself should tell" in out
+    assert "the result of a localization" in out
     (tmp_path / "walk.json").write_text(json.dumps({"colour": "/battery"}))
     assert (
         "/battery is sensor_msgs/BatteryState with 1 messages"

@@ -121,7 +121,7 @@ def test_the_model_in_the_bag_is_the_map(tmp_path, everything, scene):
 
 
 def test_a_map_of_many_triangles_is_shown_by_boxes(scene, monkeypatch):
-    monkeypatch.setattr("placegraph_ros.scene_messages.MOST", 1)
+    monkeypatch.setattr("placegraph_ros.scene_messages.MAX_TRIANGLES", 1)
     markers = map_messages(scene, 1.0)[0].fields["markers"]
     boxes = scene.mesh.object_bounds(2)
     for marker, (low, high) in zip(markers, boxes, strict=True):
@@ -154,9 +154,9 @@ def test_a_full_disk(tmp_path, monkeypatch, error):
 
 def test_what_is_there_is_never_written_over(tmp_path):
     (tmp_path / "walk.mcap").write_text("mine")
-    with pytest.raises(OptionError, match=r"walk\.mcap is there already"):
+    with pytest.raises(OptionError, match=r"walk\.mcap exists already"):
         BagWriter(tmp_path / "walk.mcap")
-    with pytest.raises(OptionError, match="there already"), BagWriter(tmp_path / "b.mcap") as bag:  # noqa: PT012
+    with pytest.raises(OptionError, match="exists already"), BagWriter(tmp_path / "b.mcap") as bag:  # noqa: PT012
         bag.write(EMPTY)
         (tmp_path / "b.mcap").write_text("another's")  # made while this one was written
     assert (tmp_path / "b.mcap").read_text() == "another's"

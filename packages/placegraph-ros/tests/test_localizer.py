@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.core.geometry import rotation_from_quaternion
 from placegraph_io.ros.decode import typestore
-from placegraph_io.ros.stream import Fault, packets_of
+from placegraph_io.ros.stream import Fault, bag_packets
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA
 from placegraph_ros.localizer import Localizer, run
 from placegraph_ros.options import LiveOptions
@@ -190,9 +190,9 @@ def test_a_pose_that_was_told(room):
     assert any("told where the camera is" in s for s in statuses(messages)) or statuses(messages)
     assert localizer.summary.told["OK"] >= 2
     covariance[0, 0] = np.nan
-    assert "not taken" in statuses(localizer.place(here, covariance))[0]
+    assert "is not used" in statuses(localizer.place(here, covariance))[0]
     covariance[0, 0] = 0.25
-    assert "not taken" in statuses(localizer.place(np.zeros((4, 4)), covariance))[0]
+    assert "is not used" in statuses(localizer.place(np.zeros((4, 4)), covariance))[0]
     taken(localizer, second)
     assert localizer.summary.told["OK"] >= 4
     localizer.close()
@@ -233,7 +233,7 @@ def test_what_is_broken_is_counted_and_the_rest_goes_on(room):
 def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
     source = bag_source(room.bag)
     every = source.plan.bag.topics
-    packets = list(packets_of(source.plan.bag, every))
+    packets = list(bag_packets(source.plan.bag, every))
     localizer = Localizer(room.scene, ONE_BY_ONE, name="robot")
     without = [p for p in packets if "camera_info" not in p.topic]
     said = statuses(taken(localizer, without))
@@ -279,7 +279,7 @@ def test_what_odometry_says_of_its_errors(variance, room):
         localizer.take(packet)
     localizer.finish()
     localizer.close()
-    notes = [n for n in localizer.summary.notes if "What odometry says" in n]
+    notes = [n for n in localizer.summary.notes if "covariance of odometry" in n]
     assert len(notes) == (not variance >= 0.0)
     assert sum(localizer.summary.told.values()) == FRAMES
     assert localizer.summary.told["OK"] > FRAMES / 2

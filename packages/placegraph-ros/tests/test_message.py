@@ -70,7 +70,11 @@ def test_foxglove_knows_the_same_fields():
     [
         ("geometry_msgs/msg/Poze", {}, "Poze"),
         ("geometry_msgs/msg/Point", {"x": 1.0, "w": 1.0}, "has no w"),
-        ("geometry_msgs/msg/Point", {"x": "east"}, "a field of geometry_msgs/msg/Point"),
+        (
+            "geometry_msgs/msg/Point",
+            {"x": "east"},
+            "a field does not fit the definition of geometry_msgs/msg/Point",
+        ),
     ],
 )
 def test_what_a_definition_does_not_know_is_named(kind, fields, said):

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from fake_rclpy import World
 from placegraph_io.ros.decode import typestore
-from placegraph_io.ros.stream import Packet, packets_of
+from placegraph_io.ros.stream import Packet, bag_packets
 from placegraph_ros import node as ros_node
 from placegraph_ros.localizer import Localizer
 from placegraph_ros.node import NEWEST, Inbox, LocalizerNode, RosModules, main
@@ -27,7 +27,7 @@ def recorded(room):
     """Messages of the bag, and topics of a robot that has others as well."""
     source = bag_source(room.bag)
     topics = {t.name: (t.type,) for t in source.plan.bag.topics.values()}
-    packets = list(packets_of(source.plan.bag, topics))
+    packets = list(bag_packets(source.plan.bag, topics))
     return packets, topics | {"/battery": ("sensor_msgs/msg/BatteryState",)}
 
 
@@ -159,7 +159,7 @@ def test_initial_poses(robot, recorded):
     message, *_ = initial(length=0.0)
     world.node.call("set_initial_pose", pose=message)
     errors = [said for level, said in world.logger.said if level == "error"]
-    assert "tell it in 'map'" in errors[0]
+    assert "send it in 'map'" in errors[0]
     assert "the quaternion has length 0" in errors[1]
 
 

@@ -32,7 +32,7 @@ _SEEN = 24.0  # farthest object of a description [m]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of an extract: about its center by `matrix` (2, 2), then to `there`."""
+    """Motion of an extract: about its centre by `matrix` (2, 2), then to `there`."""
 
     matrix: Floats
     here: LocalPlane
@@ -70,8 +70,8 @@ def read_extract(path: Path) -> ET.Element:
     return root
 
 
-def find_center(extract: ET.Element) -> LocalPlane:
-    """Return the local plane at the center of an extract."""
+def find_centre(extract: ET.Element) -> LocalPlane:
+    """Return the local plane at the centre of an extract."""
     lonlat = np.array([_lonlat(node) for node in extract.iter("node")])
     return LocalPlane(*((lonlat.min(axis=0) + lonlat.max(axis=0)) / 2.0))
 
@@ -184,7 +184,7 @@ def draw_towns(folder: Path) -> Town:
     """Draw both towns, the first with trees at its corners that align the grid of viewpoints."""
     world = unpack(folder / "raw")
     extract, other = (read_extract(world / f"{name}.osm") for name in (TOWN, OTHER))
-    plane = find_center(extract)
+    plane = find_centre(extract)
     lonlat = np.array([_lonlat(node) for node in extract.iter("node")])
     half = np.abs(plane.to_plane(lonlat)).max(axis=0) + STRIDE
     half = np.ceil((half.max() + REACH) / STRIDE) * STRIDE - REACH - 0.01
@@ -277,7 +277,7 @@ def reorder_statements(town: Town, rng: np.random.Generator) -> str:
 def add_other_town(town: Town, rng: np.random.Generator) -> str:
     """Add another town to the north-east: no answer becomes more confident."""
     away = town.plane.to_lonlat(rng.uniform(1500.0, 30_000.0, 2))
-    motion = Motion(np.eye(2), find_center(town.other), LocalPlane(*away))
+    motion = Motion(np.eye(2), find_centre(town.other), LocalPlane(*away))
     both = merge_extracts(town.extract, carry_extract(town.other, motion))
     city = build_extract(both, town.folder)
     for description in descriptions(town.city, rng):

@@ -12,40 +12,36 @@ BagFile = Annotated[Path, Argument(help="Bag of ROS: .mcap, .db3, .bag, or a fol
 
 
 def info(bag: BagFile, as_json: AsJson = False) -> None:
-    """Say what a bag holds, what of it is used, and what is missing for which use.
+    """Show the topics of a bag, their roles, and what each use lacks.
 
-    Topics are found by type. Others are named, and what was not recorded is written, in a file beside
-    the bag, BAG.json: {"colour": "/cam/image_raw", "frame": "odom"}.
+    Topics are found by type. A file beside the bag, BAG.json, chooses others and adds what was not
+    recorded: {"colour": "/cam/image_raw", "frame": "odom"}.
 
     Example: placegraph bag info walk.mcap
     """
-    from placegraph_io.info import bag_facts
+    from placegraph_io.info import describe_bag
 
-    told = bag_facts(bag)
+    facts = describe_bag(bag)
     if as_json:
-        echo_json(told)
-    else:
-        _show(told)
-
-
-def _show(told: dict[str, Any]) -> None:
+        echo_json(facts)
+        return
     out = console()
-    out.print(f"{told['bag']}: {told['duration_s']:.1f} s, {told['messages']:,} messages")
-    rows = [("topic", "messages", "Hz", "type", "used as"), *(_row(t) for t in told["topics"])]
+    out.print(f"{facts['bag']}: {facts['duration_s']:.1f} s, {facts['messages']:,} messages")
+    rows = [("topic", "messages", "Hz", "type", "used as"), *(_row(t) for t in facts["topics"])]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
         out.print("  ".join(cells).rstrip())
-    for t in told["topics"]:
+    for t in facts["topics"]:
         if "problem" in t:
             out.print(f"Not read: {t['problem']}")
-    for note in told["notes"]:
+    for note in facts["notes"]:
         out.print(f"Note: {note}")
-    for reason, count in told["left_out"].items():
+    for reason, count in facts["left_out"].items():
         out.print(f"Left out: {count:,}: {reason}")
-    for use, lacks in told["uses"].items():
+    for use, lacks in facts["uses"].items():
         if not lacks:
-            out.print(f"{use}: yes, {told['frames']:,} frames")
+            out.print(f"{use}: yes, {facts['frames']:,} frames")
         for sentence in lacks:
             out.print(f"{use}: no. {sentence}")
 

@@ -4,81 +4,28 @@ from __future__ import annotations
 
 from placegraph.io.formats import Format
 
+_DATASET, _PHONE = "placegraph_io.dataset.", "placegraph_io.phone"
 FORMATS = (
-    Format(
-        "TUM RGB-D",
-        "rgb.txt, depth.txt and groundtruth.txt",
-        "placegraph_io.dataset.tum_rgbd",
-        "tum_rgbd",
-        ("poses",),
-    ),
-    Format(
-        "Stray Scanner",
-        "rgb.mp4, odometry.csv and camera_matrix.csv",
-        "placegraph_io.phone",
-        "stray",
-    ),
-    Format(
-        "Polycam", "keyframes/ with images/, cameras/ and depth/", "placegraph_io.phone", "polycam"
-    ),
-    Format(
-        "Record3D",
-        "metadata.json and rgbd/ or rgb/ and depth/, or .r3d",
-        "placegraph_io.phone",
-        "record3d",
-    ),
-    Format("MultiScan", "X.jsonl and X.mp4", "placegraph_io.dataset.multiscan", "multiscan"),
-    Format(
-        "ios_logger", "Frames.m4v, Frames.txt and ARposes.txt", "placegraph_io.phone", "ios_logger"
-    ),
-    Format("3D Scanner App", "frame_00000.json and .jpg", "placegraph_io.phone", "arkit_app"),
-    Format(
-        "ARKitScenes",
-        "lowres_wide.traj and lowres_wide/",
-        "placegraph_io.dataset.arkit_scenes",
-        "arkit_scenes",
-    ),
-    Format(
-        "3RScan",
-        "sequence/ with _info.txt, or sequence.zip",
-        "placegraph_io.dataset.scan3r_sequence",
-        "scan3r_sequence",
-    ),
-    Format(
-        "ScanNet",
-        "a .sens file, or a folder with one",
-        "placegraph_io.dataset.sens",
-        "sens",
-        ("labels", "label_column", "partial"),
-    ),
-    Format(
-        "ScanNet's exporter",
-        "color/, pose/ and intrinsic_color.txt",
-        "placegraph_io.dataset.sens",
-        "scannet_export",
-        ("labels", "label_column"),
-    ),
-    Format(
-        "COLMAP",
-        "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
-        "placegraph_io.dataset.colmap",
-        "colmap",
-        ("scale", "up"),
-    ),
-    Format("RTAB-Map", "a .db file", "placegraph_io.dataset.rtabmap", "rtabmap"),
-    Format(
-        "NeRFCapture, Spectacular AI and nerfstudio",
-        "transforms.json",
-        "placegraph_io.dataset.transforms",
-        "transforms",
-        ("scale", "up"),
-    ),
-    Format(
-        "a bag of ROS",
-        ".mcap, .db3, .bag, or a folder of rosbag2",
-        "placegraph_io.ros.capture",
-        "bag",
-        ("poses", "topics"),
-        rank=3,
-    ),
-)
+    Format("TUM RGB-D", "rgb.txt, depth.txt and groundtruth.txt", f"{_DATASET}tum_rgbd", "tum_rgbd",
+           ("poses",)),
+    Format("Stray Scanner", "rgb.mp4, odometry.csv and camera_matrix.csv", _PHONE, "stray"),
+    Format("Polycam", "keyframes/ with images/, cameras/ and depth/", _PHONE, "polycam"),
+    Format("Record3D", "metadata.json and rgbd/ or rgb/ and depth/, or .r3d", _PHONE, "record3d"),
+    Format("MultiScan", "X.jsonl and X.mp4", f"{_DATASET}multiscan", "multiscan"),
+    Format("ios_logger", "Frames.m4v, Frames.txt and ARposes.txt", _PHONE, "ios_logger"),
+    Format("3D Scanner App", "frame_00000.json and .jpg", _PHONE, "arkit_app"),
+    Format("ARKitScenes", "lowres_wide.traj and lowres_wide/", f"{_DATASET}arkit_scenes", "arkit_scenes"),
+    Format("3RScan", "sequence/ with _info.txt, or sequence.zip", f"{_DATASET}scan3r_sequence",
+           "scan3r_sequence"),
+    Format("ScanNet", "a .sens file, or a folder with one", f"{_DATASET}sens", "sens",
+           ("labels", "label_column", "partial")),
+    Format("ScanNet's exporter", "color/, pose/ and intrinsic_color.txt", f"{_DATASET}sens",
+           "scannet_export", ("labels", "label_column")),
+    Format("COLMAP", "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
+           f"{_DATASET}colmap", "colmap", ("scale", "up")),
+    Format("RTAB-Map", "a .db file", f"{_DATASET}rtabmap", "rtabmap"),
+    Format("NeRFCapture, Spectacular AI and nerfstudio", "transforms.json", f"{_DATASET}transforms",
+           "transforms", ("scale", "up")),
+    Format("a bag of ROS", ".mcap, .db3, .bag, or a folder of rosbag2", "placegraph_io.ros.capture",
+           "bag", ("poses", "topics"), rank=3),
+)  # fmt: skip

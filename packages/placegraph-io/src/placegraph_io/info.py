@@ -1,4 +1,4 @@
-"""Facts about a bag: topics, the topics that a capture is made of, what each use lacks."""
+"""Facts about a bag: its topics, their roles in a capture, and what each use lacks."""
 
 from __future__ import annotations
 
@@ -8,37 +8,38 @@ from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture
-from placegraph_io.ros.capture import capture_from
+from placegraph_io.ros.capture import capture_of_plan
 from placegraph_io.ros.containers import Topic, open_bag
-from placegraph_io.ros.poses import OF_OTHERS
-from placegraph_io.ros.topics import Plan, plan_of, read_topic_choice
+from placegraph_io.ros.poses import MAP_FRAMES, is_static
+from placegraph_io.ros.topics import CapturePlan, plan_capture, read_topic_choice
 
 USES = ("localize", "refine", "build", "track")
 
 
-def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the plain numbers and strings about a bag; errors as of `open_bag` and `read_topic_choice`.
+def describe_bag(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Describe a bag in plain numbers and strings.
 
-    `topics`: one entry each, with what it is `used` for; `chosen`: by role; `transforms`: parent,
-    child, and whether they never change; `uses`: by use, a list of sentences that say what it lacks.
+    `topics`: an entry for each, with its roles as `used`; `chosen`: topics by role; `transforms`: parent,
+    child, and whether they are fixed; `uses`: by use, sentences about what it lacks. Raises the errors of
+    `open_bag` and `read_topic_choice`.
     """
-    plan = plan_of(open_bag(path), read_topic_choice(path, topics))
+    plan = plan_capture(open_bag(path), read_topic_choice(path, topics))
     capture: Capture | None = None
-    if not plan.lacks:
+    if not plan.missing:
         try:
-            capture = capture_from(plan)
+            capture = capture_of_plan(plan)
         except InputError as error:
-            plan.lacks["poses"] = str(error)
-    held = [t for t in plan.bag.topics.values() if len(t)]
-    first = min(int(t.times[0]) for t in held)
-    last = max(int(t.times[-1]) for t in held)
-    used = _used(plan)
+            plan.missing["poses"] = str(error)
+    recorded = [t for t in plan.bag.topics.values() if len(t)]
+    first = min(int(t.times[0]) for t in recorded)
+    last = max(int(t.times[-1]) for t in recorded)
+    used = _find_roles(plan)
     tree = plan.pose_reader.tree if plan.pose_reader else None
     return {
         "bag": str(path),
         "duration_s": round((last - first) * 1e-9, 3),
-        "messages": sum(len(t) for t in held),
-        "topics": [_topic(plan, topic, used) for topic in plan.bag.topics.values()],
+        "messages": sum(len(t) for t in recorded),
+        "topics": [_describe_topic(plan, topic, used) for topic in plan.bag.topics.values()],
         "transforms": [
             {"parent": parent, "child": child, "fixed": edge.fixed}
             for (parent, child), edge in (tree.edges.items() if tree else ())
@@ -47,35 +48,35 @@ def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, 
         "poses_in": plan.pose_reader.frame if plan.pose_reader else "",
         "frames": len(capture) if capture else 0,
         "left_out": dict(capture.left_out) if capture else {},
-        "uses": {use: _lacks(plan, use) for use in USES},
+        "uses": {use: _find_lacks(plan, use) for use in USES},
         "notes": list(capture.notes if capture else plan.notes),
     }
 
 
-def _used(plan: Plan) -> dict[str, list[str]]:
-    """Return what topics are used for, by their names."""
+def _find_roles(plan: CapturePlan) -> dict[str, list[str]]:
+    """Return the roles of the topics by name."""
+    roles: list[tuple[str, Topic | None]] = [
+        ("colour", plan.colour.topic if plan.colour else None), ("camera", plan.camera_topic),
+        ("depth", plan.depth.topic if plan.depth else None),
+        ("depth_camera", plan.depth_camera_topic),
+    ]  # fmt: skip
+    if plan.pose_reader:
+        roles += [("odometry", plan.pose_reader.odometry), ("imu", plan.pose_reader.imu)]
+        roles += [
+            ("static_transforms" if is_static(topic.name) else "transforms", topic)
+            for topic in plan.pose_reader.transform_topics
+        ]
     out: dict[str, list[str]] = {}
-
-    def put(role: str, topic: Topic | None) -> None:
+    for role, topic in roles:
         if topic is not None:
             out.setdefault(topic.name, []).append(role)
-
-    put("colour", plan.colour.topic if plan.colour else None)
-    put("camera", plan.camera_topic)
-    put("depth", plan.depth.topic if plan.depth else None)
-    put("depth_camera", plan.depth_camera_topic)
-    if plan.pose_reader:
-        put("odometry", plan.pose_reader.odometry)
-        put("imu", plan.pose_reader.imu)
-        for topic in plan.pose_reader.moves:
-            put("static_transforms" if topic.name.endswith("tf_static") else "transforms", topic)
     return out
 
 
-def _topic(plan: Plan, topic: Topic, used: dict[str, list[str]]) -> dict[str, Any]:
+def _describe_topic(plan: CapturePlan, topic: Topic, used: dict[str, list[str]]) -> dict[str, Any]:
     view = next((v for v in plan.views if v.topic is topic), None)
     seconds = float(topic.times[-1] - topic.times[0]) * 1e-9 if len(topic) else 0.0
-    told: dict[str, Any] = {
+    entry: dict[str, Any] = {
         "topic": topic.name,
         "type": topic.short,
         "messages": len(topic),
@@ -83,23 +84,23 @@ def _topic(plan: Plan, topic: Topic, used: dict[str, list[str]]) -> dict[str, An
         "used": used.get(topic.name, []),
     }
     if view is not None:
-        told |= {"encoding": view.encoding, "size": list(view.size), "frame": view.frame}
-        told |= {"problem": view.problem} if view.problem else {}
-    return told
+        entry |= {"encoding": view.encoding, "size": list(view.size), "frame": view.frame}
+        entry |= {"problem": view.problem} if view.problem else {}
+    return entry
 
 
-def _lacks(plan: Plan, use: str) -> list[str]:
-    """Return the sentences on what a use lacks; none: it can be done."""
-    lacks = list(plan.lacks.values())
+def _find_lacks(plan: CapturePlan, use: str) -> list[str]:
+    """Return sentences about what a use lacks; empty where it is possible."""
+    lacks = list(plan.missing.values())
     path, pose_reader = plan.bag.path, plan.pose_reader
     if use == "build" and plan.colour is not None and plan.depth is None:
         lacks.append(
-            f"{path} holds no depth, of which a map is fused; record the depth camera's image topic, "
+            f"{path} holds no depth, which a map needs; record the depth camera's image topic, "
             "16UC1 or 32FC1, with its CameraInfo."
         )
-    if use == "track" and pose_reader is not None and pose_reader.frame in OF_OTHERS:
+    if use == "track" and pose_reader is not None and pose_reader.frame in MAP_FRAMES:
         lacks.append(
-            f"{path}: poses are those of {pose_reader.frame}, which tracking itself should tell; record the "
+            f"{path}: poses are in {pose_reader.frame}, the result of a localization; record odometry: the "
             "transform odom -> base_link, or nav_msgs/Odometry."
         )
     return lacks

@@ -1,4 +1,4 @@
-"""Containers read in place within limits of memory: SQLite, ZIP, compressed chunks, RVL depth images."""
+"""Readers of SQLite, ZIP, compressed chunks and RVL depth images, within limits of memory."""
 
 from __future__ import annotations
 
@@ -22,15 +22,11 @@ from numpy.typing import NDArray
 from placegraph.core.files import check_regular
 from placegraph.errors import InputError
 
-LARGEST_VALUE = 1 << 28
-"""Bytes of one value; images have some millions."""
+LARGEST_VALUE = 1 << 28  # bytes of a database value or a file of a ZIP; images have some millions
 
 
 class Database:
-    """A database that is only read; opened again where it is sent to.
-
-    Raises `InputError` where the file cannot be opened, or is none.
-    """
+    """Read-only SQLite database, pickled by its path; `InputError` where it cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         self.path = check_regular(path)
@@ -51,10 +47,10 @@ class Database:
         return type(self), (self.path,)
 
     def select(self, columns: str, table: str, then: str = "") -> Any:  # noqa: ANN401  # rows
-        """Rows of a table, which must be one: no view runs. Raises `sqlite3.Error` or `ValueError`."""
-        asked = "SELECT type || substr(sql, 1, 13) FROM sqlite_master WHERE name = ? COLLATE NOCASE"
-        made = self._base.execute(asked, (table,)).fetchone()
-        if made is None or str(made[0]).upper() != "TABLECREATE TABLE ":
+        """Select rows of a table, never of a view. Raises `sqlite3.Error` or `ValueError`."""
+        query = "SELECT type || substr(sql, 1, 13) FROM sqlite_master WHERE name = ? COLLATE NOCASE"
+        row = self._base.execute(query, (table,)).fetchone()
+        if row is None or str(row[0]).upper() != "TABLECREATE TABLE ":
             raise ValueError(f"it has no table {table}")
         return self._base.execute(f"SELECT {columns} FROM {table} {then}")  # noqa: S608  # our words
 
@@ -63,40 +59,34 @@ class Database:
         return {str(row[1]).lower() for row in self._base.execute(f"PRAGMA table_info({table})")}
 
     def blob(self, place: tuple[str, str, int], name: str, most: int | None = None) -> bytes:
-        """Bytes of a table's column in a row, all or the first; `InputError`, which begins with `name`."""
+        """Read a value (table, column, row), all or its first bytes; `InputError` begins with `name`."""
         try:
-            with self._lock, self._base.blobopen(*place, readonly=True) as held:
-                if len(held) >= LARGEST_VALUE:
-                    raise InputError(f"{name} has {len(held):,} bytes; it is refused.")
-                return held.read(len(held) if most is None else most)
+            with self._lock, self._base.blobopen(*place, readonly=True) as value:
+                if len(value) >= LARGEST_VALUE:
+                    raise InputError(f"{name} has {len(value):,} bytes, too many to read.")
+                return value.read(len(value) if most is None else most)
         except (sqlite3.Error, OverflowError) as error:
             raise InputError(
-                f"{name} cannot be read ({error}); `sqlite3 {self.path.name} .recover` saves what is left."
+                f"{name} cannot be read ({error}); `sqlite3 {self.path.name} .recover` rescues the rest."
             ) from error
 
 
-_LARGEST_FILE = 1 << 28  # bytes of one file; images have some millions
-
-
 class Archive:
-    """Files of a ZIP by name, each found by the place that its directory says.
-
-    Raises `InputError` where it is no ZIP, or a file of it is missing, damaged, or too large.
-    """
+    """Files of a ZIP by name; `InputError` where the ZIP or a file is missing, damaged or too large."""
 
     def __init__(self, path: Path, *, flat: bool = False) -> None:
-        """Read the directory; `flat`: names are without folders."""
+        """Read the directory; `flat`: drop folders from names."""
         self.path = path
         try:
             with zipfile.ZipFile(check_regular(path)) as archive:
-                held = [entry for entry in archive.infolist() if not entry.is_dir()]
+                entries = [entry for entry in archive.infolist() if not entry.is_dir()]
         except (zipfile.BadZipFile, OSError, ValueError, LookupError, RuntimeError) as error:
-            raise InputError(f"{path} is no readable ZIP ({error}); copy it again.") from error
-        self._entries = {PurePosixPath(e.filename).name if flat else e.filename: e for e in held}
+            raise InputError(f"{path} cannot be read as a ZIP ({error}); copy it again.") from error
+        self._entries = {PurePosixPath(e.filename).name if flat else e.filename: e for e in entries}
         self.names = frozenset(self._entries)
 
     def where(self, name: str) -> str:
-        """Return what a file is called in messages."""
+        """Return the name of a file in messages."""
         return f"{self.path}, {name}" if name else str(self.path)
 
     def read(self, name: str) -> bytes:
@@ -104,19 +94,17 @@ class Archive:
         entry = self._entries.get(name)
         if entry is None:
             raise InputError(f"{self.path} holds no {name}; export or download it again.")
-        if entry.file_size > _LARGEST_FILE:
-            raise InputError(
-                f"{self.where(name)} would have {entry.file_size} bytes; it is refused."
-            )
+        if entry.file_size > LARGEST_VALUE:
+            raise InputError(f"{self.where(name)} has {entry.file_size} bytes, too many to read.")
         try:
             with self.path.open("rb") as file:
                 file.seek(entry.header_offset)
                 head = struct.unpack("<4s22xHH", file.read(30))
                 file.seek(head[1] + head[2], io.SEEK_CUR)
-                packed = file.read(min(entry.compress_size, _LARGEST_FILE))
+                packed = file.read(min(entry.compress_size, LARGEST_VALUE))
             data = packed
             if entry.compress_type == zipfile.ZIP_DEFLATED:
-                data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, _LARGEST_FILE)
+                data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, LARGEST_VALUE)
             good = zlib.crc32(data) == entry.CRC and not entry.flag_bits & 1
         except (OSError, struct.error, zlib.error, ValueError, OverflowError) as error:
             raise InputError(f"{self.where(name)} is damaged ({error}); copy it again.") from error
@@ -125,27 +113,25 @@ class Archive:
         return data
 
 
-_MOST_PIXELS = (
-    1 << 24
-)  # pixels; no sensor of depth has as many, and a few bytes could claim any number
-_LONGEST = 10  # nibbles of three bits that a number of 30 bits has
+_MOST_PIXELS = 1 << 24  # of a depth image
+_MOST_NIBBLES = 10  # of three bits, in a number of 30 bits
 
 
 def rvl_size(data: bytes) -> tuple[int, int]:
-    """Return the width and height [px], which stand before the pixels as those who pack by RVL write them."""
+    """Return the width and height [px] of an RVL image."""
     width, height = unpack("<II", data[:8].ljust(8, b"\0"))
     return width, height
 
 
 def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
-    """Return the image (h, w) uint16: width and height as uint32, little-endian, and the pixels' stream.
+    """Decode an RVL image (h, w) uint16: width and height (uint32, little-endian), then pixels.
 
-    Raises `InputError`, which begins with `name`, where the stream does not make up the image.
+    Raises `InputError`, beginning with `name`, where the stream is damaged.
     """
     width, height = rvl_size(data)
     if not 0 < width * height <= _MOST_PIXELS:
-        raise InputError(f"{name} says it has {width} x {height} pixels; record that image again.")
-    if len(data) - 8 > 3 * width * height + 16:  # the worst that packing can do
+        raise InputError(f"{name} claims {width} x {height} pixels; record that image again.")
+    if len(data) - 8 > 3 * width * height + 16:  # the largest encoding
         raise InputError(f"{name}: {len(data):,} bytes are too many for {width} x {height} pixels.")
     pixels = _pixels(_numbers(data[8:]), width * height)
     if pixels is None:
@@ -154,14 +140,14 @@ def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def _numbers(data: bytes) -> NDArray[np.int64]:
-    """Return the whole numbers of a stream of nibbles, three bits each, low ones first; 8: more follow."""
+    """Decode integers of nibbles: three bits each, low ones first; bit 8: more follow."""
     words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
     nibbles = ((words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32)) & 15).astype(np.uint8)
     nibbles = nibbles.ravel()
     ends = np.flatnonzero(nibbles < 8)
     lengths = np.diff(ends, prepend=-1)
-    too_long = np.flatnonzero(lengths > _LONGEST)
-    if too_long.size:  # no number, and nothing after it can be believed
+    too_long = np.flatnonzero(lengths > _MOST_NIBBLES)
+    if too_long.size:  # damaged from here on
         ends, lengths = ends[: too_long[0]], lengths[: too_long[0]]
     if not ends.size:
         return np.zeros(0, np.int64)
@@ -174,7 +160,7 @@ def _numbers(data: bytes) -> NDArray[np.int64]:
 
 
 def _pixels(numbers: NDArray[np.int64], count: int) -> NDArray[np.uint16] | None:
-    """Pixels (count,): by turns how many are 0, how many are not, and those, each by its difference."""
+    """Decode pixels (count,): alternating runs of zeros and of differences of nonzero pixels."""
     steps = np.zeros(count, np.int32)
     read = np.zeros(count, np.bool_)
     at = pixel = 0
@@ -188,30 +174,29 @@ def _pixels(numbers: NDArray[np.int64], count: int) -> NDArray[np.uint16] | None
         steps[pixel : pixel + others] = numbers[at : at + others]
         read[pixel : pixel + others] = True
         pixel, at = pixel + others, at + others
-    held = steps[read]
+    differences = steps[read]
     out = np.zeros(count, np.uint16)
-    out[read] = np.cumsum((held >> 1) ^ -(held & 1)).astype(np.uint16)
+    out[read] = np.cumsum((differences >> 1) ^ -(differences & 1)).astype(np.uint16)
     return out
 
 
-LARGEST_MESSAGE = 1 << 30
-"""Bytes of a message or of an unpacked chunk beyond which a number is not believed."""
-_STEP = 1 << 18  # bytes at once: little more than is read, and none of it copied in vain
+LARGEST_MESSAGE = 1 << 30  # bytes of a message or of an unpacked chunk
+_STEP = 1 << 18  # bytes that are unpacked at once
 
 
 class CompressedBytes:
-    """Compressed bytes, unpacked from their beginning as far as somebody reads."""
+    """Compressed bytes, unpacked from the beginning as far as they are read."""
 
     def __init__(self, data: bytes, compression: str, name: str) -> None:
-        """`name` is what the parts are called in messages: "walk.mcap, the chunk at byte 8,"."""
-        self._unpacker = _unpacker(compression, name)
+        """`name` stands in messages: "walk.mcap, the chunk at byte 8,"."""
+        self._unpacker = _make_unpacker(compression, name)
         self._left, self._content, self._name = data, bytearray(), name
 
     def read(self, offset: int, count: int) -> bytes:
-        """At most `count` bytes: fewer where they end. `InputError`: damaged, or beyond `LARGEST_MESSAGE`."""
+        """Return at most `count` bytes; `InputError` where damaged, or beyond `LARGEST_MESSAGE`."""
         if offset + count > LARGEST_MESSAGE:
             raise InputError(
-                f"{self._name} would unpack to more than {LARGEST_MESSAGE:,} bytes; it is refused."
+                f"{self._name} unpacks to more than {LARGEST_MESSAGE:,} bytes, too many to read."
             )
         try:
             while len(self._content) < offset + count and not self._unpacker.eof:
@@ -220,12 +205,12 @@ class CompressedBytes:
                 if not part:
                     break
                 self._content += part
-        except Exception as error:  # each library has its own, without a common root
+        except Exception as error:  # libraries have no common one
             raise InputError(f"{self._name} is damaged ({error}); copy the bag again.") from error
         return bytes(memoryview(self._content)[offset : offset + count])
 
 
-def _unpacker(compression: str, name: str) -> Any:  # noqa: ANN401  # of three libraries
+def _make_unpacker(compression: str, name: str) -> Any:  # noqa: ANN401  # of three libraries
     if compression == "zstd":
         if sys.version_info >= (3, 14):
             from compression.zstd import ZstdDecompressor
@@ -238,4 +223,4 @@ def _unpacker(compression: str, name: str) -> Any:  # noqa: ANN401  # of three l
         return LZ4FrameDecompressor()
     if compression == "bz2":
         return bz2.BZ2Decompressor()
-    raise InputError(f"{name} is compressed by {compression!r}; write it with zstd or lz4.")
+    raise InputError(f"{name} uses the compression {compression!r}; write it with zstd or lz4.")

@@ -50,7 +50,7 @@ def test_an_mcap_that_was_cut_is_read_as_far_as_it_goes(packed, bag, clip, tmp_p
             fails(cut, "holds no message")
             continue
         capture = pg.open_capture(cut)
-        assert any("read as far as it goes" in note for note in capture.notes)
+        assert any("read as far as possible" in note for note in capture.notes)
         assert 2 <= len(capture) <= len(clip)
         for got, wanted in zip(capture, clip, strict=False):
             np.testing.assert_array_equal(got.rgb(), wanted.rgb())
@@ -82,7 +82,10 @@ def test_files_that_are_no_bag(container, bag, tmp_path):
     for number, part in enumerate((b"", b"not a bag at all" * 100, data[:100])):
         bad = tmp_path / f"bad{number}{file.suffix}"
         bad.write_bytes(part)
-        fails(bad, "holds no message|no MCAP|no rosbag2 database|cannot be (read|opened) as")
+        fails(
+            bad,
+            "holds no message|does not begin as an MCAP|no rosbag2 database|cannot be (read|opened) as",
+        )
     if container == "rosbag1":
         (tmp_path / "half.bag").write_bytes(data[: len(data) // 2])
         fails(tmp_path / "half.bag", "rosbag reindex")
@@ -100,7 +103,7 @@ def test_a_folder_that_is_not_whole(bag):
     fails(path, "db3 does not exist, but metadata.yaml lists it")
     moved.rename(f"{file}.zstd")
     (path / "metadata.yaml").unlink()
-    fails(path, "unpack it once: `zstd -d")
+    fails(path, "unpack it: `zstd -d")
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
     fails(path, "run `ros2 bag reindex`")
 
@@ -179,7 +182,7 @@ def test_a_joint_is_no_odometry(bag, clip):
 
     capture = pg.open_capture(bag(layout=Layout(poses="none"), more=joint))
     np.testing.assert_allclose(capture.odometry, [np.eye(4)] * 4, atol=1e-9)
-    assert any("world is a frame in which a localization or SLAM" in n for n in capture.notes)
+    assert any("world is a frame of localization or SLAM" in n for n in capture.notes)
 
 
 def test_odometry_that_leads_nowhere(bag):
@@ -187,8 +190,8 @@ def test_odometry_that_leads_nowhere(bag):
         writer.odometry("/odom", START + 100.0, np.eye(4), child="wheels")
 
     path = bag(layout=Layout(poses="none"), more=wheels)
-    fails(path, r"/odom tells of 'wheels', which no transform joins.*\"transforms\" in")
-    fails(path, "/wheels is no nav_msgs/Odometry", topics={"odometry": "/wheels"})
+    fails(path, r"/odom moves .wheels., which no transform connects.*\"transforms\" in")
+    fails(path, "/wheels has no nav_msgs/Odometry", topics={"odometry": "/wheels"})
     join = {"parent": "wheels", "child": "base_link", "xyz": [0, 0, 0], "xyzw": [0, 0, 0, 1]}
     assert len(pg.open_capture(path, topics={"transforms": [join]})) == 4, "it stands still"
     far = join | {"xyz": [10**400, 0, 0]}
@@ -209,7 +212,10 @@ def test_depth_that_nothing_joins(bag, clip):
             writer.image("/other/image_raw", START + frame.stamp, units, "16UC1", "aside")
 
     path = bag(layout=Layout(depth=False), more=aside)
-    fails(path, "no transform joins 'camera_optical_frame'.*'aside'.*\"depth\": null")
+    fails(
+        path,
+        "no transform connects the colour camera 'camera_optical_frame'.*'aside'.*\"depth\": null",
+    )
     assert pg.open_capture(path, topics={"depth": None}).depth_camera is None
 
 
@@ -226,7 +232,7 @@ def test_clocks_that_jump(bag, clip, tmp_path):
             writer.write(Message(COLOUR, "sensor_msgs/msg/Image", late.start, image))
     capture = pg.open_capture(tmp_path / "back")
     assert (len(capture), capture.left_out) == (3, {"the clock jumped back": 1})
-    assert any("jumps back (1 times)" in note for note in capture.notes)
+    assert any("jumps back 1 times" in note for note in capture.notes)
 
     def other_clock(writer):
         for frame in clip:
@@ -236,7 +242,7 @@ def test_clocks_that_jump(bag, clip, tmp_path):
 
     capture = pg.open_capture(bag(layout=Layout(poses="none"), more=other_clock))
     np.testing.assert_allclose(capture.odometry, clip.odometry, atol=1e-6)
-    assert any("different clocks; the times of recording" in note for note in capture.notes)
+    assert any("different clocks; times of recording" in note for note in capture.notes)
 
     def again(writer):
         writer.image(COLOUR, START + clip.stamps[0], np.zeros((72, 96, 3), np.uint8), "rgb8")
@@ -248,8 +254,8 @@ def test_clocks_that_jump(bag, clip, tmp_path):
 @pytest.mark.parametrize(
     ("fields", "match"),
     [
-        ({"width": 96, "height": 96}, '96 x 96 pixels, but the images have 96 x 72.*"camera"'),
-        ({"k": np.zeros(9)}, "K is all zeros: the camera was not calibrated"),
+        ({"width": 96, "height": 96}, '96 x 96 pixels, but images have 96 x 72.*"camera"'),
+        ({"k": np.zeros(9)}, "K is all zeros, so the camera was not calibrated"),
         ({"distortion_model": "double_sphere"}, "distortion_model is 'double_sphere'"),
         ({"d": np.arange(12.0)}, "D has 12 coefficients"),
         ({"k": np.full(9, np.nan)}, "camera_info"),
@@ -283,8 +289,8 @@ def test_intrinsics_of_another_resolution_and_of_rectified_images(tmp_path, clip
         ({"height": 1 << 31}, "width and height are 96 and 2147483648"),
         ({"width": 97}, "97 x 72 of 'rgb8'"),
         ({"step": 3}, "with a step of 3"),
-        ({"encoding": "64FC1"}, "encoding '64FC1' is no colour"),
-        ({"encoding": "16UC1"}, "is no colour"),
+        ({"encoding": "64FC1"}, "encoding '64FC1' is not read"),
+        ({"encoding": "16UC1"}, "is not read"),
         ({"width": 48, "step": 288}, "has 48 x 72 pixels, but its camera says 96 x 72"),
     ],
 )
@@ -338,7 +344,9 @@ def test_poses_that_are_no_numbers(bag, clip):
 
     capture = pg.open_capture(bag(layout=Layout(poses="odometry"), more=broken))
     np.testing.assert_allclose(capture.odometry, clip.odometry, atol=1e-9)
-    assert any("1 transforms held NaN or no quaternion" in note for note in capture.notes)
+    assert any(
+        "1 transforms with NaN or without a unit quaternion" in note for note in capture.notes
+    )
 
 
 def test_the_extra_is_named(bag, monkeypatch):

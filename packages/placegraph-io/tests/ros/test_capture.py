@@ -20,7 +20,7 @@ from placegraph.core.geometry import (
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.tum import write_tum
 from placegraph_io.ros.decode import Registration
-from placegraph_io.ros.poses import LONGEST, Edge, Tree
+from placegraph_io.ros.poses import MAX_GAP, Edge, TransformTree
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -61,7 +61,7 @@ def test_a_file_alone_and_what_was_chosen(bag, clip, recorded, tmp_path):
     said = " ".join(capture.notes)
     assert "Colour is /camera/color/image_raw (sensor_msgs/Image, rgb8, 96 x 72" in said
     assert "/camera/aligned_depth_to_color/image_raw" in said
-    assert "camera_optical_frame in odom, by /tf" in said
+    assert "camera_optical_frame in odom, from /tf" in said
 
 
 @pytest.mark.parametrize("packing", ["NONE", "LZ4", "ZSTD"])
@@ -125,7 +125,7 @@ def test_depth_of_another_camera(tmp_path, clip, recorded):
                 "/depth/image_raw", START + stamp, depth.astype("f4"), "32FC1", "depth_frame"
             )
     capture = pg.open_capture(tmp_path / "walk")
-    assert any("brought from depth_frame" in note for note in capture.notes)
+    assert any("registered from depth_frame" in note for note in capture.notes)
     got = capture[1].depth()
     assert got.shape == (capture.depth_camera.height, capture.depth_camera.width)
     inner = got[6:-6, 6:-6]
@@ -160,7 +160,7 @@ def test_what_the_file_beside_it_says(bag, clip, tmp_path):
     assert pg.open_capture(path, topics={"depth": None}).depth_camera is None
     twice = pg.open_capture(path, topics={"depth_scale": 500})
     np.testing.assert_allclose(twice[0].depth(), 2 * clip[0].depth(), atol=0.0012)
-    for wrong, words in (({"color": "/a"}, "'color' is not known"), ({"frame": 3}, "frame is '3'"),
+    for wrong, words in (({"color": "/a"}, "'color' is unknown"), ({"frame": 3}, "frame is '3'"),
                          ({"transforms": [{}]}, "transforms is .*parent")):  # fmt: skip
         with pytest.raises(OptionError, match=words):
             pg.open_capture(path, topics=wrong)
@@ -196,7 +196,7 @@ def test_an_imu_stands_a_leaning_odometry_upright(tmp_path, clip):
                 writer.imu("/imu", START + frame.stamp, up)
         capture = pg.open_capture(tmp_path / name)
         np.testing.assert_allclose(capture.gravity, clip.gravity, atol=1e-6)
-        assert any("leans by 12." in note for note in capture.notes) is how
+        assert any("tilted by 12." in note for note in capture.notes) is how
 
 
 def test_transforms_are_found_between_any_two_frames(rng):
@@ -204,25 +204,25 @@ def test_transforms_are_found_between_any_two_frames(rng):
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, :3] = pose_matrix(rng.normal(size=(4, 4)), np.eye(3))[:, :3]
     turn = pose_matrix([0, 0, 0, 0.2], np.eye(3))
-    tree = Tree()
+    tree = TransformTree()
     tree.add({("odom", "base"): [rows((0.0, poses[0]), (0.2, poses[0] @ turn), (2.0, poses[1]))]})
     tree.add({("base", side): [rows((0, poses[i]))] for side, i in (("left", 2), ("right", 3))},
              static=True)  # fmt: skip
     at = np.array([0.0, 0.1, 0.2, 0.7, 2.0, 2.3])
-    got = tree.between("right", "odom", at)
+    got = tree.lookup("right", "odom", at)
     half = pose_matrix([0, 0, 0, 0.1], np.eye(3))
     wanted = [poses[0], poses[0] @ half, poses[0] @ turn, None, poses[1], None]
-    assert LONGEST < 1.8
+    assert MAX_GAP < 1.8
     for pose, base in zip(got, wanted, strict=True):
         if base is None:
             assert np.isnan(pose[:3]).any()
         else:
             np.testing.assert_allclose(pose, np.linalg.inv(base @ poses[3]), atol=1e-9)
     np.testing.assert_allclose(
-        tree.between("left", "right", at[:1])[0], np.linalg.inv(poses[2]) @ poses[3], atol=1e-9
+        tree.lookup("left", "right", at[:1])[0], np.linalg.inv(poses[2]) @ poses[3], atol=1e-9
     )
-    assert tree.between("odom", "nowhere", at) is None
-    assert tree.above("left") == {"base": False, "odom": True}
+    assert tree.lookup("odom", "nowhere", at) is None
+    assert tree.ancestors("left") == {"base": False, "odom": True}
 
 
 def rows(*samples):
@@ -232,11 +232,11 @@ def rows(*samples):
 
 
 def test_broken_transforms_are_counted():
-    tree = Tree()
+    tree = TransformTree()
     good, zero, nan = (0, 0, 0, 0, 0, 0, 1.0), (0,) * 7, (np.nan, 0, 0, 0, 0, 0, 1.0)
     held = np.array([(0.0, *good), (1.0, *zero), (2.0, *nan)])
     tree.add({("a", "b"): [held], ("a", "a"): [held[:1]]})
-    assert tree.broken == 3
+    assert tree.invalid == 3
     assert tree.names == ["a", "b"]
     assert isinstance(tree.edges["a", "b"], Edge)
     assert tree.edges["a", "b"].fixed

@@ -8,7 +8,7 @@ import pytest
 from tests.io.writers import rvl
 
 from placegraph.errors import InputError
-from placegraph_io.ros.decode import colours, depths, size_of
+from placegraph_io.ros.decode import decode_colour, decode_depth, read_size
 from placegraph_lab.worlds.bags import png
 
 RNG = np.random.default_rng(0)
@@ -43,17 +43,19 @@ def packed(data, said):
 )  # fmt: skip
 def test_plain_colours(encoding, pixels):
     for pad in (0, 5):
-        np.testing.assert_array_equal(colours(image(pixels, encoding, pad=pad), "x"), SMOOTH)
+        np.testing.assert_array_equal(decode_colour(image(pixels, encoding, pad=pad), "x"), SMOOTH)
     if encoding == "rgb16":
-        turned = colours(image(pixels.astype(">u2"), encoding, big=1), "x")
+        turned = decode_colour(image(pixels.astype(">u2"), encoding, big=1), "x")
         np.testing.assert_array_equal(turned, SMOOTH)
 
 
 def test_greys():
     grey = SMOOTH[..., 0]
     wanted = np.repeat(grey[..., None], 3, axis=2)
-    np.testing.assert_array_equal(colours(image(grey, "mono8"), "x"), wanted)
-    np.testing.assert_array_equal(colours(image(grey.astype("<u2") << 8, "mono16"), "x"), wanted)
+    np.testing.assert_array_equal(decode_colour(image(grey, "mono8"), "x"), wanted)
+    np.testing.assert_array_equal(
+        decode_colour(image(grey.astype("<u2") << 8, "mono16"), "x"), wanted
+    )
 
 
 @pytest.mark.parametrize("order", ["rggb", "grbg", "gbrg", "bggr"])
@@ -63,12 +65,12 @@ def test_bayer(order):
     for i, letter in enumerate(order):
         y, x = divmod(i, 2)
         raw[y::2, x::2] = SMOOTH[y::2, x::2, "rgb".index(letter)]
-    got = colours(image(raw, f"bayer_{order}8"), "x")
+    got = decode_colour(image(raw, f"bayer_{order}8"), "x")
     assert np.abs(got.astype(int) - SMOOTH)[1:-1, 1:-1].max() <= 1
     assert np.abs(got.astype(int) - SMOOTH).max() <= 8
-    wide = colours(image(raw.astype("<u2") << 8, f"bayer_{order}16"), "x")
+    wide = decode_colour(image(raw.astype("<u2") << 8, f"bayer_{order}16"), "x")
     np.testing.assert_array_equal(wide, got)
-    jpeg = colours(packed(png(raw), f"bayer_{order}8; png compressed"), "x")
+    jpeg = decode_colour(packed(png(raw), f"bayer_{order}8; png compressed"), "x")
     np.testing.assert_array_equal(jpeg, got)
 
 
@@ -80,7 +82,7 @@ def test_yuv(encoding):
     v = 128 + 0.439 * r - 0.368 * g - 0.071 * b
     chroma = np.where(np.arange(r.shape[1]) % 2, v, u)
     pairs = (chroma, y) if encoding == "yuv422" else (y, chroma)
-    got = colours(image(np.rint(np.stack(pairs, axis=-1)).astype(np.uint8), encoding), "x")
+    got = decode_colour(image(np.rint(np.stack(pairs, axis=-1)).astype(np.uint8), encoding), "x")
     np.testing.assert_allclose(got, SMOOTH.repeat(2, axis=1), atol=3)
 
 
@@ -99,13 +101,15 @@ def test_depths():
         packed(png(units), "16UC1; png compressed "),
         packed(bytes(12) + rvl(units), "16UC1; compressedDepth rvl"),
     ):  # fmt: skip
-        np.testing.assert_array_equal(depths(said, None, "x"), metres)
-        assert size_of(said, "x")[:2] == (16, 12)
-    np.testing.assert_allclose(depths(image(units, "16UC1"), 5000.0, "x"), metres / 5, rtol=1e-6)
-    got = depths(image(unread, "32FC1"), None, "x")
+        np.testing.assert_array_equal(decode_depth(said, None, "x"), metres)
+        assert read_size(said, "x")[:2] == (16, 12)
+    np.testing.assert_allclose(
+        decode_depth(image(units, "16UC1"), 5000.0, "x"), metres / 5, rtol=1e-6
+    )
+    got = decode_depth(image(unread, "32FC1"), None, "x")
     assert np.isnan(got[0, :2]).all()
     head = struct.pack("<iff", 0, a, b)
-    got = depths(packed(head + png(inverse), "32FC1; compressedDepth"), None, "x")
+    got = decode_depth(packed(head + png(inverse), "32FC1; compressedDepth"), None, "x")
     np.testing.assert_allclose(got, metres, rtol=0.2)
     np.testing.assert_allclose(got[inverse > 50], (a / (inverse - b))[inverse > 50], rtol=1e-6)
 
@@ -113,12 +117,12 @@ def test_depths():
 @pytest.mark.parametrize(
     ("said", "match"),
     [
-        (image(SMOOTH, "rgb8"), "encoding 'rgb8' is no depth; it is 16UC1"),
-        (packed(png(SMOOTH), "16UC1; jpeg"), "mode 'RGB', which is no depth"),
-        (packed(bytes(30), "16UC1; compressedDepth rvl"), "it has 0 x 0 pixels"),
+        (image(SMOOTH, "rgb8"), "encoding 'rgb8' is no depth; record 16UC1"),
+        (packed(png(SMOOTH), "16UC1; jpeg"), "mode 'RGB', which are no depth"),
+        (packed(bytes(30), "16UC1; compressedDepth rvl"), "claims 0 x 0 pixels"),
         (packed(b"\x89PNG", "16UC1; compressedDepth png"), "cannot be read as an image"),
     ],
 )
 def test_what_is_no_depth(said, match):
     with pytest.raises(InputError, match=match):
-        depths(said, None, "x")
+        decode_depth(said, None, "x")

@@ -12,17 +12,17 @@ from placegraph.core.geometry import quaternion_from_rotation, rotation_from_vec
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.containers import open_bag
-from placegraph_io.ros.poses import Tree
+from placegraph_io.ros.poses import TransformTree
 from placegraph_io.ros.stream import (
     SILENT,
     Fault,
     FrameAssembly,
     OdometryPose,
     StreamDiscovery,
+    bag_packets,
     mcap_packets,
-    packets_of,
 )
-from placegraph_io.ros.topics import TopicChoice, plan_of
+from placegraph_io.ros.topics import TopicChoice, plan_capture
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 from placegraph_ros.message import pose
 from placegraph_ros.pose_messages import base_pose
@@ -42,8 +42,8 @@ def frames_of(assembly, packets):
 
 def of_bag(path):
     """FrameAssembly of a bag, and its packets."""
-    assembly = FrameAssembly(plan_of(open_bag(path), TopicChoice()))
-    return assembly, list(packets_of(assembly.plan.bag, assembly.topics))
+    assembly = FrameAssembly(plan_capture(open_bag(path), TopicChoice()))
+    return assembly, list(bag_packets(assembly.plan.bag, assembly.topics))
 
 
 def bytes_of(path):
@@ -96,10 +96,10 @@ def test_a_pipe_that_is_cut_off_is_read_as_far_as_it_goes(packed, bag):
     for cut in (9, len(data) // 3, len(data) // 2):
         *packets, fault = mcap_packets(io.BytesIO(data[:cut]).read, "stdin")
         assert isinstance(fault, Fault)
-        assert "stdin was cut off" in fault.reason
+        assert "stdin has no end" in fault.reason
         assert packets == whole[: len(packets)]
         assert packets or packed or cut == 9, "of a chunk that is cut off what is there"
-    with pytest.raises(InputError, match="stdin is no MCAP stream"):
+    with pytest.raises(InputError, match="stdin does not begin as an MCAP"):
         list(mcap_packets(io.BytesIO(b"{}").read, "stdin"))
 
 
@@ -125,11 +125,11 @@ def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     listening = StreamDiscovery(Path("robot"), TopicChoice())
     assert not any(listening.take(p) for p in lacking)
     assert listening.find_plan() is None
-    assert words in listening.lacks[0]
+    assert words in listening.missing[0]
     for packet in mcap_packets(bytes_of(bag(name="whole")), "robot"):
         listening.take(packet)
     assert listening.find_plan() is not None
-    assert not listening.lacks
+    assert not listening.missing
 
 
 def test_odometry_between_images_is_told(tmp_path, clip):
@@ -223,7 +223,7 @@ def test_transforms_of_a_stream_are_those_of_all_their_samples(rng):
     xyzw = np.array([quaternion_from_rotation(rotation_from_vector(t)) for t in turns])
     xyzw *= np.where(rng.random(count) < 0.5, -1.0, 1.0)[:, None]  # both mean the same turn
     rows = np.c_[np.arange(count) * 0.02, rng.normal(size=(count, 3)), xyzw]
-    whole, live = Tree(), Tree()
+    whole, live = TransformTree(), TransformTree()
     whole.add({key: [rows]})
     order = np.arange(count)
     order[50:52] = 51, 50  # late
@@ -231,10 +231,10 @@ def test_transforms_of_a_stream_are_those_of_all_their_samples(rng):
         live.extend(key, rows[i : i + 1], keep=2.0)
         live.extend(key, np.full((1, 8), np.nan), keep=2.0)
     stamps = np.linspace(2.0, 3.9, 77)
-    np.testing.assert_allclose(live.between(*key, stamps), whole.between(*key, stamps), atol=1e-12)
-    assert np.isnan(live.between(*key, np.array([1.0]))).any(), "forgotten"
-    assert live.broken == count
+    np.testing.assert_allclose(live.lookup(*key, stamps), whole.lookup(*key, stamps), atol=1e-12)
+    assert np.isnan(live.lookup(*key, np.array([1.0]))).any(), "forgotten"
+    assert live.invalid == count
     live.extend(key, rows[:1] - [10.0, *[0.0] * 7], keep=2.0)
     assert len(live.edges[key].stamps) == 1
-    assert np.isfinite(live.between(*key, np.array([-10.0]))).all()
-    assert np.isnan(live.between(*key, np.array([-9.0]))).any()
+    assert np.isfinite(live.lookup(*key, np.array([-10.0]))).all()
+    assert np.isnan(live.lookup(*key, np.array([-9.0]))).any()

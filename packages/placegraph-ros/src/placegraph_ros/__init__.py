@@ -1,1 +1,1 @@
-"""Where a camera is, told to robots: messages of ROS, and the bags, viewers and nodes that carry them."""
+"""Localization for robots: messages of ROS, and the bags, viewers and nodes that carry them."""

@@ -1,4 +1,4 @@
-"""Bags of messages (MCAP, folders of rosbag2, bags of ROS 1), which have their name when they are whole."""
+"""Writer of bags (MCAP, folders of rosbag2, bags of ROS 1), which appear when they are complete."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from placegraph_ros.message import Message, encode, load_types, nanoseconds, typ
 
 
 def check_free(path: Path) -> None:
-    """Raise `OptionError` where something is at a path already."""
+    """Raise `OptionError` where a path exists."""
     if path.exists():
-        raise OptionError(f"{path} is there already; remove it, or name another file.")
+        raise OptionError(f"{path} exists already; remove it, or choose another file.")
 
 
 @contextmanager
 def report_disk_errors(path: Path) -> Iterator[None]:
-    """Whatever the disk says while something is written for `path` becomes a `MapError`."""
+    """Turn errors of the disk while `path` is written into `MapError`."""
     try:
         yield
     except OSError as error:
@@ -34,10 +34,10 @@ def report_disk_errors(path: Path) -> Iterator[None]:
 
 
 class UnfinishedFile:
-    """A hidden folder beside a path, in which the file or folder of that path is written, by one at a time.
+    """Hidden folder beside a path, in which its file or folder is written under a lock.
 
-    Raises `OptionError` where something is at the path already, `MapLockedError` where somebody else
-    is writing it, `MapError` where nothing can be written there.
+    Raises `OptionError` where the path exists, `MapLockedError` where another process writes it,
+    `MapError` where nothing can be written there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,14 +49,14 @@ class UnfinishedFile:
             self.folder = path.parent / tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent)
             self._locked = stack.pop_all()
 
-    def finish(self, made: Path) -> None:
-        """Give what was made in the folder its name; raises as the constructor."""
+    def finish(self, finished: Path) -> None:
+        """Move the finished file or folder to its path; raises as the constructor."""
         check_free(self.path)
         with report_disk_errors(self.path):
-            made.rename(self.path)
+            finished.rename(self.path)
 
     def drop(self) -> None:
-        """Remove the folder, and what is left in it."""
+        """Remove the hidden folder."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self._locked.close()
 
@@ -66,25 +66,22 @@ _ENDINGS: dict[str, Container] = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "r
 
 
 class BagWriter:
-    """Writes messages; a context, and the bag has its name when it ends without an error.
-
-    Until then a hidden folder beside it holds what was written, which is removed where an error ends
-    the context.
+    """Writer of messages, a context manager; the bag appears when the context ends without an error.
 
     Parameters
     ----------
     path
         A file NAME.mcap, NAME.db3 (rosbag2's SQLite) or NAME.bag (ROS 1); any other name becomes a
-        folder of rosbag2. It must not be there yet.
+        folder of rosbag2. It must not exist.
     container
-        What the folder holds; of a file its ending says it.
+        Format of a folder; ignored where the path has an ending.
     packed
-        Chunks are compressed, by zstd or bz2; of SQLite, messages.
+        Whether chunks (of SQLite: messages) are compressed, by zstd or bz2.
 
     Raises
     ------
     OptionError
-        Something is at `path` already.
+        `path` exists.
     MapError
         Nothing can be written there.
     MissingExtraError
@@ -98,7 +95,7 @@ class BagWriter:
         self.path = Path(path)
         ending = _ENDINGS.get(self.path.suffix.lower())
         self._container: Container = ending or container or "mcap"
-        self._one = ending is not None
+        self._is_file = ending is not None
         self._encoding = "ros1" if self._container == "rosbag1" else "cdr"
         self._store = load_types(self._encoding)
         check_free(self.path)
@@ -111,7 +108,7 @@ class BagWriter:
         self._place = UnfinishedFile(self.path)
         try:
             with report_disk_errors(self.path):
-                self._writer = self._opened(self._place.folder / self.path.stem)
+                self._writer = self._open_writer(self._place.folder / self.path.stem)
         except BaseException:
             self._place.drop()
             raise
@@ -127,7 +124,7 @@ class BagWriter:
                 return
             with report_disk_errors(self.path):
                 self._writer.close()
-            one = bag.is_dir() and self._one
+            one = bag.is_dir() and self._is_file
             self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
         finally:
             self._place.drop()
@@ -136,8 +133,8 @@ class BagWriter:
     def write(self, message: Message) -> None:
         """Write a message at its stamp.
 
-        Raises `OptionError` where its type is unknown, a field is not what the type says, or its
-        stamp is none that ROS can say; `MapError` where the disk is full.
+        Raises `OptionError` for an unknown type, a field that does not fit it or a stamp out of ROS's
+        range; `MapError` where the disk is full.
         """
         data = encode(message, self._encoding)
         self.write_bytes(message.topic, message.type, message.stamp, data, latched=message.latched)
@@ -147,14 +144,14 @@ class BagWriter:
     ) -> None:
         """Write the bytes of a message of a type such as `sensor_msgs/msg/Image`, at a stamp [s]."""
         if self._writer is None:
-            raise OptionError("The bag is not open: write inside of `with BagWriter(path) as bag`.")
+            raise OptionError("The bag is not open; write inside `with BagWriter(path) as bag`.")
         name, at = "/" + topic.lstrip("/"), nanoseconds(stamp)
         if (name, kind) not in self._topics:
             self._topics[name, kind] = self._connection(name, kind, latched=latched)
         with report_disk_errors(self.path):
             self._writer.write(self._topics[name, kind], at, data)
 
-    def _opened(self, bag: Path) -> Any:  # noqa: ANN401  # of rosbags
+    def _open_writer(self, bag: Path) -> Any:  # noqa: ANN401  # of rosbags
         from rosbags import rosbag1, rosbag2
 
         if self._container == "rosbag1":
@@ -177,14 +174,14 @@ class BagWriter:
             return self._writer.add_connection(
                 topic, name, typestore=self._store, latching=1 if latched else None
             )
-        offered = (_kept(),) if latched else ()
+        offered = (_latched_qos(),) if latched else ()
         return self._writer.add_connection(
             topic, name, typestore=self._store, offered_qos_profiles=offered
         )
 
 
-def _kept() -> Any:  # noqa: ANN401  # of rosbags
-    """Return the quality of service of what is kept for those who come later: reliable, transient local."""
+def _latched_qos() -> Any:  # noqa: ANN401  # of rosbags
+    """Return the quality of service of latched topics: reliable, transient local."""
     from rosbags import interfaces
 
     zero = interfaces.QosTime(0, 0)

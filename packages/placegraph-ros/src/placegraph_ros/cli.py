@@ -37,7 +37,7 @@ RerunFile = Annotated[
 
 
 def open_sinks(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[Sink]:
-    """Open the writers of the messages; errors as of `BagWriter` and `RerunWriter`."""
+    """Open the writers of a bag and of a recording for Rerun."""
     sinks: list[Sink] = []
     if out is not None:
         from placegraph_ros.bag import BagWriter
@@ -51,17 +51,14 @@ def open_sinks(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[S
 
 
 def show_summary(summary: Summary, written: dict[str, Any], *, as_json: bool) -> None:
-    """Say what became of the frames, what is missing, and what was written."""
-    told = summary.to_dict()
+    """Print the counts of frames, what is missing, and the files written."""
     if as_json:
-        echo_json(told | written)
+        echo_json(summary.to_dict() | written)
         return
     out = console()
-    looked = sum(summary.told.values())
-    shares = ", ".join(f"{n:,} {name} ({n / looked:.0%})" for name, n in summary.told.most_common())
-    out.print(
-        f"{summary.frames:,} frames: {shares or 'nothing was told'}; {summary.dropped:,} dropped"
-    )
+    total = sum(summary.told.values())
+    shares = ", ".join(f"{n:,} {name} ({n / total:.0%})" for name, n in summary.told.most_common())
+    out.print(f"{summary.frames:,} frames: {shares or 'no status'}; {summary.dropped:,} dropped")
     for sentence in summary.notes:
         out.print(f"Note: {sentence}")
     for sentence in summary.lacks:
@@ -106,11 +103,11 @@ def live(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Localize as if live: messages and images are taken as they come, and dropped where they come too fast.
+    """Localize live: use messages and images as they arrive, and drop images that arrive too fast.
 
-    A line tells the pose of the camera when the status changes, and every second. In a terminal the
-    space bar pauses, + and - change the speed, and q, or Ctrl-C, ends it; Foxglove's buttons do the same.
-    What a stream does not say stands in a file beside it, SOURCE.json, as of bags (stdin.json).
+    Prints the camera's pose when the status changes, and every second. In a terminal the space bar
+    pauses, + and - change the speed, and q or Ctrl-C ends; Foxglove's buttons do the same. A file
+    SOURCE.json (stdin.json) adds what the stream lacks, as for bags.
 
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """
@@ -129,14 +126,14 @@ def live(
             server = FoxgloveServer(foxglove, clock, stream.span)
             sinks.append(stack.enter_context(server))
             click.echo(f"Foxglove: open a connection to {server.address}", err=True)
-        options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
+        options = LiveOptions(mode=mode_of(mode), with_inputs=bool(sinks), seed=seed)
         localizer = Localizer(
             open_scenes(map_file), options, plan=stream.plan, name=str(stream.path),
             choice=stream.choice, device=device,
         )  # fmt: skip
         stack.enter_context(listen_to_keys(clock, wait_policy))
         stack.enter_context(stop_on_interrupt(clock, wait_policy))
-        lines = _Lines(as_json=as_json, quiet=quiet)
+        lines = _PosePrinter(as_json=as_json, quiet=quiet)
         events = clock.play(stream.events, time_of)
         with suppress(KeyboardInterrupt):  # a second Ctrl-C
             summary = run(events, localizer, sinks, lines)
@@ -148,8 +145,8 @@ def live(
         show_summary(localizer.summary, written, as_json=as_json)
 
 
-class _Lines:
-    """Prints the pose when its status changes, and every second; as JSON whenever an image has told it."""
+class _PosePrinter:
+    """Printer of the pose when its status changes and every second; as JSON after every image."""
 
     def __init__(self, *, as_json: bool, quiet: bool) -> None:
         self._as_json, self._quiet = as_json, quiet
@@ -162,25 +159,25 @@ class _Lines:
         if last is not None and (pose.estimate is last.estimate or not self._is_due(pose, last)):
             return
         self._last = pose
-        click.echo(json.dumps(pose.to_dict()) if self._as_json else _line(pose))
+        click.echo(json.dumps(pose.to_dict()) if self._as_json else _format_pose(pose))
 
     def _is_due(self, pose: LivePose, last: LivePose) -> bool:
         changed = pose.status is not last.status
         return self._as_json or changed or abs(pose.stamp - last.stamp) >= _EVERY
 
 
-def _line(pose: LivePose) -> str:
+def _format_pose(pose: LivePose) -> str:
     """Return the stamp, status, pose and reason in one line."""
     import numpy as np
 
-    said = f"{pose.stamp:.2f}  {pose.status.name:9}"
+    head = f"{pose.stamp:.2f}  {pose.status.name:9}"
     if pose.map_from_camera is None or pose.covariance is None:
-        return f"{said}  {pose.reason}"
+        return f"{head}  {pose.reason}"
     x, y, z = pose.map_from_camera[:3, 3]
     ahead = pose.map_from_camera[:3, 2]
     yaw = np.degrees(np.arctan2(ahead[1], ahead[0]))
     spread = float(np.sqrt(np.linalg.eigvalsh(pose.covariance[:3, :3])[-1]))
-    return f"{said}  {x:.2f}, {y:.2f}, {z:.2f} m  {yaw:.0f} deg  ±{spread:.2f} m  {pose.reason}"
+    return f"{head}  {x:.2f}, {y:.2f}, {z:.2f} m  {yaw:.0f} deg  ±{spread:.2f} m  {pose.reason}"
 
 
 _FASTEST, _SLOWEST = 64.0, 1 / 64
@@ -188,10 +185,7 @@ _FASTEST, _SLOWEST = 64.0, 1 / 64
 
 @contextmanager
 def stop_on_interrupt(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator[None]:
-    """The first Ctrl-C ends what plays as `q` does, between two messages: what is written of it is whole.
-
-    The second is a `KeyboardInterrupt`, wherever it falls.
-    """
+    """End playback between two messages at the first Ctrl-C; raise `KeyboardInterrupt` at the second."""
     before = signal.getsignal(signal.SIGINT)
     main = threading.current_thread() is threading.main_thread()
     if not main or before is signal.SIG_IGN:  # a shell has started it in the background
@@ -200,7 +194,7 @@ def stop_on_interrupt(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator
 
     def interrupted(*_: object) -> None:
         signal.signal(signal.SIGINT, before)
-        # whoever was interrupted may hold the locks that this needs
+        # in a thread: the interrupted code may hold the locks
         threading.Thread(target=handle_key, args=("q", clock, wait_policy)).start()
 
     signal.signal(signal.SIGINT, interrupted)
@@ -212,7 +206,7 @@ def stop_on_interrupt(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator
 
 @contextmanager
 def listen_to_keys(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator[None]:
-    """Space pauses, + and - change the speed by two, q ends; without a terminal, nothing does."""
+    """Listen to keys of a terminal: space pauses, + and - change the speed by two, q ends."""
     if not (sys.stdin.isatty() and threading.current_thread() is threading.main_thread()):
         yield
         return
@@ -241,7 +235,7 @@ def listen_to_keys(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator[No
 
 
 def handle_key(key: str, clock: PlaybackClock, wait_policy: WaitPolicy) -> None:
-    """Do what a key stands for."""
+    """Run the action of a key."""
     if key == " ":
         clock.set(paused=not clock.paused)
     elif key in "+=":
@@ -266,11 +260,11 @@ def localize(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Localize all frames of a bag, one after the other, and write what is known as a bag.
+    """Localize all frames of a bag in order, and write the results as a bag.
 
-    It holds the pose of the robot's base with its covariance, odometry in the map, the transforms, a
-    particle cloud, the other places that fit, the status with reason and evidence, the objects that
-    agreed and disagreed, the map and the images. `placegraph bag layout OUT` makes a layout for Foxglove.
+    The bag holds the pose of the robot's base with covariance, odometry in the map, transforms, a
+    particle cloud, the modes, the status with reason and evidence, the objects that agree and
+    disagree, the map and the images. `placegraph bag layout OUT` makes a layout for Foxglove.
 
     Example: placegraph bag localize walk.mcap house.scene -o out.mcap
     """
@@ -286,20 +280,20 @@ def localize(
         localizer = Localizer(open_scenes(map_file), options, plan=source.plan, device=device)
         tell = stack.enter_context(progress_of(hidden=quiet or as_json))
 
-        def told(localizer: Localizer) -> None:
+        def report(localizer: Localizer) -> None:
             tell("localizing", localizer.frames, source.frames)
 
-        summary = run(source.events, localizer, sinks, told)
+        summary = run(source.events, localizer, sinks, report)
     written = {"out": str(out)} | ({"rerun": str(rerun)} if rerun else {})
     if as_json or not quiet:
         show_summary(summary, written, as_json=as_json)
 
 
 def layout(bag: BagFile) -> None:
-    """Write BAG.layout.json: a layout for Foxglove or Lichtblick, to be imported there.
+    """Write BAG.layout.json: a layout for Foxglove or Lichtblick, to import there.
 
-    It shows the map, the pose with its covariance, the modes, the objects that agreed and disagreed,
-    the camera's images where BAG holds some, and the status with reason and evidence.
+    It shows the map, the pose with its covariance, the modes, the objects that agree and disagree, the
+    camera's images if BAG holds them, and the status with reason and evidence.
 
     Example: placegraph bag layout out.mcap
     """

@@ -1,6 +1,6 @@
-"""The localizer of a robot, without ROS: messages of sensors in, messages about the pose out.
+"""Localizer of a robot, without ROS: sensor messages in, pose messages out.
 
-`run` is the one loop of all faces: it takes events of any source (`sources`) and hands messages to sinks: a
+`run` is the loop of all front ends: it reads events of a source (`sources`) and hands messages to sinks: a
 bag, a recording, a viewer (`foxglove`), or a node of ROS 2 (`node`).
 """
 
@@ -21,7 +21,7 @@ from placegraph.indoor.track.belief import LivePose
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.stream import Fault, FrameAssembly, OdometryPose, Packet, StreamDiscovery
-from placegraph_io.ros.topics import Plan, TopicChoice
+from placegraph_io.ros.topics import CapturePlan, TopicChoice
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary
 from placegraph_ros.pose_messages import PoseReporter, frame_ids
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
 
-UNTOLD = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
-"""Variances [m^2, rad^2] of a told pose where it says 0, which no pose has: RViz tells no height."""
-_REMEMBERED = 1000  # stamps of frames whose answers may still come
-_REASONS = 20  # for which something is left out, before all others are one
+DEFAULT_VARIANCES = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
+"""Variances [m^2, rad^2] that replace zeros of an initial pose: RViz sets none for the height."""
+_STAMPS = 1000  # stamps of recent frames
+_REASONS = 20  # counted separately; all further ones as one
 
 
 class Localizer:
-    """Takes what sensors say, and tells where the robot is; whatever comes, it goes on.
+    """Localizer that takes sensor messages and returns messages about the pose; bad input is counted.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ class Localizer:
     options
         `LiveOptions`.
     plan
-        What frames are made of, where it is known; else the stream is listened to for a second.
+        Topics that make frames, if known; else they are chosen after a second.
     name, choice
-        What the stream is called in messages, and what the user says of it.
+        Name of the stream in messages, and the user's topics.
     **known
-        options, encoder and device, as of `SceneMap.localize`.
+        options, encoder and device of `SceneMap.localize`.
 
     Raises
     ------
     OptionError
-        As of `LiveTracker`.
+        An option of `LiveTracker` is invalid.
 
     """
 
@@ -65,7 +65,7 @@ class Localizer:
         maps: SceneMap | SceneLibrary,
         options: LiveOptions | None = None,
         *,
-        plan: Plan | None = None,
+        plan: CapturePlan | None = None,
         name: str = "stream",
         choice: TopicChoice | None = None,
         **known: Any,  # noqa: ANN401  # of `SceneMap.localize`
@@ -77,33 +77,35 @@ class Localizer:
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}
         self._reason = ""
-        self._told: Counter[str] = Counter()  # in maps before this one
+        self._counts: Counter[str] = Counter()  # of statuses, in maps before this one
         self._covariance_fault = ""  # why odometry's covariance is not used
         self.frames = self._dropped = 0
-        self._placed: tuple[Floats, Floats] | None = None
-        self._begin(maps)
+        self._pending_pose: tuple[Floats, Floats] | None = None
+        self._start(maps)
         if plan is not None:
             self._choose(plan)
 
-    def _begin(self, maps: SceneMap | SceneLibrary) -> None:
+    def _start(self, maps: SceneMap | SceneLibrary) -> None:
         options = self.options
         self.tracker = LiveTracker(
             maps, seed=options.seed, background=options.background, **self._known
         )
         names = frame_ids(options, self._assembly)
-        self._reporter = PoseReporter(maps, names, options.tolerance, whole=options.whole)
-        self._live: LivePose | None = None  # as it is after the last move
-        self._wanted = True  # whether images are to be looked at
+        self._reporter = PoseReporter(
+            maps, names, options.tolerance, with_inputs=options.with_inputs
+        )
+        self._live: LivePose | None = None  # after the last motion
+        self._looks_at_images = True  # whether images are used
         self._moves = False
-        self._carried: tuple[float, Floats] | None = None
+        self._odometry: tuple[float, Floats] | None = None
 
     @property
     def topics(self) -> frozenset[str] | None:
-        """Names of the topics that frames are made of; None while that is not known."""
+        """Names of the topics that make frames; None while unknown."""
         return None if self._assembly is None else self._assembly.topics
 
     def take(self, event: Packet | Fault | Frame | None) -> list[Message]:
-        """Return what is known after a message, a frame, or (None) after a while."""
+        """Return the messages after a packet, a frame, a fault, or (None) a timeout."""
         messages: list[Message] = []
         if isinstance(event, Packet):
             messages = self._take_packet(event)
@@ -114,20 +116,17 @@ class Localizer:
         return messages + self._report_changes()
 
     def finish(self) -> list[Message]:
-        """Return what is known when the stream has ended."""
+        """Return the messages at the end of the stream."""
         messages: list[Message] = []
-        if (
-            self._assembly is None
-            and not self.frames
-            and (plan := self._discovery.find_plan()) is not None
-        ):
+        is_unplanned = self._assembly is None and not self.frames
+        if is_unplanned and (plan := self._discovery.find_plan()) is not None:
             messages += self._begin_stream(plan)
         if self._assembly is not None:
             for part in self._assembly.finish():
                 messages += self._part(part)
         self.tracker.wait()
-        if self.options.background and self._carried is not None:  # by what the last image told
-            messages += self._reporter.report_motion(self.tracker.pose(), *self._carried)
+        if self.options.background and self._odometry is not None:  # after the last image
+            messages += self._reporter.report_motion(self.tracker.pose(), *self._odometry)
         return messages + self._report_changes()
 
     def _take_packet(self, packet: Packet) -> list[Message]:
@@ -136,20 +135,20 @@ class Localizer:
         plan = self._discovery.take(packet)
         if plan is not None:
             return self._begin_stream(plan)
-        lacks = self._discovery.lacks
-        return self._reporter.report_lack(lacks[0], packet.time) if lacks else []
+        missing = self._discovery.missing
+        return self._reporter.report_lack(missing[0], packet.time) if missing else []
 
-    def _begin_stream(self, plan: Plan) -> list[Message]:
-        """Begin with what was heard before it was known what frames are made of."""
+    def _begin_stream(self, plan: CapturePlan) -> list[Message]:
+        """Start with the packets that arrived before the plan was complete."""
         assembly = self._choose(plan)
         messages: list[Message] = []
         for packet in self._discovery.packets():
             messages += self._assemble(assembly, packet)
         return messages
 
-    def _choose(self, plan: Plan) -> FrameAssembly:
+    def _choose(self, plan: CapturePlan) -> FrameAssembly:
         self._assembly = FrameAssembly(plan)
-        self._reporter.begin(frame_ids(self.options, self._assembly))
+        self._reporter.restart(frame_ids(self.options, self._assembly))
         return self._assembly
 
     def _assemble(self, assembly: FrameAssembly, packet: Packet) -> list[Message]:
@@ -165,127 +164,127 @@ class Localizer:
         if isinstance(part, Frame):
             return self._take_frame(part)
         self._moves = True
-        self._carried = part.stamp, part.odometry_from_camera
+        self._odometry = part.stamp, part.odometry_from_camera
         try:
-            live = self.tracker.move(*self._carried, part.covariance)
+            live = self.tracker.move(*self._odometry, part.covariance)
         except OptionError as error:
-            live = self.tracker.move(*self._carried)
-            self._covariance_fault = f"What odometry says of its own errors is not used: {error}"
+            live = self.tracker.move(*self._odometry)
+            self._covariance_fault = f"The covariance of odometry is not used: {error}"
         self._live = None if self._update_mount() else live
-        return self._reporter.report_motion(live, *self._carried)
+        return self._reporter.report_motion(live, *self._odometry)
 
     def _update_mount(self) -> bool:
-        """Know where the camera sits, and whether it was told before where it is: that counts now."""
+        """Update the mount of the camera, and use a pending pose; return whether there was one."""
         mount = self._assembly.base_from_camera() if self._assembly is not None else None
         if mount is not None:
             self._reporter.base_from_camera = mount
-        told, self._placed = self._placed, None
-        if told is not None:
-            self.place(*told)
-        return told is not None
+        pending, self._pending_pose = self._pending_pose, None
+        if pending is not None:
+            self.place(*pending)
+        return pending is not None
 
     def _take_frame(self, frame: Frame) -> list[Message]:
-        """Look at a frame, or have it looked at."""
+        """Use a frame, or queue it."""
         self._live = None
         self.frames += 1
-        self._stamps[frame.index % _REMEMBERED] = frame.stamp
+        self._stamps[frame.index % _STAMPS] = frame.stamp
         messages: list[Message] = []
         try:
-            nanoseconds(frame.stamp)  # of a clock that is none, nothing can be told
-            if self.options.whole:
+            nanoseconds(frame.stamp)  # raises for an invalid clock
+            if self.options.with_inputs:
                 messages += image_messages(frame, frame.stamp, self._reporter.frames)
-            if self._wanted:
+            if self._looks_at_images:
                 self.tracker.see(frame)
         except (InputError, OptionError) as error:
             return messages + self._count_fault("a frame", str(error))
-        if not self._moves:  # images alone tell odometry
+        if not self._moves:  # no odometry beside the images
             self._update_mount()
-            self._carried = frame.stamp, frame.odometry
-            messages += self._reporter.report_motion(self.tracker.pose(), *self._carried)
+            self._odometry = frame.stamp, frame.odometry
+            messages += self._reporter.report_motion(self.tracker.pose(), *self._odometry)
         return messages
 
     def _report_changes(self) -> list[Message]:
-        """Return what images have changed since it was told."""
+        """Return messages about what images changed."""
         live, self._live = self._live or self.tracker.pose(), None
         newest = -np.inf if self._assembly is None else self._assembly.newest
-        if newest > live.stamp:  # odometry may have fallen silent
+        if newest > live.stamp:  # odometry may have ended
             live = self.tracker.pose(newest)
         self._reason = live.reason
         if self.options.mode == "once" and live.status is Status.OK:
-            self._wanted = False
+            self._looks_at_images = False
         if self.frames:
             return self._reporter.report_changes(live, self._stamp_of(live))
         return self._reporter.report_unusable(self.summary.left_out, newest)
 
     def _stamp_of(self, live: LivePose) -> float:
-        """Return when the last image that told something was taken [s]."""
+        """Return the stamp of the last image that was used [s]."""
         if live.estimate is None or not len(live.estimate.frames):
             return live.stamp
-        return self._stamps.get(int(live.estimate.frames[-1]) % _REMEMBERED, live.stamp)
+        return self._stamps.get(int(live.estimate.frames[-1]) % _STAMPS, live.stamp)
 
     def _count_fault(self, where: str, reason: str) -> list[Message]:
-        said = f"{where or 'the stream'}: {reason}"
-        self._left_out[said if len(self._left_out) < _REASONS else "other reasons"] += 1
+        entry = f"{where or 'the stream'}: {reason}"
+        self._left_out[entry if len(self._left_out) < _REASONS else "other reasons"] += 1
         return []
 
     def place(self, map_from_base: Floats, covariance: Floats) -> list[Message]:
-        """Take where the robot's base is said to be (``initialpose``): (4, 4), and (6, 6) in ROS's order.
+        """Use an initial pose of the robot's base (``initialpose``): (4, 4), and (6, 6) in ROS's order.
 
-        A variance of 0 says nothing. What is no pose is refused, and the status says so.
+        Variances of 0 are replaced by defaults. Invalid poses are refused, as the status says.
         """
-        if self.frames == 0:  # where the camera sits is not known yet
-            self._placed = map_from_base, covariance
+        if self.frames == 0:  # the mount of the camera is unknown
+            self._pending_pose = map_from_base, covariance
             return []
         spread = np.array(covariance, np.float64)
-        unsaid = np.diag(spread) == 0.0
-        spread[unsaid] = spread[:, unsaid] = 0.0
-        spread[np.diag_indices(6)] += np.where(unsaid, UNTOLD, 0.0)
+        unset = np.diag(spread) == 0.0
+        spread[unset] = spread[:, unset] = 0.0
+        spread[np.diag_indices(6)] += np.where(unset, DEFAULT_VARIANCES, 0.0)
         try:
             self.tracker.place(np.asarray(map_from_base) @ self._reporter.base_from_camera, spread)
         except OptionError as error:
             live = self.tracker.pose()
-            reason = f"The pose that was told is not taken: {error}"
+            reason = f"The initial pose is not used: {error}"
             return self._reporter.report_status(live.status, reason, live.stamp, live=live)
-        self._wanted = True
+        self._looks_at_images = True
         return self._report_changes()
 
     def relocalize(self) -> list[Message]:
-        """Forget the pose, and look for it everywhere (``reinitialize_global_localization``)."""
+        """Drop the pose, and localize in the whole map (``reinitialize_global_localization``)."""
         self.tracker.lose()
         return self.update()
 
     def update(self) -> list[Message]:
-        """Look at the next image in any case (``request_nomotion_update``)."""
-        self._wanted = True
+        """Use the next image in any case (``request_nomotion_update``)."""
+        self._looks_at_images = True
         return self._report_changes()
 
     def load(self, maps: SceneMap | SceneLibrary) -> list[Message]:
-        """Go on in another map, where nothing is known yet (``load_map``)."""
+        """Change the map, without a pose (``load_map``)."""
         self.tracker.close()
         self._dropped += self.tracker.dropped
-        self._told += self.tracker.told
+        self._counts += self.tracker.told
         mount = self._reporter.base_from_camera
-        self._begin(maps)
+        self._start(maps)
         self._reporter.base_from_camera = mount
         return self._report_changes()
 
     @property
     def summary(self) -> Summary:
-        """What became of the frames so far."""
+        """Counts of the frames so far, what is missing, and notes."""
         parts, left_out, notes = self._assembly, Counter(self._left_out), []
         if parts is not None:
             left_out += parts.left_out
             notes += parts.plan.notes
             if parts.jumps:
-                notes.append(f"The clock was set back {parts.jumps} times, and went on from there.")
-        lacks = self._discovery.lacks if parts is None else ()
+                notes.append(f"The clock was set back {parts.jumps} times.")
+        missing = self._discovery.missing if parts is None else ()
         if self._covariance_fault:
             notes.append(self._covariance_fault)
-        told = self._told + self.tracker.told
-        if self.frames and not told[Status.OK.name]:
-            notes.append(f"No pose was sure: {self._reason}")
+        statuses = self._counts + self.tracker.told
+        if self.frames and not statuses[Status.OK.name]:
+            notes.append(f"No pose was certain: {self._reason}")
         dropped = self._dropped + self.tracker.dropped
-        return Summary(self.frames, told, dropped, left_out, lacks, tuple(notes))
+        return Summary(self.frames, statuses, dropped, left_out, missing, tuple(notes))
 
     def close(self) -> None:
         """End the tracker's threads."""
@@ -296,29 +295,22 @@ Request = Callable[[Localizer], list[Message]]
 
 
 class Sink(Protocol):
-    """What carries messages: a bag, a recording, a viewer, a node."""
+    """Receiver of messages: a bag, a recording, a viewer, a node."""
 
     def write(self, message: Message) -> None:
-        """Take a message."""
+        """Write a message."""
 
 
 def run(
     events: Iterable[Packet | Fault | Frame | Request | None],
     localizer: Localizer,
     sinks: Sequence[Sink],
-    told: Callable[[Localizer], None] | None = None,
+    report: Callable[[Localizer], None] | None = None,
 ) -> Summary:
-    """Localize what happens until it ends, and close the localizer.
+    """Feed events to a localizer until they end, write its messages to the sinks, and close it.
 
-    Parameters
-    ----------
-    events
-        Messages, frames, what somebody asks of the localizer, or None: time has gone by.
-    localizer, sinks
-        Who takes them, and who carries what it says.
-    told
-        Is called after each.
-
+    `events` are packets, frames, functions of the localizer, or None (a timeout); `report` is called
+    after each.
     """
     with ExitStack() as stack:
         stack.callback(localizer.close)
@@ -327,8 +319,8 @@ def run(
             for message in messages:
                 for sink in sinks:
                     sink.write(message)
-            if told is not None:
-                told(localizer)
+            if report is not None:
+                report(localizer)
 
         for event in events:
             send(event(localizer) if callable(event) else localizer.take(event))

@@ -1,6 +1,6 @@
-"""A message of ROS, whoever carries it, and the parts that most messages are made of.
+"""Messages of ROS, their common parts, and their encoding.
 
-Fields are nested as the definition of the type names them. What is left out is zero or empty.
+Fields are nested as in the definition of the type; omitted ones are zero or empty.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _SECONDS = float(1 << 31)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """One message to be sent, independent of who carries it: a bag, Foxglove, a node."""
+    """One message, for a bag, Foxglove or a node."""
 
     topic: str
     """Without a slash before it: ``localization/pose``."""
     type: str
     """As ROS 2 names it: ``geometry_msgs/msg/PoseWithCovarianceStamped``."""
     stamp: float
-    """When it was sent [s]."""
+    """Time of sending [s]."""
     fields: Fields
     """Plain numbers, strings, lists and dicts, NumPy arrays of numbers."""
     latched: bool = False
-    """Kept for those who come later (transient local)."""
+    """Whether later subscribers receive it (transient local)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +50,19 @@ class FrameIds:
 
 
 def nanoseconds(stamp: float) -> int:
-    """Return the nanoseconds of a stamp [s]; `OptionError` where it is none that ROS can say."""
+    """Return the nanoseconds of a stamp [s]; `OptionError` out of ROS's range."""
     if not 0.0 <= stamp < _SECONDS:
-        raise OptionError(f"stamp is {stamp}; ROS tells seconds since 1970, up to 2038.")
+        raise OptionError(f"stamp is {stamp}; ROS needs seconds since 1970, up to 2038.")
     return round(stamp * 1e9)
 
 
 def stamp_or_zero(stamp: float) -> float:
-    """Return the stamp [s]; 0, which is none, where ROS cannot say it."""
+    """Return the stamp [s], or 0 (unset) out of ROS's range."""
     return stamp if 0.0 <= stamp < _SECONDS else 0.0
 
 
 def time(stamp: float) -> Fields:
-    """`builtin_interfaces/Time` of a stamp [s]; `OptionError` where it is none that ROS can say."""
+    """`builtin_interfaces/Time` of a stamp [s]; `OptionError` out of ROS's range."""
     seconds, nanos = divmod(nanoseconds(stamp), 10**9)
     return {"sec": seconds, "nanosec": nanos}
 
@@ -125,13 +125,8 @@ def colour(rgb: tuple[float, float, float], alpha: float = 1.0) -> Fields:
 def cdr(message: Message) -> bytes:
     """Return a message as ROS 2 sends it: CDR, little endian, with its head.
 
-    Raises
-    ------
-    OptionError
-        Its type is unknown, or a field is not what the type's definition says.
-    MissingExtraError
-        `rosbags` is not installed.
-
+    Raises `OptionError` for an unknown type or a field that does not fit it, `MissingExtraError` without
+    `rosbags`.
     """
     return encode(message, "cdr")
 
@@ -145,15 +140,15 @@ def encode(message: Message, encoding: str) -> bytes:
         return bytes(serialize(_maker(kind, encoding)(message.fields), kind))
     except OptionError:
         raise
-    except Exception as error:  # what generated code raises at other values is anything
+    except Exception as error:  # generated code raises anything
         raise OptionError(
-            f"{message.topic}: a field of {message.type} is not what its definition says "
+            f"{message.topic}: a field does not fit the definition of {message.type} "
             f"({type(error).__name__}: {error})."
         ) from error
 
 
 def definition(kind: str) -> str:
-    """Return the definition of a type and of all types in it, as the schema `ros2msg` of MCAP wants it.
+    """Return the definition of a type and of all types in it, for the schema `ros2msg` of MCAP.
 
     Raises `OptionError` where the type is unknown, `MissingExtraError` without `rosbags`.
     """
@@ -176,13 +171,13 @@ def type_name(kind: str, store: Typestore) -> str:
     """Return the type as the store names it; `OptionError` where there is none."""
     name = kind if "/msg/" in kind else kind.replace("/", "/msg/")
     if name not in store.fielddefs:
-        raise OptionError(f"type: {kind!r} is no message that ROS or placegraph defines.")
+        raise OptionError(f"type: {kind!r} is no message type of ROS or placegraph.")
     return name
 
 
 @lru_cache(maxsize=256)
 def _maker(kind: str, encoding: str) -> Callable[[Mapping[str, Any]], Any]:
-    """Return what makes a message of `rosbags` of fields; those that are left out are zero or empty."""
+    """Return the function that makes a message of `rosbags` from fields."""
     store = typestore(encoding)
     cls: Any = store.types[kind]
     fields = store.fielddefs[kind][1]
@@ -201,7 +196,7 @@ def _maker(kind: str, encoding: str) -> Callable[[Mapping[str, Any]], Any]:
 
 
 def _part(described: Any, encoding: str) -> Callable[[Any], Any]:  # noqa: ANN401  # of rosbags
-    """Return what makes one field of a value, or of None."""
+    """Return the function that makes one field from a value, or from None."""
     from rosbags.interfaces import Nodetype
 
     node, what = described

@@ -22,7 +22,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, MissingExtraError, OptionError, PlacegraphError
 from placegraph.io.capture.posed import pose_from_quaternion
 from placegraph.maps import open_scenes
-from placegraph_io.ros.decode import frame_of
+from placegraph_io.ros.decode import frame_name
 from placegraph_io.ros.poses import is_static
 from placegraph_io.ros.stream import WANTED, Packet
 from placegraph_io.ros.topics import IMAGES
@@ -32,45 +32,45 @@ from placegraph_ros.options import PARAMETERS, LiveOptions, choice_of_parameters
 from placegraph_ros.pose_messages import STATUS
 
 NEWEST = 4
-"""Images of a topic that wait at most; then the oldest is dropped."""
-_MOST = 5000  # other messages
+"""Most waiting images of a topic; then the oldest is dropped."""
+_MAX_OTHERS = 5000  # other messages
 _TICK = 0.02  # seconds after which None is handed out
 
 
 class Inbox:
-    """Takes messages and questions from any thread without waiting, and hands them out in order.
+    """Queue of packets and requests from any thread, handed out in order without blocking senders.
 
-    `dropped` counts images, and others, for which there was no room.
+    `dropped` counts packets for which there was no room.
     """
 
     def __init__(self) -> None:
         self.dropped = 0
         self._changed = Condition()
-        self._held: deque[Packet | Request] = deque()
+        self._queue: deque[Packet | Request] = deque()
         self._images: Counter[str] = Counter()
         self._closed = False
 
     def put(self, packet: Packet) -> None:
-        """Take a message."""
+        """Add a packet."""
         with self._changed:
             if packet.type.replace("/msg/", "/") in IMAGES:
                 self._images[packet.topic] += 1
                 if self._images[packet.topic] > NEWEST:
                     self._drop(packet.topic)
-            elif len(self._held) >= _MOST:
+            elif len(self._queue) >= _MAX_OTHERS:
                 self.dropped += 1
                 return
-            self._held.append(packet)
+            self._queue.append(packet)
             self._changed.notify()
 
-    def ask(self, asked: Request) -> None:
-        """Take what is to be done with the localizer."""
+    def ask(self, request: Request) -> None:
+        """Add a request to the localizer."""
         with self._changed:
-            self._held.append(asked)
+            self._queue.append(request)
             self._changed.notify()
 
     def close(self) -> None:
-        """Hand out nothing more."""
+        """End the queue."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -78,11 +78,11 @@ class Inbox:
     def __iter__(self) -> Iterator[Packet | Request | None]:
         while True:
             with self._changed:
-                if not self._held and not self._closed:
+                if not self._queue and not self._closed:
                     self._changed.wait(_TICK)
                 if self._closed:
                     return
-                event = self._held.popleft() if self._held else None
+                event = self._queue.popleft() if self._queue else None
                 if isinstance(event, Packet) and event.topic in self._images:
                     self._images[event.topic] -= 1
             yield event
@@ -91,10 +91,10 @@ class Inbox:
         """Drop the oldest image of a topic."""
         row = next(
             i
-            for i, held in enumerate(self._held)
+            for i, held in enumerate(self._queue)
             if isinstance(held, Packet) and held.topic == topic
         )
-        del self._held[row]
+        del self._queue[row]
         self._images[topic] -= 1
         self.dropped += 1
 
@@ -103,10 +103,10 @@ _LOADED, _MISSING, _INVALID = 0, 1, 2  # results of nav2_msgs/LoadMap
 
 
 class Services:
-    """Subscribes to `initialpose`, and offers the services of nav2's localizers.
+    """Subscription to `initialpose`, and the services of nav2's localizers.
 
-    They are answered at once, and take effect before the next message; but for `load_map`, which is
-    answered when the map is open.
+    Services answer at once, and take effect before the next message; `load_map` answers when the map is
+    open.
     """
 
     def __init__(self, ros: RosModules, node: Any, inbox: Inbox, map_frame: str) -> None:  # noqa: ANN401
@@ -115,10 +115,10 @@ class Services:
         node.create_subscription(told, "initialpose", self.place, 10)
         empty = ros.service("std_srvs/srv/Empty")
         node.create_service(
-            empty, "reinitialize_global_localization", partial(self._asked, Localizer.relocalize)
+            empty, "reinitialize_global_localization", partial(self._forward, Localizer.relocalize)
         )
         node.create_service(
-            empty, "request_nomotion_update", partial(self._asked, Localizer.update)
+            empty, "request_nomotion_update", partial(self._forward, Localizer.update)
         )
         try:
             pose_reader = ros.service("nav2_msgs/srv/SetInitialPose")
@@ -136,7 +136,7 @@ class Services:
     def place(self, message: Any) -> None:  # noqa: ANN401  # rclpy's
         """Take a pose that was told; what is none is refused, and the log says why."""
         try:
-            pose, covariance = told_pose(message, self._map)
+            pose, covariance = read_initial_pose(message, self._map)
         except InputError as error:
             self._node.get_logger().error(str(error))
             return
@@ -147,12 +147,12 @@ class Services:
         self.place(request.pose)
         return response
 
-    def _asked(self, what: Any, _request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
+    def _forward(self, what: Any, _request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
         self._inbox.ask(what)
         return response
 
     def load(self, request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
-        """`load_map`: of a path or a file:// address."""
+        """Load a map of a path or a file:// URL (`load_map`)."""
         address = urlsplit(request.map_url)
         path = Path(unquote(address.path) if address.scheme == "file" else request.map_url)
         try:
@@ -166,12 +166,12 @@ class Services:
         return response
 
 
-def told_pose(message: Any, map_frame: str) -> tuple[Floats, Floats]:  # noqa: ANN401  # rclpy's
-    """Pose (4, 4) and covariance (6, 6) of a `PoseWithCovarianceStamped`; `InputError`: it is none here."""
-    frame = frame_of(message.header.frame_id)
+def read_initial_pose(message: Any, map_frame: str) -> tuple[Floats, Floats]:  # noqa: ANN401  # rclpy's
+    """Read pose (4, 4) and covariance (6, 6) of a `PoseWithCovarianceStamped` in the map's frame."""
+    frame = frame_name(message.header.frame_id)
     if frame not in {"", map_frame}:
         raise InputError(
-            f"initialpose: the pose is told in {frame!r}; tell it in {map_frame!r} (in RViz: Fixed Frame)."
+            f"initialpose: the pose is in frame {frame!r}; send it in {map_frame!r} (in RViz: Fixed Frame)."
         )
     at, turn = message.pose.pose.position, message.pose.pose.orientation
     pose = pose_from_quaternion(
@@ -181,13 +181,13 @@ def told_pose(message: Any, map_frame: str) -> tuple[Floats, Floats]:  # noqa: A
 
 
 NAME = "placegraph_localizer"
-_LOOK = 1.0  # seconds between two looks at which topics there are
+_UPDATE_INTERVAL = 1.0  # seconds between two looks at which topics there are
 _GLOBAL = ("tf", "tf_static", "diagnostics")  # topics that stand in no namespace
 
 
 @dataclass(frozen=True, slots=True)
 class RosModules:
-    """What is used of ROS 2."""
+    """Modules of ROS 2 that the node uses."""
 
     rclpy: Any
     qos: Any
@@ -199,7 +199,7 @@ class RosModules:
 
     @classmethod
     def load(cls) -> RosModules:
-        """Import it; `MissingExtraError` where it is not installed."""
+        """Import the modules; `MissingExtraError` where ROS 2 is not installed."""
         try:
             import rclpy
             from rclpy import callback_groups, executors, qos
@@ -247,7 +247,7 @@ class LocalizerNode:
         self._unknown: set[str] = set()
         self._status = ""
         self.services = Services(ros, self.node, self.inbox, self.localizer.options.map_frame)
-        self.node.create_timer(_LOOK, self.look)
+        self.node.create_timer(_UPDATE_INTERVAL, self.update_subscriptions)
         self._error: BaseException | None = None
         self._worker = Thread(target=self._work, name="placegraph", daemon=True)
         self._worker.start()
@@ -259,13 +259,13 @@ class LocalizerNode:
         return descriptor
 
     def close(self) -> None:
-        """End the worker, and say what became of the frames; what it died of, if it did, is raised."""
+        """End the worker and log the counts of frames; raise the worker's error, if any."""
         self.inbox.close()
         self._worker.join()
-        told = self.localizer.summary
+        summary = self.localizer.summary
         self.node.get_logger().info(
-            f"{told.frames} frames, {told.dropped + self.inbox.dropped} dropped; "
-            f"{'; '.join(f'{n} left out: {why}' for why, n in told.left_out.items()) or 'none left out'}"
+            f"{summary.frames} frames, {summary.dropped + self.inbox.dropped} dropped; "
+            f"{'; '.join(f'{n} left out: {why}' for why, n in summary.left_out.items()) or 'none left out'}"
         )
         self.node.destroy_node()
         if self._error is not None:
@@ -274,22 +274,22 @@ class LocalizerNode:
     def _work(self) -> None:
         try:
             run(self.inbox, self.localizer, [self])
-        except BaseException as error:  # noqa: BLE001  # told to whoever waits for the node
+        except BaseException as error:  # noqa: BLE001  # raised in `close`
             self._error = error
             self.node.get_logger().fatal(f"The localizer has ended: {error}")
             self.ros.rclpy.try_shutdown()
 
-    def look(self) -> None:
-        """Subscribe to what may be wanted; once it is known what is, to that alone."""
+    def update_subscriptions(self) -> None:
+        """Subscribe to all usable topics, and later only to the chosen ones."""
         chosen = self.localizer.topics
-        own = {told.topic_name for told in list(self._publishers.values()) if told is not None}
+        own = {p.topic_name for p in list(self._publishers.values()) if p is not None}
         for name, kinds in self.node.get_topic_names_and_types():
             for kind in kinds:
                 wanted = kind.replace("/msg/", "/") in WANTED
-                asked = (
+                is_chosen = (
                     name not in own - {"/tf", "/tf_static"} if chosen is None else name in chosen
                 )
-                if wanted and asked and (name, kind) not in self._subscribed:
+                if wanted and is_chosen and (name, kind) not in self._subscribed:
                     self._subscribe(name, kind)
         for key in [k for k in self._subscribed if chosen is not None and k[0] not in chosen]:
             self.node.destroy_subscription(self._subscribed.pop(key))
@@ -351,7 +351,7 @@ class LocalizerNode:
             if kind not in self._unknown:
                 self._unknown.add(kind)
                 self.node.get_logger().warning(
-                    f"{kind} is passed over: {package} is not installed "
+                    f"{kind} is skipped: {package} is not installed "
                     f"(apt install ros-$ROS_DISTRO-{package.replace('_', '-')})."
                 )
             return None

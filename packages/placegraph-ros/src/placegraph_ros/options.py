@@ -36,16 +36,16 @@ class LiveOptions:
     """Options of a `Localizer`."""
 
     mode: Mode = "continuous"
-    """`once`: images are looked at until the pose is known, and again on request."""
+    """`once`: use images until the pose is known, and again on request."""
     map_frame: str = "map"
     base_frame: str = ""
-    """Of the robot; base_link, base_footprint or what odometry carries, if not given."""
+    """Base frame; base_link, base_footprint or odometry's child if empty."""
     tolerance: float = 0.1
-    """The transform map -> odom is stamped so far ahead [s], for lookups until then."""
-    whole: bool = True
-    """Also write what a robot knows already: images, where its camera sits, its odometry."""
+    """Time by which the stamp of map -> odom is ahead, for lookups until then [s]."""
+    with_inputs: bool = True
+    """Also write what a robot knows already: images, the camera's mount, odometry."""
     background: bool = True
-    """Images are looked at while others come, and dropped where they come too fast; else one by one."""
+    """Use images in a thread and drop those that arrive too fast; else one by one."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -55,17 +55,17 @@ class LiveOptions:
 
     @classmethod
     def from_parameters(cls, given: Mapping[str, Any]) -> Self:
-        """Return the options of a node's parameters; raise `OptionError` for values out of range."""
+        """Return the options of a node's parameters; `OptionError` for values out of range."""
         tolerance = given["transform_tolerance"]
         if type(tolerance) not in {int, float}:
             raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
         frames = {name: given[name].lstrip("/") for name in ("map_frame", "base_frame")}
         mode, seed = mode_of(given["mode"]), given["seed"]
-        return cls(mode=mode, tolerance=tolerance, whole=False, seed=seed, **frames)
+        return cls(mode=mode, tolerance=tolerance, with_inputs=False, seed=seed, **frames)
 
 
 def mode_of(name: str) -> Mode:
-    """Return a mode by its name; raise `OptionError` where there is none."""
+    """Return a mode by its name; `OptionError` for unknown names."""
     modes: dict[str, Mode] = {"continuous": "continuous", "once": "once"}
     if name in modes:
         return modes[name]
@@ -73,14 +73,14 @@ def mode_of(name: str) -> Mode:
 
 
 def stream_name(given: Mapping[str, Any], name: str) -> Path:
-    """Return what messages call a node's stream: the file `topics` without its ending, or `name`."""
+    """Return the name of a node's stream in messages: the file `topics` without its ending, or `name`."""
     return Path(given["topics"].removesuffix(".json") or name)
 
 
 def choice_of_parameters(given: Mapping[str, Any], name: str) -> TopicChoice:
-    """Return the topics that a node's parameters and its file `topics` (NAME.json if not given) choose.
+    """Return the topics of a node's parameters and its file `topics` (NAME.json if not given).
 
-    The file is as one beside a bag; empty parameters say nothing. Raises `InputError` for its content.
+    The file has the keys of one beside a bag. Raises `InputError` for its content.
     """
     chosen = {role: given[role] for role in TOPICS if given[role]}
     return read_topic_choice(stream_name(given, name), chosen)
@@ -88,26 +88,26 @@ def choice_of_parameters(given: Mapping[str, Any], name: str) -> TopicChoice:
 
 @dataclass(slots=True)
 class Summary:
-    """What became of a stream's frames."""
+    """Counts of a stream's frames, what is missing, and notes."""
 
     frames: int = 0
-    """Images that could be looked at."""
+    """Usable images."""
     told: Counter[str] = field(default_factory=Counter)
-    """Images that were looked at, by the status after each."""
+    """Used images by the status after each."""
     dropped: int = 0
-    """Images that came too fast."""
+    """Images that arrived too fast."""
     left_out: Counter[str] = field(default_factory=Counter)
-    """Images and messages that could not be used, by reason."""
+    """Unusable images and messages by reason."""
     lacks: tuple[str, ...] = ()
-    """What is missing still for any frame, in sentences."""
+    """Sentences about what is missing for any frame."""
     notes: tuple[str, ...] = ()
-    """What was chosen, and found out, in sentences."""
+    """Sentences about choices and problems."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain numbers and strings."""
-        looked = sum(self.told.values())
+        total = sum(self.told.values())
         return {
             "frames": self.frames, "told": dict(self.told), "dropped": self.dropped,
-            "share_ok": self.told[Status.OK.name] / looked if looked else None,
+            "share_ok": self.told[Status.OK.name] / total if total else None,
             "left_out": dict(self.left_out), "lacks": list(self.lacks), "notes": list(self.notes),
         }  # fmt: skip

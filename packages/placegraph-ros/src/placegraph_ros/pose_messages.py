@@ -43,7 +43,7 @@ UPRIGHT_BASE = np.array(
 """base_from_camera of a base that is the camera itself with a body's axes (REP-103): x where it
 looks, y to the left, z up."""
 _UNKNOWN = 1e6
-"""Variance of a speed that nobody measured [m^2/s^2, rad^2/s^2]."""
+"""Variance of an unknown velocity [m^2/s^2, rad^2/s^2]."""
 
 
 def base_pose(
@@ -85,7 +85,7 @@ def pose_messages(
     Raises
     ------
     OptionError
-        The stamp is none that ROS can say.
+        The stamp is out of ROS's range.
 
     """
     frames = frames or FrameIds()
@@ -109,7 +109,7 @@ def pose_messages(
 def rig_message(
     base_from_camera: Floats | None, stamp: float, frames: FrameIds | None = None
 ) -> Message:
-    """Return where the camera sits on the robot, once and for all: base -> camera on `tf_static`."""
+    """Return the camera's mount, base -> camera, on `tf_static`."""
     frames = frames or FrameIds()
     mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
     fixed = transform(frames.base, frames.camera, mount, stamp)
@@ -129,7 +129,7 @@ STATUS = "localization/status"
 
 
 def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
-    """Return the names of the frames by what the user says, and by what frames are made of."""
+    """Return the names of the frames by the options and the assembled topics."""
     if parts is None:
         return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")
     name = options.map_frame
@@ -139,40 +139,45 @@ def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
 
 
 class PoseReporter:
-    """Makes messages of poses, and knows what was told already.
+    """Makes messages of poses, each status and map once.
 
     Parameters
     ----------
     maps
         The map, or the library of which each scene is shown when the camera is in it.
     tolerance
-        The transform map -> odom holds so long after its stamp [s], which is set ahead by that.
-    whole
-        Tell also what the robot knows already: where its camera sits, and where odometry has it.
+        Time by which the stamp of map -> odom is ahead [s].
+    with_inputs
+        Also send what the robot knows already: the camera's mount and odometry.
 
     """
 
     def __init__(
-        self, maps: SceneMap | SceneLibrary, frames: FrameIds, tolerance: float, *, whole: bool
+        self,
+        maps: SceneMap | SceneLibrary,
+        frames: FrameIds,
+        tolerance: float,
+        *,
+        with_inputs: bool,
     ) -> None:
         self.maps, self.frames = maps, frames
         self.base_from_camera: Floats = UPRIGHT_BASE
-        self._tolerance, self._whole = tolerance, whole
+        self._tolerance, self._with_inputs = tolerance, with_inputs
         self._shown: str | None = None
         self._rig = False
         self._estimate: PoseEstimate | None = None
         self._status: tuple[Status, str] | None = None
 
-    def begin(self, frames: FrameIds) -> None:
-        """Tell the status anew: frames, of these names, begin to come."""
+    def restart(self, frames: FrameIds) -> None:
+        """Set the names of the frames, and report the status again."""
         self.frames, self._status = frames, None
 
     def report_motion(
         self, live: LivePose, stamp: float, odom_from_camera: Floats
     ) -> list[Message]:
-        """Return where the camera is by odometry: odometry in the map, and the transform map -> odom."""
+        """Return odometry in the map, and the transform map -> odom."""
         messages = self._scenery(stamp, live.scene)
-        if self._whole:
+        if self._with_inputs:
             base = odom_from_camera @ np.linalg.inv(self.base_from_camera)
             carried = transform(self.frames.odom, self.frames.base, base, stamp)
             messages.append(transforms_message([carried], stamp))
@@ -188,14 +193,11 @@ class PoseReporter:
         return [*messages, *ridden, transforms_message([moved], stamp)]
 
     def report_changes(self, live: LivePose, stamp: float) -> list[Message]:
-        """Return what an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
+        """Return the messages after an image taken at `stamp` [s]; empty where nothing changed."""
         if live.estimate is None or live.estimate is self._estimate:
-            changed = self._status != (live.status, live.reason)
-            return (
-                self.report_status(live.status, live.reason, live.stamp, live=live)
-                if changed
-                else []
-            )
+            if self._status == (live.status, live.reason):
+                return []
+            return self.report_status(live.status, live.reason, live.stamp, live=live)
         self._estimate, stamp = live.estimate, stamp_or_zero(stamp)
         told = estimate_messages(
             live.estimate, stamp, self.frames, base_from_camera=self.base_from_camera
@@ -205,13 +207,13 @@ class PoseReporter:
             for m in told
             if m.type != "diagnostic_msgs/msg/DiagnosticArray" and not m.topic.endswith("odometry")
         ]
-        said = self.report_status(live.status, live.reason, stamp, live=live)
-        return [*self._scenery(stamp, live.scene), *kept, *said]
+        status = self.report_status(live.status, live.reason, stamp, live=live)
+        return [*self._scenery(stamp, live.scene), *kept, *status]
 
     def report_status(
         self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None
     ) -> list[Message]:
-        """Return how far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
+        """Return the status with its reason, as diagnostics and on a topic of its own."""
         stamp = stamp_or_zero(stamp)
         self._status = status, reason
         best = live.estimate.best if live is not None and live.estimate is not None else None
@@ -222,19 +224,20 @@ class PoseReporter:
         return [told, Message(STATUS, kind, stamp, one, latched=True)]
 
     def report_lack(self, reason: str, stamp: float) -> list[Message]:
-        """That nothing is known, and why, if that was not said before."""
-        said = Status.LOST, reason
-        return [] if self._status == said else self.report_status(*said, stamp)
+        """Return the status LOST with a reason, unless it was reported before."""
+        if self._status == (Status.LOST, reason):
+            return []
+        return self.report_status(Status.LOST, reason, stamp)
 
     def report_unusable(self, left_out: Counter[str], stamp: float) -> list[Message]:
-        """That no image could be used yet, and why most could not."""
+        """Return the status LOST with the most frequent reason for unusable images."""
         if not left_out or not np.isfinite(stamp):
             return []
         reason = left_out.most_common(1)[0][0].rstrip(".")
         return self.report_lack(f"No image could be used yet: {reason}.", stamp)
 
     def _scenery(self, stamp: float, scene: str) -> list[Message]:
-        """Return the map that the camera is in, and where the camera sits, once."""
+        """Return the map of the camera and the camera's mount, each once."""
         messages = []
         if isinstance(self.maps, Scene):
             shown: SceneMap | None = self.maps
@@ -244,16 +247,16 @@ class PoseReporter:
         if shown is not None and self._shown != scene:
             self._shown = scene
             messages += map_messages(shown, stamp, self.frames)
-        if self._whole and not self._rig:
+        if self._with_inputs and not self._rig:
             self._rig = True
             messages.append(rig_message(self.base_from_camera, stamp, self.frames))
         return messages
 
 
 DIAGNOSTIC = "placegraph: localization"
-"""Of the diagnostic."""
+"""Name of the diagnostic."""
 _AROUND = 12
-"""Particles that stand for a mode: two for each of its six directions."""
+"""Particles for a mode: two for each of its six directions."""
 _LEVELS = {Status.OK: 0, Status.AMBIGUOUS: 1, Status.LOST: 2}  # OK, WARN, ERROR
 
 
@@ -265,7 +268,7 @@ def estimate_messages(
     map_from_odom: Floats | None = None,
     base_from_camera: Floats | None = None,
 ) -> list[Message]:
-    """Return what an estimate says of its last frame, taken at `stamp` [s].
+    """Return the messages of an estimate for its last frame, taken at `stamp` [s].
 
     Where the status is OK, `pose.pose_messages`, whose other parameters these are. Always a
     `nav2_msgs/ParticleCloud`, a `PoseArray` of the modes, best first, a `DiagnosticArray` with
@@ -275,7 +278,7 @@ def estimate_messages(
     Raises
     ------
     OptionError
-        The stamp is none that ROS can say.
+        The stamp is out of ROS's range.
 
     """
     frames = frames or FrameIds()
@@ -310,7 +313,7 @@ def estimate_messages(
 
 
 def particles(estimate: PoseEstimate, base_from_camera: Floats) -> tuple[Floats, Floats]:
-    """Return the poses (N, 4, 4) map_from_base and weights (N,) that stand for what is known.
+    """Return the poses (N, 4, 4) map_from_base and weights (N,) that represent an estimate.
 
     Those of the filter's last step where it was recorded (`FilterOptions.record`); else twelve a
     mode, which have its pose as their mean, its covariance, and its probability together.

@@ -1,4 +1,4 @@
-"""Messages as a recording of Rerun (.rrd): the map's objects, the camera's way, what is known and why."""
+"""Writer of messages as a recording of Rerun (.rrd)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from placegraph.core.geometry import Floats
+from placegraph.core.geometry import Floats, rotation_from_quaternion
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph_ros.bag import UnfinishedFile, check_free, report_disk_errors
 from placegraph_ros.message import Fields, Message
@@ -18,26 +18,26 @@ from placegraph_ros.scene_messages import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 
 _LEVELS = ("INFO", "WARN", "ERROR")
 _GAP = 1.0
-"""A way that was not known for longer than this [s] is drawn in two pieces."""
+"""Longest gap in the drawn path [s]."""
 _CAMERA, _BASE = "map/base/camera", "map/base"
 
 
 class RerunWriter:
-    """Writes messages into a recording; a context, and the file has its name when it ends without an error.
+    """Writer of a recording, a context manager; the file appears when the context ends without an error.
 
     Entities: ``map/map``, ``map/names`` and ``map/objects`` (markers), ``map/base`` and its
     ``camera`` (the pose, where it is known), ``map/path``, ``map/particle_cloud``, ``map/modes``,
-    ``camera/image``, ``status`` and ``evidence``. Messages of other types are passed over.
+    ``camera/image``, ``status`` and ``evidence``. Other types are ignored.
 
     Parameters
     ----------
     path
-        A file NAME.rrd, which must not be there yet.
+        A file NAME.rrd, which must not exist.
 
     Raises
     ------
     OptionError
-        Something is at `path` already.
+        `path` exists.
     MapError
         Nothing can be written there.
     MissingExtraError
@@ -57,7 +57,7 @@ class RerunWriter:
         self._rr: Any = rerun
         self._place: UnfinishedFile | None = None
         self._to: Any = None
-        self._way: list[tuple[float, list[float]]] = []
+        self._path: list[tuple[float, list[float]]] = []
         self._kinds: dict[str, Callable[[Message], None]] = {
             "geometry_msgs/msg/PoseWithCovarianceStamped": self._pose,
             "geometry_msgs/msg/PoseArray": self._modes,
@@ -80,7 +80,7 @@ class RerunWriter:
         assert self._place is not None  # noqa: S101  entered
         try:
             with report_disk_errors(self.path):
-                self._log("map/path", self._rr.LineStrips3D(_pieces(self._way)), static=True)
+                self._log("map/path", self._rr.LineStrips3D(_split_path(self._path)), static=True)
                 self._to.flush()
                 self._to.disconnect()
             if kind is None:
@@ -90,10 +90,10 @@ class RerunWriter:
             self._place = self._to = None
 
     def write(self, message: Message) -> None:
-        """Write a message at its stamp, if its type is one that is shown."""
+        """Write a message at its stamp, if its type is shown."""
         if self._to is None:
             raise OptionError(
-                "The file is not open: write inside of `with RerunWriter(path) as file`."
+                "The file is not open; write inside `with RerunWriter(path) as file`."
             )
         show = self._kinds.get(message.type)
         if show is not None:
@@ -115,16 +115,13 @@ class RerunWriter:
             half_sizes=[2.0 * np.sqrt(np.maximum(values, 0.0))], colors=[(255, 176, 0, 90)]
         )
         self._log("map/deviation", self._rr.Transform3D(translation=place, mat3x3=axes), ball)
-        self._way.append((message.stamp, place))
+        self._path.append((message.stamp, place))
 
     def _modes(self, message: Message) -> None:
         poses = message.fields["poses"]
         turns = np.array([[*pose["orientation"].values()] for pose in poses]).reshape(-1, 4)
         origins = [_xyz(pose["position"]) for pose in poses]
-        quaternions = turns
-        from placegraph.core.geometry import rotation_from_quaternion
-
-        ahead = rotation_from_quaternion(quaternions)[:, :, 0]
+        ahead = rotation_from_quaternion(turns)[:, :, 0]
         self._log("map/modes", self._rr.Arrows3D(vectors=0.4 * ahead, origins=origins))
 
     def _particles(self, message: Message) -> None:
@@ -137,14 +134,14 @@ class RerunWriter:
         self._log("map/particle_cloud", shown)
 
     def _status(self, message: Message) -> None:
-        (said,) = message.fields["status"]
-        level = _LEVELS[said["level"]]
-        if said["level"]:  # nobody knows where it is
+        (status,) = message.fields["status"]
+        level = _LEVELS[status["level"]]
+        if status["level"]:  # no certain pose
             self._log(_BASE, self._rr.Clear(recursive=True))
             self._log("map/deviation", self._rr.Clear(recursive=False))
-        self._log("status", self._rr.TextLog(said["message"], level=level))
-        lines = [f"- **{pair['key']}**: {pair['value']}" for pair in said["values"]]
-        text = "\n".join([f"# {said['message']}", "", *lines])
+        self._log("status", self._rr.TextLog(status["message"], level=level))
+        lines = [f"- **{pair['key']}**: {pair['value']}" for pair in status["values"]]
+        text = "\n".join([f"# {status['message']}", "", *lines])
         self._log("evidence", self._rr.TextDocument(text, media_type="text/markdown"))
 
     def _image(self, message: Message) -> None:
@@ -161,7 +158,7 @@ class RerunWriter:
         self._log(_CAMERA, pinhole)
 
     def _transforms(self, message: Message) -> None:
-        """Where the camera sits; the pose says where it goes."""
+        """Show the camera's mount."""
         for link in message.fields["transforms"] if message.latched else ():
             moved = link["transform"]
             turn = [*moved["rotation"].values()]
@@ -176,11 +173,11 @@ class RerunWriter:
         shown = [marker for marker in markers if "type" in marker]
         keys = sorted(shown, key=_group)
         for (kind, ns), group in groupby(keys, key=_group):
-            for name, what in self._drawn(kind, ns, list(group)):
+            for name, what in self._draw_markers(kind, ns, list(group)):
                 self._log(f"{entity}/{name}", what, static=message.latched)
 
-    def _drawn(self, kind: int, ns: str, markers: Sequence[Fields]) -> list[tuple[str, Any]]:
-        """Return the entities, and what they show, of markers of one type and namespace."""
+    def _draw_markers(self, kind: int, ns: str, markers: Sequence[Fields]) -> list[tuple[str, Any]]:
+        """Return names and archetypes of markers of one type and namespace."""
         rr, colours = self._rr, [_rgba([marker["color"]])[0] for marker in markers]
         if kind == TRIANGLES:
             return [(f"{ns}/{m['id']}", self._mesh(m)) for m in markers]
@@ -219,8 +216,8 @@ def _blueprint() -> Any:  # noqa: ANN401  # of rerun
     )
 
 
-def _pieces(way: Sequence[tuple[float, list[float]]]) -> list[Floats]:
-    """Return the ways (N, 3) that were known without a gap."""
+def _split_path(way: Sequence[tuple[float, list[float]]]) -> list[Floats]:
+    """Split the path (N, 3) at its gaps."""
     if not way:
         return []
     stamps, places = np.array([stamp for stamp, _ in way]), np.array([place for _, place in way])

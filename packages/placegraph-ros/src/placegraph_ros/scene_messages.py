@@ -27,7 +27,7 @@ MARKERS = "visualization_msgs/msg/MarkerArray"
 CUBE, LINES, TEXT, TRIANGLES = 1, 5, 9, 11
 """Types of markers."""
 CLEAR = 3
-"""Action: what stood there before is gone."""
+"""Action that deletes all markers."""
 COLOURS = {"for": (0.1, 0.75, 0.2), "against": (0.9, 0.1, 0.1)}
 _ALPHA = 0.35
 _TALL, _THICK = 0.12, 0.01  # of letters and lines [m]
@@ -36,9 +36,9 @@ _TALL, _THICK = 0.12, 0.01  # of letters and lines [m]
 def objects_message(
     estimate: PoseEstimate, stamp: float, frames: FrameIds | None = None
 ) -> list[Message]:
-    """`MarkerArray` of the boxes of objects that spoke for the best mode, and against it.
+    """`MarkerArray` of the boxes of objects for and against the best mode, with lines to the camera.
 
-    A line leads from the camera to each. None where the estimate does not know its map.
+    Empty where the estimate has no map.
     """
     frames = frames or FrameIds()
     scene = estimate.map
@@ -48,16 +48,16 @@ def objects_message(
     markers: list[Fields] = [{"header": head, "action": CLEAR}]
     rows = {name: row for row, name in enumerate(scene.graph.ids)}
     for verdict, rgb in COLOURS.items():
-        said = [
+        evidenced = [
             (rows[ref.id], evidence)
             for evidence in estimate.evidence
             for ref in evidence.objects
             if evidence.verdict == verdict and ref.id in rows
         ]
-        for row, evidence in said:
+        for row, evidence in evidenced:
             markers += _box(scene, row, evidence, head)
-        if said and estimate.best is not None:
-            places = scene.graph.positions[[row for row, _ in said]]
+        if evidenced and estimate.best is not None:
+            places = scene.graph.positions[[row for row, _ in evidenced]]
             ends = np.stack(
                 [np.broadcast_to(estimate.best.map_from_camera[:3, 3], places.shape), places],
                 axis=1,
@@ -71,7 +71,7 @@ def objects_message(
 
 
 def _box(scene: Scene, row: int, evidence: Evidence, head: Fields) -> list[Fields]:
-    """Return a box and what it is called, of an object."""
+    """Return the box and the name of an object."""
     graph = scene.graph
     center, size = graph.positions[row], np.maximum(extent(scene, row), _THICK)
     rgb = COLOURS[evidence.verdict]
@@ -93,7 +93,7 @@ def extent(scene: Scene, row: int) -> Floats:
 
 
 def place_above(scene: Scene, row: int) -> Floats:
-    """Return the place (3,) above an object, where its name stands [m]."""
+    """Return the position (3,) of an object's name, above it [m]."""
     up = np.array([0.0, 0.0, 0.5 * extent(scene, row)[2] + _TALL])
     return np.asarray(scene.graph.positions[row] + up)
 
@@ -107,7 +107,7 @@ def label(
     *,
     ns: str,
 ) -> Fields:
-    """Return a marker of letters that face who looks, at a place (3,)."""
+    """Return a text marker at a position (3,)."""
     return {
         "header": head, "ns": ns, "id": row, "type": TEXT, "scale": scale(_TALL),
         "pose": {"position": xyz(place), "orientation": {"w": 1.0}},
@@ -115,23 +115,22 @@ def label(
     }  # fmt: skip
 
 
-MOST = 200_000
-"""Triangles, 120 bytes each, that markers show."""
+MAX_TRIANGLES = 200_000  # in markers, 120 bytes each
 
 
 def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> list[Message]:
-    """Return the map, thrice: its mesh as markers (RViz), its names, and a `SceneUpdate` (Foxglove).
+    """Return the map as markers (RViz), its names, and as a `SceneUpdate` (Foxglove).
 
     - ``localization/map``: a `MarkerArray`, a list of triangles an object with colours by vertex; of
-      more than `MOST` triangles the objects' boxes.
+      more than `MAX_TRIANGLES` triangles the objects' boxes.
     - ``localization/names``: a `MarkerArray` of what the objects are called.
     - ``localization/scene``: a `foxglove_msgs/SceneUpdate` with the map as GLB and its textures.
 
-    Raises `OptionError` where the stamp [s] is none that ROS can say.
+    Raises `OptionError` where the stamp [s] is out of ROS's range.
     """
     frames = frames or FrameIds()
     head = header(stamp, frames.map)
-    shown = (_meshes if len(scene.mesh) <= MOST else _boxes)(scene, head)
+    shown = (_meshes if len(scene.mesh) <= MAX_TRIANGLES else _boxes)(scene, head)
     names = [_name(scene, row, head) for row in range(len(scene))]
     model = {
         "pose": {"orientation": {"w": 1.0}}, "scale": scale(1.0),
@@ -187,16 +186,15 @@ def _name(scene: Scene, row: int, head: Fields) -> Fields:
     return label(words, row, place_above(scene, row), head, (1.0, 1.0, 1.0), ns=graph.labels[row])
 
 
-QUALITY = 80
-"""Of JPEG."""
+QUALITY = 80  # of JPEG
 MODELS = {0: "plumb_bob", 4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
-"""ROS's names of lenses by how many numbers tell of their distortion."""
+"""ROS's distortion models by number of coefficients."""
 
 
 def image_messages(frame: Frame, stamp: float, frames: FrameIds | None = None) -> list[Message]:
     """`CompressedImage` (JPEG) of a frame's colours, and its `CameraInfo`.
 
-    Raises `InputError` where the image is broken, `OptionError` where ROS cannot say the stamp [s].
+    Raises `InputError` where the image is broken, `OptionError` where the stamp [s] is out of ROS's range.
     """
     from PIL import Image
 

@@ -136,14 +136,14 @@ def time_opening(frames: int, folder: Path, rounds: int) -> float:
 
 def read_messages(path: Path) -> int:
     """Open a bag as a capture, and decode the messages of its images; their bytes."""
-    from placegraph_io.ros.decode import decoded
+    from placegraph_io.ros.decode import decode_message
 
     total = 0
     for frame in open_capture(path):
         images: Any = frame.images
         for read in (images.colours, images.metres):
             message, source = read.args[:2]
-            total += len(decoded(message, *source).data)
+            total += len(decode_message(message, *source).data)
     return total
 
 

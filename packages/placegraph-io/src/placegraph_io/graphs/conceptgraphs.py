@@ -226,7 +226,7 @@ def _cut_mesh(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: 
 
 
 def _are_inside(away: Floats, extent: Floats, turned: bool) -> NDArray[np.bool_]:
-    """Return which points (N, 3), relative to a box's center, lie in the rotation that holds most.
+    """Return which points (N, 3), relative to a box's centre, lie in the rotation that holds most.
 
     Objects stand upright: any of the three lengths is the height, and the heading is one of twelve.
     """

@@ -26,7 +26,7 @@ from placegraph.io.mesh.model import Model, Picture, Thing
 
 Floats = NDArray[np.float64]
 Box = tuple[Floats, Floats, Floats]
-"""Center and lengths (3,) [m], and world_from_box (3, 3)."""
+"""Centre and lengths (3,) [m], and world_from_box (3, 3)."""
 
 
 MARGIN = 0.05
@@ -157,7 +157,7 @@ def _cut_faces(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
 
 
 def read_box(entry: object, version: tuple[int, int, int]) -> Box | None:
-    """Return center, lengths (3,) [m] and world_from_box (3, 3) of a box; None where it is invalid."""
+    """Return centre, lengths (3,) [m] and world_from_box (3, 3) of a box; None where it is invalid."""
     box: dict[str, Any] = entry if isinstance(entry, dict) else {}
     if box.get("type") in {None, "INVALID"}:
         return None

@@ -1,7 +1,7 @@
-"""Captures from bags of ROS 1 and ROS 2; nothing of ROS needs to be installed.
+"""Captures from bags of ROS 1 and ROS 2, without an installation of ROS.
 
-`walk.mcap`, `walk.db3`, `walk.bag`, or a folder of rosbag2. `walk.mcap.json` beside it may say what
-the bag does not (`read_topic_choice`). Poses are those of the camera's optical frame, whose axes are OpenCV's
+`walk.mcap`, `walk.db3`, `walk.bag`, or a folder of rosbag2. `walk.mcap.json` beside it may add what
+the bag lacks (`read_topic_choice`). Poses are those of the camera's optical frame, whose axes are OpenCV's
 (REP 103), in `odom`, whose z points up (REP 105).
 """
 
@@ -20,15 +20,20 @@ from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
 from placegraph.io.capture.posed import SAME_MOMENT, StoredFrame, make_capture, match_stamps
 from placegraph.io.capture.tum import read_tum
-from placegraph_io.ros.containers import Message, Topic, looks_like_bag, open_bag
-from placegraph_io.ros.decode import Registration, colours, decoded, depths
+from placegraph_io.ros.containers import Message, Topic, is_bag, open_bag
+from placegraph_io.ros.decode import Registration, decode_colour, decode_depth, decode_message
 from placegraph_io.ros.poses import PoseReader
-from placegraph_io.ros.topics import Plan, plan_of, read_topic_choice
+from placegraph_io.ros.topics import CapturePlan, plan_capture, read_topic_choice
 
-
-def is_bag(path: Path) -> bool:
-    """Return whether a path bears the name of a bag."""
-    return looks_like_bag(path)
+__all__ = [
+    "MessageSource",
+    "capture_of_plan",
+    "depth_unit",
+    "is_bag",
+    "read_bag",
+    "read_colour",
+    "read_depth",
+]
 
 
 def read_bag(
@@ -36,30 +41,32 @@ def read_bag(
 ) -> Capture:
     """Read a bag: its index, stamps and transforms; images when they are asked for.
 
-    `poses` is a trajectory of the same clock, instead of transforms and odometry; `topics` is what
-    `BAG.json` may say. Raises `InputError` where the bag is damaged or lacks what a capture needs,
-    `OptionError` for `topics` that are none, `MissingExtraError` where `rosbags` is not installed.
+    `poses` is a trajectory of the same clock, which replaces transforms and odometry; `topics` has the
+    keys of `BAG.json`. Raises `InputError` where the bag is damaged or incomplete, `OptionError` for
+    invalid `topics`, `MissingExtraError` where `rosbags` is not installed.
     """
-    return capture_from(plan_of(open_bag(path), read_topic_choice(path, topics)), poses)
+    return capture_of_plan(plan_capture(open_bag(path), read_topic_choice(path, topics)), poses)
 
 
-def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
-    """Return the capture of what was found in a bag; `poses` and errors as of `read_bag`."""
+def capture_of_plan(plan: CapturePlan, poses: Path | None = None) -> Capture:
+    """Return the capture of a plan; `poses` is a trajectory, which replaces transforms and odometry."""
     for role in ("colour", "camera", "depth") if poses else ("colour", "camera", "poses", "depth"):
-        if role in plan.lacks:
-            raise InputError(plan.lacks[role])
+        if role in plan.missing:
+            raise InputError(plan.missing[role])
     pose_reader = plan.pose_reader
     assert pose_reader is not None  # noqa: S101  # else there would be no colour
     if poses is None:
         missing = f"no transform from {pose_reader.colour.frame} to {pose_reader.frame}"
-        shots = _shots(plan, pose_reader, pose_reader.poses(), missing)
+        frames = _stored_frames(plan, pose_reader, pose_reader.poses(), missing)
     else:
-        shots = _shots(plan, pose_reader, _given(poses, pose_reader), f"no pose in {poses.name}")
-    return make_capture(plan.bag.path, shots, left_out=pose_reader.left_out, notes=plan.notes)
+        frames = _stored_frames(
+            plan, pose_reader, _given_poses(poses, pose_reader), f"no pose in {poses.name}"
+        )
+    return make_capture(plan.bag.path, frames, left_out=pose_reader.left_out, notes=plan.notes)
 
 
-def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
-    """Return the poses (T, 4, 4) of the images by a trajectory's rows, or stamps; NaN where it has none."""
+def _given_poses(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
+    """Return the poses (T, 4, 4) of the images by a trajectory's rows or stamps; NaN where it has none."""
     trajectory, stamps = read_tum(poses), pose_reader.stamps[pose_reader.rows]
     row_of = np.arange(len(stamps))
     if len(trajectory) != len(stamps):
@@ -67,10 +74,10 @@ def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
     return np.where((row_of >= 0)[:, None, None], trajectory.poses[row_of], np.nan)
 
 
-def _shots(
-    plan: Plan, pose_reader: PoseReader, poses: NDArray[np.float64], missing: str
+def _stored_frames(
+    plan: CapturePlan, pose_reader: PoseReader, poses: NDArray[np.float64], missing: str
 ) -> list[StoredFrame]:
-    """Return a shot a colour image that has a pose, and depth where there is any."""
+    """Return the colour images with a pose, and with depth where the bag has any."""
     colour, depth, camera = pose_reader.colour, pose_reader.depth, plan.camera
     assert camera is not None  # noqa: S101  # else it would lack
     stamps = pose_reader.stamps[pose_reader.rows]
@@ -80,7 +87,7 @@ def _shots(
         depth_of = match_stamps(pose_reader.depth_stamps, stamps, SAME_MOMENT)
         lost[depth_of < 0] = f"no depth within {SAME_MOMENT * 1000:.0f} ms"
         if plan.registration is not None:
-            moved = pose_reader.tree.between(colour.frame, depth.frame, stamps)
+            moved = pose_reader.tree.lookup(colour.frame, depth.frame, stamps)
             assert moved is not None  # noqa: S101  # else depth would lack
             lost[np.isnan(moved[:, 0, 0])] = f"no transform from {depth.frame} to {colour.frame}"
     lost[np.isnan(poses[:, 0, 0])] = missing
@@ -88,66 +95,68 @@ def _shots(
         "its stamp twice"
     )
     pose_reader.left_out.update(why for why in lost if why)
-    unit, source = unit_of(plan), Source.of(colour.topic)
-    shots = []
+    unit, source = depth_unit(plan), MessageSource.from_topic(colour.topic)
+    frames = []
     for i in np.flatnonzero(lost == "").tolist():
         row, metres = int(pose_reader.rows[i]), None
         if depth is not None:
             metres = partial(
-                metres_of, depth.topic[int(depth_of[i])], Source.of(depth.topic), depth.size,
+                read_depth, depth.topic[int(depth_of[i])], MessageSource.from_topic(depth.topic), depth.size,
                 plan.choice.depth_scale, plan.registration, None if moved is None else moved[i],
             )  # fmt: skip
-        images = LazyImages(partial(picture, colour.topic[row], source, camera), metres, unit=unit)
+        images = LazyImages(
+            partial(read_colour, colour.topic[row], source, camera), metres, unit=unit
+        )
         name = f"{plan.bag.path}, {colour.topic.name}, message {row}"
-        shots.append(
+        frames.append(
             StoredFrame(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera)
         )
-    return shots
+    return frames
 
 
-def unit_of(plan: Plan) -> DepthUnit | None:
-    """Return where the unit of its depth is said; None: it has none."""
+def depth_unit(plan: CapturePlan) -> DepthUnit | None:
+    """Return the unit of depth and its source; None without depth."""
     if plan.depth is None:
         return None
     if plan.choice.depth_scale:
         return DepthUnit(f'"depth_scale" in {plan.bag.path}.json', plan.choice.depth_scale)
     metres = plan.depth.encoding.startswith("32F")
-    said = f"the encoding {plan.depth.encoding} of {plan.depth.topic.name}"
-    return DepthUnit(said, 1.0 if metres else 1000.0)
+    source = f"the encoding {plan.depth.encoding} of {plan.depth.topic.name}"
+    return DepthUnit(source, 1.0 if metres else 1000.0)
 
 
-class Source(NamedTuple):
-    """Of a message: enough to read it anywhere."""
+class MessageSource(NamedTuple):
+    """Topic, type and encoding of a message."""
 
     topic: str
     type: str
     encoding: str
 
     @classmethod
-    def of(cls, topic: Topic) -> Source:
-        """Of a topic's messages."""
+    def from_topic(cls, topic: Topic) -> MessageSource:
+        """Return those of a topic's messages."""
         return cls(topic.name, topic.type, topic.encoding)
 
 
-def picture(message: Message, source: Source, camera: Camera) -> NDArray[np.uint8]:
-    """Return the colours (H, W, 3) of a message; `InputError` where they are none of that camera."""
+def read_colour(message: Message, source: MessageSource, camera: Camera) -> NDArray[np.uint8]:
+    """Return the colours (H, W, 3) of a message; `InputError` where they do not fit the camera."""
     name = f"{message.place.path}, {source.topic}"
-    image = colours(decoded(message, *source), name)
+    image = decode_colour(decode_message(message, *source), name)
     check_shape(image, camera, name)
     return image
 
 
-def metres_of(
+def read_depth(
     message: Message,
-    source: Source,
+    source: MessageSource,
     size: tuple[int, int],
     per_metre: float | None,
     registration: Registration | None,
     colour_from_depth: NDArray[np.float64] | None,
 ) -> NDArray[np.float32]:
-    """Depth (h, w) [m] of a message, brought to the colour camera; `InputError` where it is none."""
+    """Return the depth (h, w) [m] of a message, registered to the colour camera if asked."""
     name = f"{message.place.path}, {source.topic}"
-    image = depths(decoded(message, *source), per_metre, name)
+    image = decode_depth(decode_message(message, *source), per_metre, name)
     if image.shape != size[::-1]:
         raise InputError(
             f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its first image has "

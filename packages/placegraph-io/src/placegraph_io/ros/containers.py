@@ -1,10 +1,9 @@
-"""Bags of ROS, whose messages are found by an index and read on demand: MCAP, rosbag2's SQLite, rosbag1.
+"""Bags of ROS (MCAP, rosbag2's SQLite, rosbag1): an index in memory, messages read on demand.
 
-A message has a store (a chunk of an MCAP or of a rosbag1, or a database) and an offset in it. Of a chunk
-that is not compressed only the message itself is read, and of others no more than a bag may unpack.
-`rosbags` reads whole chunks, knows no limit, and refuses files that are cut off; for MCAP and databases
-its reader is therefore not used (transforms of a bag of 270 MB: .16 s, here .01 s; packed: 1.0 and .2
-s).
+A message has a store (a chunk of an MCAP or a rosbag1, or a database) and an offset in it. Only the
+message itself is read from an uncompressed chunk. `rosbags` reads whole chunks without a limit and refuses
+truncated files, so MCAP and databases are read here (transforms of a bag of 270 MB: 0.01 s instead of
+0.16 s; compressed: 0.2 s instead of 1.0 s).
 """
 
 from __future__ import annotations
@@ -35,26 +34,24 @@ from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes, Database
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader
 
-_HEAD = 160
-"""Bytes before a message, at most: of MCAP 31, of rosbag1 fields of its own."""
-_SMALL = 1024
-"""Bytes of a message that are read at once with what stands before it."""
-_KEPT = 2  # unpacked chunks of a file: colour and depth of a moment mostly lie in one
+_HEAD = 160  # most bytes of a message's header: 31 in MCAP, variable in rosbag1
+_SMALL = 1024  # bytes of a message that are read together with its header
+_CACHED_CHUNKS = 2  # unpacked chunks of a file: colour and depth of a moment mostly lie in one
 
 
 class MessageStore(Protocol):
-    """What messages lie in."""
+    """Store of messages."""
 
     @property
     def path(self) -> Path:
-        """File."""
+        """Path of the file."""
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """Bytes of the message at an offset, all or the first `most`; `InputError`: none lies there."""
+        """Read a message, all or the first `most` bytes; `InputError` where the offset is wrong."""
 
 
 class File:
-    """A file that is read at any place, by any thread; opened when first asked, and again elsewhere."""
+    """A file for random access from any thread, opened on first use; pickled by its path."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -66,16 +63,14 @@ class File:
         return File, (self.path,)
 
     def read(self, start: int, count: int) -> bytes:
-        """Return at most `count` bytes from `start`: fewer where the file ends, wherever that would be."""
+        """Return at most `count` bytes from `start`, fewer at the end of the file."""
         if not (0 <= start < 1 << 62 and count > 0):
             return b""
         if self._handle is None:
             with self._lock:
                 if self._handle is None:
                     try:
-                        handle = os.open(
-                            check_regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)
-                        )
+                        handle = os.open(check_regular(self.path), os.O_RDONLY)
                     except OSError as error:
                         raise InputError(
                             f"{self.path} cannot be read: {error.strerror}."
@@ -86,11 +81,11 @@ class File:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size [bytes]."""
         return self.path.stat().st_size
 
     def unpacked(self, chunk: Chunk, offset: int, count: int) -> bytes:
-        """Return at most `count` bytes of a compressed part; the last ones are kept as far as unpacked."""
+        """Return at most `count` bytes of a compressed chunk; the last chunks are cached."""
         with self._lock:
             packed = self._unpacked.pop(chunk.start, None)
         if packed is None:
@@ -100,14 +95,14 @@ class File:
         content = packed.read(offset, count)
         with self._lock:
             self._unpacked[chunk.start] = packed
-            while len(self._unpacked) > _KEPT:
+            while len(self._unpacked) > _CACHED_CHUNKS:
                 self._unpacked.popitem(last=False)
         return content
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A part of an MCAP or of a rosbag1 that holds records, packed or not."""
+    """Chunk of records of an MCAP or a rosbag1, compressed or not."""
 
     file: File
     start: int
@@ -118,17 +113,17 @@ class Chunk:
 
     @property
     def path(self) -> Path:
-        """File."""
+        """Path of the file."""
         return self.file.path
 
     def peek(self, offset: int, count: int) -> bytes:
-        """Return the bytes of the unpacked chunk; fewer where it ends."""
+        """Return `count` bytes of the unpacked chunk, fewer at its end."""
         if self.compression:
             return self.file.unpacked(self, offset, count)
         return self.file.read(self.start + offset, max(0, min(count, self.size - offset)))
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `MessageStore.read`."""
+        """Read the message at an offset of the unpacked chunk."""
         head = self.peek(offset, _HEAD + min(most or _SMALL, _SMALL))
         try:
             if self.rosbag1:
@@ -151,8 +146,8 @@ class Chunk:
 
     def _broken(self, offset: int) -> InputError:
         return InputError(
-            f"{self.path}: no message lies at byte {offset} of the chunk at {self.start}, where the "
-            "index says so; the bag is damaged: copy it again, or make its index anew."
+            f"{self.path}: the index names byte {offset} of the chunk at {self.start}, which holds no "
+            "message; the bag is damaged: copy it again, or rebuild its index."
         )
 
 
@@ -168,42 +163,42 @@ class Messages(Database):
         return partial(Messages, packed=self.packed), (self.path,)
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `MessageStore.read`; the offset is the row's id."""
+        """Read the message of a row; the offset is the row's id."""
         name = f"{self.path}: message {offset}"
         data = self.blob(("messages", "data", offset), name, None if self.packed else most)
         if self.packed:
-            whole = LARGEST_MESSAGE if most is None else most
-            return CompressedBytes(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
+            limit = LARGEST_MESSAGE if most is None else most
+            return CompressedBytes(data, "zstd", f"{self.path}, message {offset},").read(0, limit)
         return data
 
 
 class Message(NamedTuple):
-    """One message, not yet read."""
+    """Reference to one message in a store."""
 
     place: MessageStore
     offset: int
 
     def read(self) -> bytes:
-        """Return its bytes."""
+        """Return the bytes of the message."""
         return self.place.read(self.offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topic:
-    """Messages of one name and type, by the time at which they were recorded."""
+    """Messages of one name and type, in the order of their recording."""
 
     name: str
     type: str
     """As ROS 2 names it: `sensor_msgs/msg/Image`."""
     encoding: str
-    """`cdr` (ROS 2), `ros1`, or something else, which is not read."""
+    """`cdr` (ROS 2) or `ros1`; others are not read."""
     times: NDArray[np.int64]
     """(N,) ascending [ns]."""
     places: tuple[MessageStore, ...]
     which: NDArray[np.int64]
     """(N,) row of `places`."""
     offsets: NDArray[np.int64]
-    """(N,) of the message in its place."""
+    """(N,) offsets in the places."""
 
     def __len__(self) -> int:
         return len(self.times)
@@ -213,16 +208,16 @@ class Topic:
 
     @property
     def short(self) -> str:
-        """Its type as people say it: `sensor_msgs/Image`."""
+        """Type without `msg`: `sensor_msgs/Image`."""
         return self.type.replace("/msg/", "/")
 
 
-def read_all(
+def read_messages(
     wanted: Sequence[tuple[Topic, NDArray[np.intp] | None, int | None]],
 ) -> list[list[bytes]]:
-    """Return the messages of several topics, each of its rows (None: all) whole or its first bytes.
+    """Read messages of several topics: topic, rows (None: all) and number of first bytes (None: all).
 
-    They are read in the order in which they lie, so that every chunk is unpacked once.
+    They are read in the order of the file, so that every chunk is unpacked once.
     """
     out: list[list[bytes]] = []
     todo: list[tuple[str, int, int, int, int]] = []
@@ -253,8 +248,8 @@ class TopicPart(NamedTuple):
     offsets: NDArray[np.int64]
 
 
-def join_parts(parts: Sequence[TopicPart]) -> Iterator[Topic]:
-    """Yield the topics of the parts of all files of a bag; of types that share a name, the most frequent."""
+def merge_parts(parts: Sequence[TopicPart]) -> Iterator[Topic]:
+    """Merge the parts of all files into topics; of types that share a name, the most frequent is used."""
     names: dict[str, dict[tuple[str, str], list[TopicPart]]] = {}
     for part in parts:
         names.setdefault(part.name, {}).setdefault((part.type, part.encoding), []).append(part)
@@ -278,8 +273,8 @@ _FEW = 1 << 20  # bytes of a schema or channel
 _LIMIT = 1 << 28  # of the summary of a file
 
 
-class MissingIndexError(Exception):  # no error of the user's
-    """The file has no whole index."""
+class MissingIndexError(Exception):
+    """The file has no complete index."""
 
 
 class _Channel(NamedTuple):
@@ -289,14 +284,14 @@ class _Channel(NamedTuple):
 
 
 class Channels:
-    """What is told of topics and their types."""
+    """Schemas and channels of an MCAP."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, _Channel] = {}
 
     def add_record(self, op: int, data: bytes) -> None:
-        """Take in a record of a schema or of a channel; one that is damaged is none."""
+        """Add a record of a schema or a channel; damaged records are ignored."""
         with suppress(struct.error):
             if op == _SCHEMA:
                 (number,) = unpack_from("<H", data)
@@ -309,7 +304,7 @@ class Channels:
 
 
 class _Index(Channels):
-    """What is found of a file: its channels, and where their messages lie."""
+    """Index of an MCAP: channels, chunks and offsets of messages."""
 
     def __init__(self, file: File) -> None:
         super().__init__()
@@ -318,7 +313,7 @@ class _Index(Channels):
         self.found: dict[int, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
     def walk(self, chunk: Chunk) -> bool:
-        """Index the records of a chunk one by one; whether it is whole."""
+        """Index the records of a chunk one by one; return whether it is complete."""
         row, rows, whole = len(self.chunks), defaultdict(list), True
         self.chunks.append(chunk)
         at = 0
@@ -350,40 +345,38 @@ class _Index(Channels):
 
 
 def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
-    """Return the messages of a file by topic; `notes` is told where its index is missing.
+    """Index the messages of a file by topic; a missing index is added to `notes`.
 
-    Raises `InputError` where it is no MCAP or holds nothing that can be read.
+    Raises `InputError` where the file is no MCAP or holds no message.
     """
     file = File(path)
     if file.read(0, 8) != MAGIC:
-        raise InputError(
-            f"{path} is no MCAP file, or its beginning is lost; record or copy it again."
-        )
+        raise InputError(f"{path} does not begin as an MCAP file; record or copy it again.")
     try:
-        index = _listed(file)
+        index = _read_index(file)
     except (MissingIndexError, struct.error, ValueError) as error:
-        index = _scanned(file)
+        index = _scan_records(file)
         why = error if isinstance(error, MissingIndexError) else "its index is damaged"
         notes.append(
-            f"{path.name}: {why}; it is read as far as it goes. `mcap recover` makes it whole."
+            f"{path.name}: {why}; it is read as far as possible. `mcap recover` repairs it."
         )
     if not index.found:
         raise InputError(f"{path} holds no message; record again.")
     return list(index.parts())
 
 
-def is_whole(path: Path) -> bool:
-    """Return whether an MCAP has its end; else it was cut off, or is still being written."""
+def is_complete(path: Path) -> bool:
+    """Return whether an MCAP has its end; else it was truncated or is still being written."""
     file = File(path)
     return file.read(max(file.size - len(MAGIC), 1), len(MAGIC)) == MAGIC
 
 
-def _listed(file: File) -> _Index:
-    """By the summary at the end, and the index behind every chunk."""
+def _read_index(file: File) -> _Index:
+    """Read the summary at the end, and the index behind every chunk."""
     size = file.size
     end = file.read(max(size - _FOOTER, 0), _FOOTER)
     if end[-8:] != MAGIC or end[:1] != b"\x02":
-        raise MissingIndexError("the file was cut off, for it has no end")
+        raise MissingIndexError("the file has no end, so it was truncated")
     (start,) = unpack_from("<Q", end, 9)
     if not 0 < start < size or size - start > _LIMIT:
         raise MissingIndexError("it was written without an index")
@@ -393,14 +386,14 @@ def _listed(file: File) -> _Index:
         if op in {_SCHEMA, _CHANNEL}:
             index.add_record(op, summary[at : at + length])
         elif op == _CHUNK_INDEX:
-            _chunk(index, summary, at)
+            _index_chunk(index, summary, at)
     if set(index.found) - set(index.channels) or not index.found:
         raise MissingIndexError("it was written without an index")
     return index
 
 
-def _chunk(index: _Index, summary: bytes, at: int) -> None:
-    """Take in a record of a chunk, and what stands behind it on its messages."""
+def _index_chunk(index: _Index, summary: bytes, at: int) -> None:
+    """Add a chunk of the summary, with the message index behind it."""
     _, _, start, length, entries = unpack_from("<QQQQI", summary, at)
     at += 36 + entries
     (behind,) = unpack_from("<Q", summary, at)
@@ -413,17 +406,17 @@ def _chunk(index: _Index, summary: bytes, at: int) -> None:
         return
     row = len(index.chunks)
     index.chunks.append(chunk)
-    said = index.file.read(start + length, min(behind, _LIMIT))
-    for op, where, _ in records(said):
+    data = index.file.read(start + length, min(behind, _LIMIT))
+    for op, where, _ in records(data):
         if op == _INDEX:
-            channel, count = unpack_from("<HI", said, where)
+            channel, count = unpack_from("<HI", data, where)
             if count:
-                pairs = np.frombuffer(said, "<u8", count // 8, where + 6).reshape(-1, 2)
+                pairs = np.frombuffer(data, "<u8", count // 8, where + 6).reshape(-1, 2)
                 index.found[channel].append((row, pairs))
 
 
-def _scanned(file: File) -> _Index:
-    """By all records from the first, until the file ends."""
+def _scan_records(file: File) -> _Index:
+    """Index all records from the first to the end of the file."""
     index, size, at = _Index(file), file.size, len(MAGIC)
     loose = False
     while at + 9 <= size:
@@ -436,7 +429,7 @@ def _scanned(file: File) -> _Index:
             compression = head[41 : 41 + name].decode("ascii", "replace")
             start = at + 9 + 28 + 4 + name + 8
             whole = at + 9 + length <= size
-            if whole or not compression:  # of a packed chunk that is cut, nothing can be said
+            if whole or not compression:  # truncated compressed chunks are skipped
                 index.walk(Chunk(file, start, min(at + 9 + length, size) - start, compression))
         elif op in {_SCHEMA, _CHANNEL} and length <= _FEW:
             index.add_record(op, file.read(at + 9, length))
@@ -444,9 +437,8 @@ def _scanned(file: File) -> _Index:
         at += 9 + length
     if loose:  # messages outside of chunks
         index.walk(Chunk(file, len(MAGIC), size - len(MAGIC)))
-    known = {n: found for n, found in index.found.items() if n in index.channels}
-    index.found.clear()
-    index.found.update(known)
+    for number in index.found.keys() - index.channels.keys():
+        del index.found[number]
     return index
 
 
@@ -463,7 +455,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return the text with its length before it, and what comes after."""
+    """Return the text at an offset, and the offset behind it."""
     (length,) = unpack_from("<I", data, at)
     return data[at + 4 : at + 4 + length].decode(errors="replace"), at + 4 + length
 
@@ -474,16 +466,16 @@ _OF_FOLDERS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bag:
-    """What lies in a bag."""
+    """Topics of a bag."""
 
     path: Path
     topics: dict[str, Topic]
-    """By name, in order of their names."""
+    """By name, in alphabetical order."""
     notes: tuple[str, ...]
-    """What was found out while its index was read, in sentences."""
+    """Sentences about problems of the index."""
 
     def of_type(self, *types: str) -> list[Topic]:
-        """Return the topics of some types that hold messages which can be read, such as `sensor_msgs/Imu`."""
+        """Return the topics of some types, such as `sensor_msgs/Imu`, with readable messages."""
         return [
             t
             for t in self.topics.values()
@@ -491,15 +483,15 @@ class Bag:
         ]
 
 
-def looks_like_bag(path: Path) -> bool:
-    """Return whether a path bears the name of a bag: .mcap, .db3, .bag, or a folder with such files."""
+def is_bag(path: Path) -> bool:
+    """Return whether a path is named like a bag: .mcap, .db3, .bag, or a folder with such files."""
     if path.is_dir():
         return any(p.name.lower().endswith(_OF_FOLDERS) for p in path.iterdir())
     return path.suffix.lower() in ENDINGS
 
 
 def open_bag(path: Path) -> Bag:
-    """Read the index of a bag; its messages stay where they are.
+    """Read the index of a bag, not its messages.
 
     Raises
     ------
@@ -531,14 +523,14 @@ def open_bag(path: Path) -> Bag:
         kinds = sorted({part.type for part in renamed if part.name == name and len(part.times)})
         if len(kinds) > 1:
             notes.append(
-                f"{name} holds messages of {' and '.join(kinds)}; the most frequent count."
+                f"{name} holds messages of {' and '.join(kinds)}; only the most frequent are used."
             )
-    topics = {topic.name: topic for topic in sorted(join_parts(renamed), key=lambda t: t.name)}
+    topics = {topic.name: topic for topic in sorted(merge_parts(renamed), key=lambda t: t.name)}
     return Bag(path, topics, tuple(notes))
 
 
 def ros2_type(name: str) -> str:
-    """Return the type as ROS 2 names it; ROS 1 leaves out `msg`."""
+    """Return the name of a type in ROS 2; ROS 1 omits `msg`."""
     package, _, rest = name.partition("/")
     return name if rest.startswith("msg/") or not rest else f"{package}/msg/{rest}"
 
@@ -549,25 +541,27 @@ def _files(path: Path, notes: list[str]) -> tuple[list[Path], bool]:
         return [path], False
     metadata = path / "metadata.yaml"
     if metadata.is_file():
-        said = _metadata(metadata)
-        names = said.get("relative_file_paths")
+        content = _metadata(metadata)
+        names = content.get("relative_file_paths")
         if not (isinstance(names, list) and names and all(isinstance(n, str) for n in names)):
             raise InputError(
                 f"{metadata}: relative_file_paths is no list of files; run `ros2 bag reindex`."
             )
         files = [path / name.replace("\\", "/").rpartition("/")[2] for name in names]
-        return [_unpacked(f) for f in files], str(said.get("compression_mode")).lower() == "message"
+        return [_unpacked(f) for f in files], str(
+            content.get("compression_mode")
+        ).lower() == "message"
     found = sorted(
         (p for p in path.iterdir() if p.name.lower().endswith(_OF_FOLDERS)), key=_by_number
     )
     stems = {re.sub(r"_\d+$", "", p.name.partition(".")[0]) for p in found}
     if len(stems) > 1 or not found:
         raise InputError(
-            f"{path} has no metadata.yaml, and holds {' and '.join(sorted(stems)) or 'no file'}; name "
+            f"{path} has no metadata.yaml, and holds {' and '.join(sorted(stems)) or 'no file'}; give "
             "the file of one bag."
         )
     notes.append(
-        f"{path.name} has no metadata.yaml; its files are taken in the order of their names."
+        f"{path.name} has no metadata.yaml; its files are read in the order of their names."
     )
     return [_unpacked(f) for f in found], False
 
@@ -578,12 +572,12 @@ def _by_number(path: Path) -> tuple[int, str]:
 
 
 def _unpacked(file: Path) -> Path:
-    """Return the file itself, or what was unpacked of it beside it."""
+    """Return a file, or the unpacked one beside it."""
     if file.suffix == ".zstd":
         if not file.with_suffix("").is_file():
-            raise InputError(f"{file} is compressed as a whole; unpack it once: `zstd -d {file}`.")
+            raise InputError(f"{file} is compressed; unpack it: `zstd -d {file}`.")
         return file.with_suffix("")
-    if not os.path.isfile(file):  # noqa: PTH113 - False of names that are too long, too
+    if not os.path.isfile(file):  # noqa: PTH113  # False for names that are too long
         raise InputError(
             f"{file} does not exist, but metadata.yaml lists it; copy the whole folder."
         )
@@ -596,19 +590,19 @@ def _metadata(path: Path) -> dict[str, Any]:
 
     try:
         content = YAML(typ="safe").load(path.read_text("utf-8"))
-        said = content["rosbag2_bagfile_information"]
+        metadata = content["rosbag2_bagfile_information"]
     except (YAMLError, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({error}); run `ros2 bag reindex`.") from error
-    if not isinstance(said, dict):
+    if not isinstance(metadata, dict):
         raise InputError(f"{path} is damaged; run `ros2 bag reindex`.")
-    return said
+    return metadata
 
 
 def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[TopicPart]:
-    """Return the messages of a database by topic; `packed`: each is compressed by zstd.
+    """Index the messages of a database by topic; `packed`: each is compressed by zstd.
 
-    Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
-    where it is no such database, or holds no message.
+    A damaged database is read as far as possible, which is added to `notes`. Raises `InputError` where
+    the file is no rosbag2 database, or holds no message.
     """
     base = Messages(path, packed=packed)
     try:
@@ -616,12 +610,12 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
     except (sqlite3.Error, ValueError) as error:
         raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
     rows: list[tuple[int, int, int]] = []
-    whole = "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
+    valid = "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
     try:
-        rows.extend(base.select("topic_id, timestamp, id", "messages", whole))
+        rows.extend(base.select("topic_id, timestamp, id", "messages", valid))
     except (sqlite3.Error, ValueError) as error:
         notes.append(
-            f"{path.name}: the database is damaged ({error}); it is read as far as it goes."
+            f"{path.name}: the database is damaged ({error}); it is read as far as possible."
         )
     if not rows:
         raise InputError(f"{path} holds no message; record again.")
@@ -637,17 +631,17 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
 
 
 def read_rosbag1(path: Path) -> list[TopicPart]:
-    """Return the messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
+    """Index the messages of a rosbag1 by topic; `InputError` where it is damaged or was not closed."""
     from rosbags.rosbag1 import Reader
 
     check_regular(path)
     try:
         with Reader(path) as reader:
             parts = _parts(path, reader)
-    except Exception as error:  # at damaged bytes it raises whatever they lead to, assertions too
+    except Exception as error:  # damaged bytes raise anything, also assertions
         why = str(error) or "its index is damaged"
         raise InputError(
-            f"{path} cannot be read as a bag of ROS 1 ({why}); `rosbag reindex` mends one that was not "
+            f"{path} cannot be read as a bag of ROS 1 ({why}); run `rosbag reindex` if it was not "
             "closed, else copy it again."
         ) from error
     if not any(len(part.times) for part in parts):

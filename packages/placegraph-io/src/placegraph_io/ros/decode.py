@@ -1,8 +1,7 @@
-"""Messages as `rosbags` decodes them, by the definitions that ROS itself ships.
+"""Decoding of messages with `rosbags`, by the definitions of ROS, nav2_msgs and foxglove_msgs.
 
-The few types that are read are the same in all of ROS 2, and in all of ROS 1; so a bag without
-definitions, as sqlite has them, is read like one with them. Of packages that ROS does not bring, the
-definitions are what nav2_msgs and foxglove_msgs say; a bag carries them along.
+The types that are read are the same in all releases of ROS 2, and of ROS 1, so that bags without
+definitions are read, too.
 """
 
 from __future__ import annotations
@@ -92,30 +91,30 @@ def typestore(encoding: str) -> Typestore:
 
 
 HEAD = 24
-"""Bytes of a message with a header that hold its stamp."""
+"""Bytes from which a message's stamp is read."""
 
 
-def decoded(message: Message, topic: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
-    """Return the message of a type; `InputError`, which names file and topic, where its bytes are none."""
+def decode_message(message: Message, topic: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
+    """Decode a message; `InputError`, naming file and topic, where its bytes are damaged."""
     return decode(message.read(), f"{message.place.path}, {topic}", kind, encoding)
 
 
 def decode(data: bytes, where: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
-    """Message of bytes; `InputError`, which begins with `where`, where they are none of that type."""
+    """Decode bytes as a type; `InputError`, beginning with `where`, where they are none of it."""
     store, kind = typestore(encoding), kind.replace("tf/msg/tfMessage", TRANSFORMS)
     try:
         if encoding == "ros1":
             return store.deserialize_ros1(data, kind)
         return store.deserialize_cdr(data, kind)
-    except Exception as error:  # what generated code raises at damaged bytes is anything
+    except Exception as error:  # generated code raises anything at damaged bytes
         raise InputError(
             f"{where}: a message is no {kind.replace('/msg/', '/')} as ROS defines it "
             f"({type(error).__name__}: {error}); record that topic again, or leave it out."
         ) from error
 
 
-def stamps(heads: Iterable[bytes], topic: Topic) -> NDArray[np.float64]:
-    """Header's stamps (N,) [s] of the first bytes of messages; where unset (0), the time of recording."""
+def read_stamps(heads: Iterable[bytes], topic: Topic) -> NDArray[np.float64]:
+    """Return the header stamps (N,) [s] of messages' first bytes; where 0, the time of recording."""
     at, form = (4, "II") if topic.encoding == "ros1" else (4, "iI")
     out = np.empty(len(topic))
     for i, head in enumerate(heads):
@@ -130,13 +129,13 @@ def stamps(heads: Iterable[bytes], topic: Topic) -> NDArray[np.float64]:
     return out
 
 
-def stamp_of(header: Any) -> float:  # noqa: ANN401  # rosbags'
+def header_stamp(header: Any) -> float:  # noqa: ANN401  # rosbags'
     """Return the stamp of a header [s]."""
     return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
 
 
-def frame_of(name: str) -> str:
-    """Return the name of a frame without the slash that ROS 1 wrote before it."""
+def frame_name(name: str) -> str:
+    """Return the name of a frame without ROS 1's leading slash."""
     return name.lstrip("/")
 
 
@@ -146,16 +145,16 @@ _PLAIN: dict[str, tuple[str, int, tuple[int, ...]]] = {
     "mono8": ("u1", 1, (0, 0, 0)), "8UC1": ("u1", 1, (0, 0, 0)), "rgb16": ("u2", 3, (0, 1, 2)),
     "bgr16": ("u2", 3, (2, 1, 0)), "mono16": ("u2", 1, (0, 0, 0)),
 }  # fmt: skip
-"""Type, channels, and which of them are red, green, blue."""
+"""Number type, channels, and the channels of red, green and blue."""
 _YUV = {"yuv422": (1, 0, 2), "uyvy": (1, 0, 2), "yuv422_yuy2": (0, 1, 3), "yuyv": (0, 1, 3)}
-"""Where the first luminance, U and V stand in four bytes of two pixels."""
+"""Positions of the first luminance, U and V in four bytes of two pixels."""
 _BAYER = {"rggb": (0, 0), "grbg": (0, 1), "gbrg": (1, 0), "bggr": (1, 1)}
 """Row and column of the first red pixel."""
 DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
-"""Encodings of depth, and their numbers."""
+"""Number types of depth encodings."""
 GREYS = ("mono8", "8UC1", "mono16")
 _LARGEST = 1 << 16
-_PACKED_HEAD = 12  # bytes of compressed_depth_image_transport: its format, and two numbers
+_PACKED_HEAD = 12  # bytes before the image in compressedDepth: format and two numbers
 
 
 def is_colour(encoding: str) -> bool:
@@ -163,68 +162,66 @@ def is_colour(encoding: str) -> bool:
     return encoding in _PLAIN or encoding in _YUV or _bayer(encoding) is not None
 
 
-def colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
-    """Return the colours (H, W, 3) uint8, sRGB, of an image; `InputError` names what cannot be read."""
+def decode_colour(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
+    """Return the sRGB colours (H, W, 3) uint8 of an image message."""
     if hasattr(image, "format"):
-        return _unpacked_colours(image, name)
+        return _decode_compressed_colour(image, name)
     encoding = image.encoding
     if encoding in _PLAIN:
         kind, channels, rgb = _PLAIN[encoding]
         pixels = _rows(image, np.dtype(kind), channels, name)
         if kind == "u2":
             pixels = (pixels >> 8).astype(np.uint8)
-        if rgb == (0, 1, 2) and channels == 3:
-            return np.ascontiguousarray(pixels)
-        if channels == 1:
-            return np.repeat(pixels, 3, axis=2)
-        if rgb == (0, 1, 2):
-            return np.ascontiguousarray(pixels[..., :3])
-        return np.ascontiguousarray(pixels[..., 2::-1])
+        return np.ascontiguousarray(pixels[..., rgb])
     if encoding in _YUV:
         return _from_yuv(_rows(image, np.dtype("u1"), 2, name), *_YUV[encoding], name)
     red = _bayer(encoding)
     if red is not None:
         wide = encoding.endswith("16")
         raw = _rows(image, np.dtype("u2" if wide else "u1"), 1, name)[..., 0]
-        return demosaiced((raw >> 8).astype(np.uint8) if wide else raw, red)
+        return demosaic((raw >> 8).astype(np.uint8) if wide else raw, red)
     raise InputError(
-        f"{name}: encoding {encoding[:40]!r} is no colour that is read; record {', '.join(_PLAIN)}, "
+        f"{name}: the colour encoding {encoding[:40]!r} is not read; record {', '.join(_PLAIN)}, "
         "Bayer, yuv422 or a compressed image."
     )
 
 
-def depths(image: Any, per_metre: float | None, name: str) -> NDArray[np.float32]:  # noqa: ANN401
-    """Return the depth (h, w) float32 [m], NaN: no reading; `per_metre`: units, 1000 or 1 if not given."""
-    units = _unpacked_depth(image, name) if hasattr(image, "format") else _depth_rows(image, name)
-    whole = units.dtype.kind == "u"
-    scale = np.float32(per_metre or (1000.0 if whole else 1.0))
+def decode_depth(image: Any, per_metre: float | None, name: str) -> NDArray[np.float32]:  # noqa: ANN401
+    """Return the depth (h, w) float32 [m], NaN without a reading; `per_metre`: depth units per metre."""
+    units = (
+        _decode_compressed_depth(image, name)
+        if hasattr(image, "format")
+        else _depth_rows(image, name)
+    )
+    is_integer = units.dtype.kind == "u"
+    scale = np.float32(per_metre or (1000.0 if is_integer else 1.0))
     metres: NDArray[np.float32] = np.divide(units, scale, dtype=np.float32)
-    if whole:
+    if is_integer:
         metres[units == 0] = np.nan
     else:
         metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
     return metres
 
 
-def size_of(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # rosbags'
-    """Return the width, height [px] and encoding of an image; of a compressed one, what lies in it."""
+def read_size(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # rosbags'
+    """Return width, height [px] and encoding of an image message, compressed or not."""
     if not hasattr(image, "format"):
         return int(image.width), int(image.height), str(image.encoding)
-    said, data = image.format.partition(";")[0].strip(), bytes(image.data)
+    encoding, data = image.format.partition(";")[0].strip(), bytes(image.data)
     if "compressedDepth" in image.format:
-        said, data = said or "16UC1", data[_PACKED_HEAD:]
+        encoding, data = encoding or "16UC1", data[_PACKED_HEAD:]
         if _is_rvl(image):
-            return *rvl_size(data), said
+            return *rvl_size(data), encoding
     with open_image(io.BytesIO(data), f"{name} ({image.format[:40]!r})") as picture:
         inside = {"L": "mono8", "I;16": "16UC1", "I;16B": "16UC1", "I": "16UC1"}.get(
             picture.mode, "rgb8"
         )
-        stands = said in DEPTHS or _bayer(said) is not None
-        return picture.width, picture.height, said if stands else inside
+        is_known = encoding in DEPTHS or _bayer(encoding) is not None
+        return picture.width, picture.height, encoding if is_known else inside
 
 
-def demosaiced(raw: NDArray[np.uint8], red: tuple[int, int]) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) of a Bayer image (H, W): of each colour the mean of the nearest that saw it.
+def demosaic(raw: NDArray[np.uint8], red: tuple[int, int]) -> NDArray[np.uint8]:
+    """Interpolate the colours (H, W, 3) of a Bayer image (H, W) bilinearly.
 
     `red`: row and column, 0 or 1, of the first red pixel.
     """
@@ -235,9 +232,8 @@ def demosaiced(raw: NDArray[np.uint8], red: tuple[int, int]) -> NDArray[np.uint8
     weights = np.array([1, 2, 1], np.uint16)
     out = np.empty((height, width, 3), np.uint8)
     for channel, seen in enumerate((reds, ~(reds | blues), blues)):
-        held = [np.where(seen, raw, 0).astype(np.uint16), seen.astype(np.uint16)]
         sums = []
-        for plane in held:
+        for plane in (np.where(seen, raw, 0).astype(np.uint16), seen.astype(np.uint16)):
             padded = np.pad(plane, 1)
             across = sum(w * padded[:, i : i + width] for i, w in enumerate(weights))
             sums.append(sum(w * across[i : i + height] for i, w in enumerate(weights)))
@@ -252,7 +248,7 @@ def _bayer(encoding: str) -> tuple[int, int] | None:
 
 
 def _rows(image: Any, kind: np.dtype[Any], channels: int, name: str) -> NDArray[Any]:  # noqa: ANN401
-    """Pixels (H, W, channels) of an image; no number of it is believed that its data do not bear out."""
+    """Return the pixels (H, W, channels) of an image, whose sizes are checked against its data."""
     width, height, step = int(image.width), int(image.height), int(image.step)
     row = width * channels * kind.itemsize
     data = np.asarray(image.data, np.uint8).reshape(-1)
@@ -272,7 +268,7 @@ def _depth_rows(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosba
     kind = DEPTHS.get(image.encoding)
     if kind is None:
         raise InputError(
-            f"{name}: encoding {image.encoding[:40]!r} is no depth; it is 16UC1 (mm) or 32FC1 (m)."
+            f"{name}: the encoding {image.encoding[:40]!r} is no depth; record 16UC1 (mm) or 32FC1 (m)."
         )
     return _rows(image, np.dtype(kind), 1, name)[..., 0]
 
@@ -283,7 +279,9 @@ def _from_yuv(
     """Return the colours of two bytes a pixel, every second U or V (BT.601, 16 to 235)."""
     height, width, _ = pairs.shape
     if width % 2:
-        raise InputError(f"{name}: a YUV 4:2:2 image of {width} columns; they are even.")
+        raise InputError(
+            f"{name}: a YUV 4:2:2 image has {width} columns, an odd number; record it again."
+        )
     four = pairs.reshape(height, width // 2, 4).astype(np.float32)
     y = 1.164 * (pairs[..., luminance].astype(np.float32) - 16)
     cb, cr = (np.repeat(four[..., i] - 128, 2, axis=1) for i in (u, v))
@@ -291,30 +289,30 @@ def _from_yuv(
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
 
 
-def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
+def _decode_compressed_colour(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
     with open_image(io.BytesIO(bytes(image.data)), f"{name} ({image.format[:40]!r})") as picture:
         red = _bayer(image.format.partition(";")[0].strip())
         if red is not None and picture.mode == "L":
-            return demosaiced(np.asarray(picture), red)
+            return demosaic(np.asarray(picture), red)
         return to_rgb(picture)
 
 
-def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
+def _decode_compressed_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
     """Return the units of a compressed depth image: mm as uint16, or metres as float32."""
-    data, said = bytes(image.data), image.format
-    packed, what = "compressedDepth" in said, f"{name} ({said[:40]!r})"
+    data, kind = bytes(image.data), image.format
+    packed, what = "compressedDepth" in kind, f"{name} ({kind[:40]!r})"
     pixels = data[_PACKED_HEAD if packed else 0 :]
     if packed and _is_rvl(image):
         units = rvl_image(pixels, what)
     else:
-        with open_image(io.BytesIO(pixels), what) as held:
-            if not held.mode.startswith("I"):
+        with open_image(io.BytesIO(pixels), what) as picture:
+            if not picture.mode.startswith("I"):
                 raise InputError(
-                    f"{name}: format {said[:40]!r} holds pixels of mode {held.mode!r}, which is no "
+                    f"{name}: the format {kind[:40]!r} holds pixels of mode {picture.mode!r}, which are no "
                     "depth; record the raw image, or compressedDepth."
                 )
-            units = np.asarray(held).astype(np.uint16)
-    if packed and said.startswith("32FC1"):  # 1 / depth in steps, of which the head says the size
+            units = np.asarray(picture).astype(np.uint16)
+    if packed and kind.startswith("32FC1"):  # quantized 1 / depth, by two numbers of the head
         a, b = unpack_from("<ff", data, 4)
         with np.errstate(divide="ignore", invalid="ignore"):
             metres = np.float32(a) / (units.astype(np.float32) - np.float32(b))
@@ -327,18 +325,18 @@ def _is_rvl(image: Any) -> bool:  # noqa: ANN401  # rosbags'
     return "rvl" in image.format.lower()
 
 
-_WIDER = 1.1  # of the image's farthest corner: beyond it a lens model says nothing true
+_VALID_RADIUS = 1.1  # relative to the farthest image corner; beyond, lens models are invalid
 
 
 class Registration:
-    """From a depth camera to the colour camera's place, in images that keep the depth's density."""
+    """Registration of depth images to the colour camera, at the depth camera's resolution."""
 
     def __init__(self, colour: Camera, depth: Camera) -> None:
         self.colour, self.depth = colour, depth
         part = min(1.0, depth.fx / colour.fx, depth.fy / colour.fy)
         size = (max(1, round(colour.width * part)), max(1, round(colour.height * part)))
         self.camera = colour.resized(*size)
-        """Of the registered images: the colour camera in their size."""
+        """Camera of the registered images."""
 
     def __reduce__(self) -> tuple[type[Registration], tuple[Camera, Camera]]:
         return Registration, (self.colour, self.depth)
@@ -351,16 +349,16 @@ class Registration:
 
     @cached_property
     def _reach(self) -> float:
-        """How far from the axis, where z is 1, the colour camera sees."""
+        """Radius at z = 1 within which the colour camera sees."""
         w, h = self.camera.width, self.camera.height
         edge = np.array([(x, y) for x in (0.0, w / 2, w) for y in (0.0, h / 2, h)])
         rays = self.camera.directions(edge)[:, :2]
-        return _WIDER * float(np.nanmax(np.linalg.norm(rays, axis=1)))
+        return _VALID_RADIUS * float(np.nanmax(np.linalg.norm(rays, axis=1)))
 
     def __call__(
         self, depth: NDArray[np.float32], colour_from_depth: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Depth (H, W) [m] of `camera` from depth (h, w) [m]; where two meet, the nearer hides the other."""
+        """Return the depth (H, W) [m] of `camera` from depth (h, w) [m], with a z-buffer."""
         read = np.isfinite(depth)
         points = self._rays[read] * depth[read, None]
         points = points @ colour_from_depth[:3, :3].T + colour_from_depth[:3, 3]

@@ -1,8 +1,8 @@
-"""Frames of a stream of messages: a recording that goes on, a pipe, or a bag in the order of its recording.
+"""Frames of a stream of messages: a live recording, a pipe, or a bag in the order of its recording.
 
-`StreamDiscovery` listens until it is known what frames are made of, `FrameAssembly` makes them. Nothing
-waits for ever: a frame comes as soon as its depth and its transforms have come, and is left out, and
-counted, where they do not come. `mcap_packets` reads an MCAP that is still being written.
+`StreamDiscovery` chooses the topics, `FrameAssembly` assembles frames. A frame is ready when its depth and
+transforms have arrived; after a timeout it is left out and counted. `mcap_packets` reads an MCAP that is
+still being written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.frame import Frame, LazyImages, posed_frame, quarter_turn, upright_turns
 from placegraph.io.capture.posed import SAME_MOMENT
-from placegraph_io.ros.capture import Source, metres_of, picture, unit_of
+from placegraph_io.ros.capture import MessageSource, depth_unit, read_colour, read_depth
 from placegraph_io.ros.containers import (
     CHUNK,
     MAGIC,
@@ -36,35 +36,35 @@ from placegraph_io.ros.containers import (
     records,
     ros2_type,
 )
-from placegraph_io.ros.decode import decode, frame_of, stamp_of
+from placegraph_io.ros.decode import decode, frame_name, header_stamp
 from placegraph_io.ros.poses import (
-    BACK,
+    CLOCK_JUMP,
     TRANSFORM_TYPES,
     Edge,
     OdometryCovariance,
-    Tree,
+    TransformTree,
     is_static,
-    numbers_of,
+    pose_numbers,
 )
-from placegraph_io.ros.topics import IMAGES, Plan, TopicChoice, plan_of
+from placegraph_io.ros.topics import IMAGES, CapturePlan, TopicChoice, plan_capture
 from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
 
 class Packet(NamedTuple):
-    """One message, and when it came."""
+    """One message with its time of arrival."""
 
     topic: str
     type: str
     """As ROS 2 names it: `sensor_msgs/msg/Image`."""
     time: float
-    """When it was recorded, or received [s]."""
+    """Time of recording or arrival [s]."""
     data: bytes
     encoding: str = "cdr"
     """`cdr` (ROS 2) or `ros1`."""
 
     @property
     def stamp(self) -> float:
-        """Stamp of its header [s]; where unset (0), the time at which it came; `InputError`: it has none."""
+        """Stamp of the header [s]; where 0, the time of arrival; `InputError` without a header."""
         at, form = (4, "<II") if self.encoding == "ros1" else (4, "<iI")
         if self.encoding == "cdr" and self.data[1:2] in {b"\x00", b"\x02"}:
             form = ">iI"
@@ -75,36 +75,33 @@ class Packet(NamedTuple):
         return float(seconds + nanos * 1e-9) or self.time
 
     def message(self, path: Path) -> Message:
-        """Return the same as a message of a bag of this name."""
+        """Return the packet as a message of a bag of this name."""
         return Message(MemoryStore(path, (self.data,)), 0)
 
 
 class Fault(NamedTuple):
-    """A message that could not be read."""
+    """A message that cannot be read."""
 
     topic: str
     reason: str
-    """A sentence."""
+    """Reason, a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
 class MemoryStore:
-    """Messages in memory, as what messages of a bag lie in (`storage.MessageStore`)."""
+    """Messages in memory, a `containers.MessageStore`."""
 
     path: Path
-    """What they are called in messages."""
+    """Name of the stream in error messages."""
     data: Sequence[bytes]
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `storage.MessageStore.read`; the offset counts messages."""
+        """Read a message; the offset is its number."""
         return self.data[offset][:most]
 
 
-def packets_of(bag: Bag, topics: Collection[str]) -> Iterator[Packet | Fault]:
-    """Messages of some topics of a bag in the order of their recording, `tf_static` before all others.
-
-    As for those who subscribe to it: transforms that never change are told to whoever comes.
-    """
+def bag_packets(bag: Bag, topics: Collection[str]) -> Iterator[Packet | Fault]:
+    """Yield messages of topics in the order of their recording, `tf_static` before all others."""
     chosen = [bag.topics[name] for name in sorted(topics) if name in bag.topics]
     times = np.concatenate([t.times for t in chosen] or [np.zeros(0, np.int64)])
     which = np.repeat(np.arange(len(chosen)), [len(t) for t in chosen])
@@ -121,72 +118,66 @@ def packets_of(bag: Bag, topics: Collection[str]) -> Iterator[Packet | Fault]:
 
 
 LISTEN = 1.0
-"""Seconds of a stream that are heard before something is chosen, and between two tries."""
-_IMAGES, _OTHERS = 16, 2000  # messages of a topic that are kept until then
+"""Time before the first choice of topics, and between two attempts [s]."""
+_IMAGES, _OTHERS = 16, 2000  # messages of a topic that are stored until then
 OTHERS = ("sensor_msgs/CameraInfo", "nav_msgs/Odometry", "sensor_msgs/Imu")
 WANTED = frozenset((*IMAGES, *TRANSFORM_TYPES, *OTHERS))
-"""Types of messages that are listened to, such as `sensor_msgs/Image`."""
+"""Types of the messages that are used, such as `sensor_msgs/Image`."""
 
 
 class StreamDiscovery:
-    """Listens to a stream until it is known what frames are made of.
+    """Chooses the topics of a stream that make frames.
 
-    Parameters
-    ----------
-    path
-        What the stream is called in messages; a file of this name with ``.json`` behind it is where
-        they say that what is missing can be written.
-    choice
-        What the user says of it.
-
+    `path` names the stream in error messages, which refer to a file PATH.json; `choice` are the user's
+    topics.
     """
 
     def __init__(self, path: Path, choice: TopicChoice) -> None:
         self.path, self.choice = path, choice
-        self.lacks: tuple[str, ...] = ()
-        """Sentences on what is missing still."""
-        self._heard: dict[tuple[str, str, str], deque[Packet]] = {}
+        self.missing: tuple[str, ...] = ()
+        """Sentences about what is still missing."""
+        self._stored: dict[tuple[str, str, str], deque[Packet]] = {}
         self._next: float | None = None
 
-    def take(self, packet: Packet) -> Plan | None:
-        """Take in a message; what frames are made of, as soon as that is known."""
+    def take(self, packet: Packet) -> CapturePlan | None:
+        """Add a message; return the plan as soon as it is complete."""
         if packet.type.replace("/msg/", "/") not in WANTED:
             return None
         key = packet.topic, packet.type, packet.encoding
-        if key not in self._heard:
+        if key not in self._stored:
             short = packet.type.replace("/msg/", "/")
-            self._heard[key] = deque(maxlen=_IMAGES if short in IMAGES else _OTHERS)
-        self._heard[key].append(packet)
+            self._stored[key] = deque(maxlen=_IMAGES if short in IMAGES else _OTHERS)
+        self._stored[key].append(packet)
         if (
             self._next is None or packet.time < self._next - LISTEN
         ):  # the first, or the clock was set
             self._next = packet.time + LISTEN
         return self.find_plan() if packet.time >= self._next else None
 
-    def find_plan(self) -> Plan | None:
-        """What frames are made of by what was heard, or None, and what is missing is told in `lacks`."""
-        held = [packet for packets in self._heard.values() for packet in packets]
+    def find_plan(self) -> CapturePlan | None:
+        """Return the plan of the messages so far, or None; `missing` says what it lacks."""
+        held = [packet for packets in self._stored.values() for packet in packets]
         if not held:
-            self.lacks = (f"{self.path}: no message of a camera has come yet.",)
+            self.missing = (f"{self.path}: no camera message has arrived yet.",)
             return None
         self._next = max(packet.time for packet in held) + LISTEN
         try:
-            plan = plan_of(self._bag(), self.choice)
+            plan = plan_capture(self._bag(), self.choice)
         except PlacegraphError as error:
-            self.lacks = (str(error),)
+            self.missing = (str(error),)
             return None
-        self.lacks = tuple(plan.lacks.values())
-        return None if plan.lacks else plan
+        self.missing = tuple(plan.missing.values())
+        return None if plan.missing else plan
 
     def packets(self) -> list[Packet]:
-        """Return the messages that were heard, transforms that never change first, then in order."""
-        held = [packet for packets in self._heard.values() for packet in packets]
+        """Return the stored messages, static transforms first."""
+        held = [packet for packets in self._stored.values() for packet in packets]
         return sorted(held, key=lambda p: (not is_static(p.topic), p.time))
 
     def _bag(self) -> Bag:
-        """Return what was heard, as a bag."""
+        """Return the stored messages as a bag."""
         topics: dict[str, Topic] = {}
-        for (name, kind, encoding), packets in self._heard.items():
+        for (name, kind, encoding), packets in self._stored.items():
             times = np.array([p.time for p in packets])
             order = np.argsort(times, kind="stable")
             if name in topics and len(topics[name]) >= len(packets):
@@ -201,55 +192,54 @@ class StreamDiscovery:
 
 
 LONGEST_WAIT = 0.5
-"""A frame waits so long for its depth and its transforms [s]."""
+"""Longest time that a frame waits for depth and transforms [s]."""
 SILENT = 1.0
-"""Where no depth came for so long [s], colours go on alone."""
-_KEEP = 5.0  # of transforms [s]
+"""Time without depth after which frames have none [s]."""
+_HISTORY = 5.0  # of transforms [s]
 _WAITING, _DEPTHS = 30, 30
 _BASES = ("base_link", "base_footprint")
 
 
 class OdometryPose(NamedTuple):
-    """Where odometry has the camera."""
+    """Pose of the camera by odometry."""
 
     stamp: float
     odometry_from_camera: NDArray[np.float64]
     """(4, 4) [m]"""
     covariance: NDArray[np.float64] | None
-    """(6, 6) of it as odometry itself says, in its frame: x, y, z [m], and a turn about the axes [rad];
-    it may hold anything. None: transforms tell where it is."""
+    """(6, 6) as odometry reports it, in its frame: x, y, z [m] and rotation about the axes [rad];
+    unchecked. None where transforms hold the pose."""
 
 
 class FrameAssembly:
-    """Makes frames of messages, and moves, of which the first comes before the first frame.
+    """Assembles frames and odometry poses from messages; the first pose precedes the first frame.
 
-    `left_out` counts what could not be used, by reason, `jumps` how often the clock was set back:
-    what came before is then of another time.
+    `left_out` counts unusable messages by reason, `jumps` how often the clock was set back.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: CapturePlan) -> None:
         assert plan.pose_reader is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
         self.plan = plan
         self.path = plan.bag.path
         self.left_out: Counter[str] = Counter()
         self.jumps = 0
         self.odometry, self.camera = plan.pose_reader.frame, plan.colour.frame
-        """Names of frames."""
+        """Names of coordinate frames."""
         self.base = self._base(plan.pose_reader.tree)
         self._colour = plan.colour.topic
         self._depth = plan.depth.topic if plan.depth is not None else None
-        self._told = plan.pose_reader.odometry
-        self._edges = self._wanted(plan.pose_reader.tree)
-        self._lean = np.eye(4)
-        self._lean[:3, :3] = plan.pose_reader.lean
+        self._odometry_topic = plan.pose_reader.odometry
+        self._edges = self._needed_edges(plan.pose_reader.tree)
+        self._upright = np.eye(4)
+        self._upright[:3, :3] = plan.pose_reader.upright_from_frame
         self._turns: int | None = None
         self._mount: NDArray[np.float64] | None = None
-        self._spread: OdometryCovariance | None = None
-        self._tree = Tree()
+        self._odometry_covariance: OdometryCovariance | None = None
+        self._tree = TransformTree()
         self._tree.add(plan.choice.transforms, static=True)
         self._waiting: deque[tuple[float, Packet]] = deque()
         self._depths: deque[tuple[float, Packet]] = deque(maxlen=_DEPTHS)
-        self._last, self._moved, self._count = -np.inf, -np.inf, 0
+        self._last, self._last_pose, self._count = -np.inf, -np.inf, 0
 
     @property
     def newest(self) -> float:
@@ -258,13 +248,18 @@ class FrameAssembly:
 
     @property
     def topics(self) -> frozenset[str]:
-        """Names of the topics that frames are made of."""
+        """Names of the topics that make frames."""
         assert self.plan.pose_reader is not None  # noqa: S101
-        parts = (self._colour, self._depth, self._told, *self.plan.pose_reader.moves)
+        parts = (
+            self._colour,
+            self._depth,
+            self._odometry_topic,
+            *self.plan.pose_reader.transform_topics,
+        )
         return frozenset(topic.name for topic in parts if topic is not None)
 
     def take(self, packet: Packet) -> Iterator[Frame | OdometryPose]:
-        """Take in a message; `InputError` where it cannot be read, and nothing is changed."""
+        """Add a message; `InputError`, without a change, where it cannot be read."""
         if packet.topic == self._colour.name:
             self._take_image(packet)
         elif self._depth is not None and packet.topic == self._depth.name:
@@ -275,21 +270,21 @@ class FrameAssembly:
         yield from self._ready_frames(packet.time)
 
     def finish(self) -> Iterator[Frame | OdometryPose]:
-        """Yield the frames that wait for what will not come any more: the stream has ended."""
+        """Yield the waiting frames at the end of the stream."""
         yield from self._ready_frames(np.inf)
 
     def base_from_camera(self) -> NDArray[np.float64] | None:
-        """(4, 4) of the robot's base and the frames' camera as they are now; None: nothing joins them."""
+        """Return base_from_camera (4, 4) at present; None where no transform connects them."""
         if self._mount is None:
-            stamp = np.array([self._moved if np.isfinite(self._moved) else 0.0])
-            found = self._tree.between(self.base, self.camera, stamp)
+            stamp = np.array([self._last_pose if np.isfinite(self._last_pose) else 0.0])
+            found = self._tree.lookup(self.base, self.camera, stamp)
             if found is None or np.isnan(found).any():
                 return None
-            steps = self._tree.path(self.base, self.camera) or []
+            steps = self._tree.find_path(self.base, self.camera) or []
             if not all(_edge(self._tree, near, far).fixed for near, far in steps):
-                return self._turned(found[0])
+                return self._turn_pose(found[0])
             self._mount = found[0]
-        return self._turned(self._mount)
+        return self._turn_pose(self._mount)
 
     def _stamp(self, packet: Packet) -> float:
         assert self.plan.pose_reader is not None  # noqa: S101
@@ -297,9 +292,9 @@ class FrameAssembly:
 
     def _take_image(self, packet: Packet) -> None:
         stamp = self._stamp(packet)
-        if stamp < self._last - BACK:
+        if stamp < self._last - CLOCK_JUMP:
             self.jumps += 1
-            self._forget(stamp + BACK)
+            self._forget(stamp + CLOCK_JUMP)
         elif stamp <= self._last:
             self.left_out["its stamp twice, or late"] += 1
             return
@@ -310,7 +305,7 @@ class FrameAssembly:
             self.left_out["its transforms came too late"] += 1
 
     def _forget(self, after: float) -> None:
-        """Forget what is of a later time [s]: the clock was set back."""
+        """Drop what is later than a time [s], after the clock was set back."""
         for _ in range(len(self._waiting)):
             self._waiting.popleft()
             self.left_out["the clock jumped back"] += 1
@@ -318,10 +313,10 @@ class FrameAssembly:
             self._depths.remove(held)
         edges = self._tree.edges.items()
         self._tree.edges = {k: e for k, e in edges if e.fixed or e.stamps[-1] <= after}
-        self._moved = -np.inf
+        self._last_pose = -np.inf
 
     def _ready_frames(self, now: float) -> Iterator[Frame | OdometryPose]:
-        """Yield the frames all of whose parts have come, or will not come any more."""
+        """Yield the frames that are complete or timed out."""
         while self._waiting:
             stamp, packet = self._waiting[0]
             over = now - packet.time > LONGEST_WAIT
@@ -334,7 +329,7 @@ class FrameAssembly:
                 yield frame
 
     def _depth_is_settled(self, stamp: float) -> bool:
-        """Return whether the depth of a moment has come, or a later one, or none comes any more."""
+        """Return whether the depth of a moment, or later depth, has arrived, or depth has ended."""
         if self._depth is None or (self._depths and self._depths[-1][0] < stamp - SILENT):
             return True
         return any(s > stamp - SAME_MOMENT for s, _ in self._depths)
@@ -342,11 +337,11 @@ class FrameAssembly:
     def _frame(self, stamp: float, packet: Packet) -> Frame | None:
         pose_reader, camera = self.plan.pose_reader, self.plan.camera
         assert pose_reader is not None and camera is not None  # noqa: S101, PT018
-        found = self._tree.between(pose_reader.frame, self.camera, np.array([stamp]))
+        found = self._tree.lookup(pose_reader.frame, self.camera, np.array([stamp]))
         if found is None or np.isnan(found).any():
             self.left_out[f"no transform from {self.camera} to {pose_reader.frame}"] += 1
             return None
-        pose = self._lean @ found[0]
+        pose = self._upright @ found[0]
         nearest = min(self._depths, key=lambda held: abs(held[0] - stamp), default=None)
         metres = None
         if nearest is not None and abs(nearest[0] - stamp) <= SAME_MOMENT:
@@ -356,108 +351,111 @@ class FrameAssembly:
         elif nearest is not None and self._depths[-1][0] > stamp - SILENT:
             self.left_out[f"no depth within {SAME_MOMENT * 1000:.0f} ms"] += 1
             return None
-        colour = partial(picture, packet.message(self.path), Source.of(self._colour), camera)
+        colour = partial(
+            read_colour, packet.message(self.path), MessageSource.from_topic(self._colour), camera
+        )
         if self._turns is None:
             self._turns = upright_turns(-pose[2, :3])
         self._count += 1
         return posed_frame(
-            self._count - 1, stamp, pose, camera, LazyImages(colour, metres, unit=unit_of(self.plan)),
+            self._count - 1, stamp, pose, camera, LazyImages(colour, metres, unit=depth_unit(self.plan)),
             depth_camera=None if metres is None else self.plan.depth_camera, turns=self._turns,
         )  # fmt: skip
 
     def _metres(self, stamp: float, packet: Packet) -> partial[NDArray[np.float32]] | None:
-        """Return what reads the depth of a message; None, and counted: its camera's place is not known."""
+        """Return the function that reads a depth image; None, and counted, without its transform."""
         depth, moved = self.plan.depth, None
         assert depth is not None  # noqa: S101
         if self.plan.registration is not None:
-            found = self._tree.between(self.camera, depth.frame, np.array([stamp]))
+            found = self._tree.lookup(self.camera, depth.frame, np.array([stamp]))
             if found is None or np.isnan(found).any():
                 self.left_out[f"no transform from {depth.frame} to {self.camera}"] += 1
                 return None
             moved = found[0]
         return partial(
-            metres_of, packet.message(self.path), Source.of(depth.topic), depth.size,
+            read_depth, packet.message(self.path), MessageSource.from_topic(depth.topic), depth.size,
             self.plan.choice.depth_scale, self.plan.registration, moved,
         )  # fmt: skip
 
-    def _wanted(self, tree: Tree) -> frozenset[tuple[str, str]]:
-        """Return the parents and children of the transforms that lead from odometry to cameras and base."""
+    def _needed_edges(self, tree: TransformTree) -> frozenset[tuple[str, str]]:
+        """Return the edges from odometry to the cameras and the base."""
         depth = self.plan.depth
         ends = [self.odometry, self.base, *([] if depth is None else [depth.frame])]
-        steps = [step for end in ends for step in tree.path(end, self.camera) or ()]
+        steps = [step for end in ends for step in tree.find_path(end, self.camera) or ()]
         return frozenset(step if step in tree.edges else step[::-1] for step in steps)
 
-    def _base(self, tree: Tree) -> str:
-        """Return the robot's base: by its name, else what odometry carries."""
-        steps = tree.path(self.odometry, self.camera) or []
-        named = [b for b in _BASES if b in tree.names and tree.path(b, self.camera) is not None]
+    def _base(self, tree: TransformTree) -> str:
+        """Return the robot's base frame: by name, else odometry's child."""
+        steps = tree.find_path(self.odometry, self.camera) or []
+        named = [
+            b for b in _BASES if b in tree.names and tree.find_path(b, self.camera) is not None
+        ]
         moves = [far for near, far in steps if not _edge(tree, near, far).fixed]
         return next(iter((*named, *moves)), self.camera)
 
     def _take_transforms(self, packet: Packet) -> None:
-        """Take in transforms or odometry."""
-        rows = self._rows(packet)
+        """Add transforms or odometry."""
+        rows = self._read_rows(packet)
         for key in self._edges & rows.keys():
             table = np.array(rows[key])
             if is_static(packet.topic):
                 self._tree.add({key: [table]}, static=True)
             else:
-                self._tree.extend(key, table, _KEEP)
+                self._tree.extend(key, table, _HISTORY)
 
     def _move(self) -> Iterator[OdometryPose]:
-        """Yield where odometry has the camera by now, if it has told anything new."""
+        """Yield the newest pose by odometry, if it is new."""
         newest = self._known_until()
-        if (
-            self._turns is None
-            or not np.isfinite(newest)
-            or self._moved - BACK < newest <= self._moved
-        ):
+        is_old = self._last_pose - CLOCK_JUMP < newest <= self._last_pose
+        if self._turns is None or not np.isfinite(newest) or is_old:
             return
-        found = self._tree.between(self.odometry, self.camera, np.array([newest]))
+        found = self._tree.lookup(self.odometry, self.camera, np.array([newest]))
         if found is not None and not np.isnan(found).any():
-            self._moved = newest
-            pose = self._lean @ self._turned(found[0])
-            spread = self._spread and self._spread.at(found[0], self._lean)
-            yield OdometryPose(newest, pose, spread)
+            self._last_pose = newest
+            pose = self._upright @ self._turn_pose(found[0])
+            covariance = self._odometry_covariance and self._odometry_covariance.at(
+                found[0], self._upright
+            )
+            yield OdometryPose(newest, pose, covariance)
 
-    def _rows(self, packet: Packet) -> dict[tuple[str, str], list[tuple[float, ...]]]:
+    def _read_rows(self, packet: Packet) -> dict[tuple[str, str], list[tuple[float, ...]]]:
         """Return the stamps and numbers of transforms by parent and child."""
-        said = decode(packet.data, f"{self.path}, {packet.topic}", packet.type, packet.encoding)
+        message = decode(packet.data, f"{self.path}, {packet.topic}", packet.type, packet.encoding)
         assert self.plan.pose_reader is not None  # noqa: S101
         by_recording = self.plan.pose_reader.recorded
         out: dict[tuple[str, str], list[tuple[float, ...]]] = {}
-        if self._told is not None and packet.topic == self._told.name:
-            at = said.pose.pose
-            if frame_of(said.header.frame_id) == self.odometry:
-                self._spread = OdometryCovariance.of(said.pose)
-            held = [(said.header, said.child_frame_id, at.position, at.orientation)]
+        if self._odometry_topic is not None and packet.topic == self._odometry_topic.name:
+            at = message.pose.pose
+            if frame_name(message.header.frame_id) == self.odometry:
+                self._odometry_covariance = OdometryCovariance.from_message(message.pose)
+            held = [(message.header, message.child_frame_id, at.position, at.orientation)]
         else:
             held = [
                 (t.header, t.child_frame_id, t.transform.translation, t.transform.rotation)
-                for t in said.transforms
+                for t in message.transforms
             ]
         for header, child, place, turn in held:
-            stamp = packet.time if by_recording else stamp_of(header)
-            key = frame_of(header.frame_id), frame_of(child)
-            out.setdefault(key, []).append((stamp, *numbers_of(place, turn)))
+            stamp = packet.time if by_recording else header_stamp(header)
+            key = frame_name(header.frame_id), frame_name(child)
+            out.setdefault(key, []).append((stamp, *pose_numbers(place, turn)))
         return out
 
     def _known_until(self) -> float:
-        """Return the stamp up to which all transforms from odometry to the camera are known [s]."""
-        path = self._tree.path(self.odometry, self.camera)
+        """Return the last stamp at which the path from odometry to the camera is known [s]."""
+        path = self._tree.find_path(self.odometry, self.camera)
         if path is None:
             return -np.inf
         edges = [_edge(self._tree, near, far) for near, far in path]
         return min((float(e.stamps[-1]) for e in edges if not e.fixed), default=np.inf)
 
-    def _turned(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pose of the camera as the frames' images are turned."""
+    def _turn_pose(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rotate a camera pose as the frames' images are rotated."""
         out = pose.copy()
         out[:3, :3] = pose[:3, :3] @ quarter_turn(self._turns or 0).T
         return out
 
 
-def _edge(tree: Tree, near: str, far: str) -> Edge:
+def _edge(tree: TransformTree, near: str, far: str) -> Edge:
     return tree.edges.get((near, far)) or tree.edges[far, near]
 
 
@@ -465,48 +463,38 @@ _FOOTER, _DATA_END = 2, 15
 
 
 def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | Fault]:
-    """Yield the messages of a stream of bytes, up to its end, or as far as it goes where it is cut off.
+    """Yield the messages of a stream of bytes up to its end, also where it is truncated.
 
-    Parameters
-    ----------
-    read
-        Returns so many bytes, waiting for them; fewer where the stream ends.
-    name
-        What it is called in messages.
-
-    Raises
-    ------
-    InputError
-        It does not begin as an MCAP.
-
+    `read` returns the given number of bytes, fewer at the end of the stream; `name` is the name of the
+    stream in messages. Raises `InputError` where the stream does not begin as an MCAP.
     """
     if read(len(MAGIC)) != MAGIC:
         raise InputError(
-            f"{name} is no MCAP stream: it does not begin as one. Send the bytes of an .mcap from its "
-            "beginning; other bags are named as files."
+            f"{name} does not begin as an MCAP stream. Send an .mcap from its beginning; give other bags "
+            "as files."
         )
-    known = Channels()
+    channels = Channels()
     while len(head := read(9)) == 9:
         op, length = unpack_from("<BQ", head)
         if op in {_FOOTER, _DATA_END}:
             return
         if length > LARGEST_MESSAGE:
-            yield Fault("", f"{name} is damaged: a record of {length:,} bytes; it ends here.")
+            yield Fault("", f"{name} is damaged: a record has {length:,} bytes; reading ends here.")
             return
         data = read(length)
         whole = len(data) == length
         try:
-            yield from _packets_of_record(known, op, data, name) if whole or op == CHUNK else ()
+            yield from _packets_of_record(channels, op, data, name) if whole or op == CHUNK else ()
         except (MissingIndexError, InputError, struct.error) as error:
             if whole:
-                said = str(error) or "it is cut off"
-                yield Fault("", f"{name}, a chunk: {said}; what follows is read.")
+                reason = str(error) or "it is truncated"
+                yield Fault("", f"{name}, a chunk: {reason}; reading goes on behind it.")
         if not whole:
             break
-    yield Fault("", f"{name} was cut off, for it has no end; it is read as far as it goes.")
+    yield Fault("", f"{name} has no end, so it was truncated; it is read as far as possible.")
 
 
-def _packets_of_record(known: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
+def _packets_of_record(channels: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
     """Yield the messages of a record."""
     if op == CHUNK:
         _, _, size, _, letters = unpack_from("<QQQII", data)
@@ -515,12 +503,12 @@ def _packets_of_record(known: Channels, op: int, data: bytes, name: str) -> Iter
         if packing:
             content = CompressedBytes(content, packing, f"{name}, a chunk").read(0, size)
         for inner, at, length in records(content):
-            yield from _packets_of_record(known, inner, content[at : at + length], name)
+            yield from _packets_of_record(channels, inner, content[at : at + length], name)
     elif op == MESSAGE:
         number, _, time = unpack_from("<HIQ", data)
-        channel = known.channels.get(number)
+        channel = channels.channels.get(number)
         if channel is not None and channel.encoding in {"cdr", "ros1"}:
             kind = ros2_type(channel.type)
             yield Packet(channel.topic, kind, time * 1e-9, data[22:], channel.encoding)
     else:
-        known.add_record(op, data)
+        channels.add_record(op, data)

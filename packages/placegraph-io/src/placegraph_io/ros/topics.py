@@ -1,4 +1,4 @@
-"""Topics of a bag: what each image topic shows, and which topics a capture is made of.
+"""Choice of the topics of a bag that make a capture.
 
 Topics are found by type; `BAG.json` beside the bag, or the user, names others.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,10 +23,10 @@ from placegraph_io.ros.decode import (
     DEPTHS,
     GREYS,
     Registration,
-    decoded,
-    frame_of,
+    decode_message,
+    frame_name,
     is_colour,
-    size_of,
+    read_size,
 )
 from placegraph_io.ros.poses import PoseReader, Samples
 
@@ -33,14 +34,14 @@ IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 _RECTIFIED = re.compile(r"(^|[/_])rect([/_]|$)")
 
 
-class View(NamedTuple):
-    """An image topic, by its first message."""
+class ImageTopic(NamedTuple):
+    """An image topic, described by its first message."""
 
     topic: Topic
     kind: str
     """`colour`, `grey`, `depth`, or empty: not read."""
     problem: str = ""
-    """Why it is not read."""
+    """Why it cannot be read."""
     frame: str = ""
     size: tuple[int, int] = (0, 0)
     """Width and height [px]."""
@@ -48,52 +49,55 @@ class View(NamedTuple):
 
     @property
     def base(self) -> str:
-        """Name of the topic without its transport."""
+        """Name of the topic without its image transport."""
         return re.sub(r"/(compressed|compressedDepth)$", "", self.topic.name)
 
     @property
-    def said(self) -> str:
-        """What it is, for the user."""
+    def summary(self) -> str:
+        """Name, type, encoding, size and number of messages."""
         return (
             f"{self.topic.name} ({self.topic.short}, {self.encoding}, "
             f"{self.size[0]} x {self.size[1]}, {len(self.topic):,} messages)"
         )
 
 
-def views_of(bag: Bag) -> list[View]:
-    """Return what every image topic shows; nothing is raised."""
-    return [_view(topic) for topic in bag.of_type(*IMAGES)]
+def inspect_images(bag: Bag) -> list[ImageTopic]:
+    """Inspect every image topic; problems are noted, not raised."""
+    return [_inspect(topic) for topic in bag.of_type(*IMAGES)]
 
 
-def _view(topic: Topic) -> View:
+def _inspect(topic: Topic) -> ImageTopic:
     name = f"{topic[0].place.path}, {topic.name}"
     try:
-        image = decoded(topic[0], topic.name, topic.type, topic.encoding)
-        width, height, encoding = size_of(image, name)
+        image = decode_message(topic[0], topic.name, topic.type, topic.encoding)
+        width, height, encoding = read_size(image, name)
     except InputError as error:
-        return View(topic, "", str(error))
-    frame = frame_of(image.header.frame_id)
+        return ImageTopic(topic, "", str(error))
+    frame = frame_name(image.header.frame_id)
     if encoding in DEPTHS and (encoding != "mono16" or "depth" in topic.name):
         kind = "depth"
     elif is_colour(encoding):
         kind = "grey" if encoding in GREYS else "colour"
     else:
-        problem = (
-            f"{name}: encoding {encoding[:40]!r} is neither a colour nor a depth that is read."
-        )
-        return View(topic, "", problem, frame, (width, height), encoding)
-    return View(topic, kind, "", frame, (width, height), encoding)
+        problem = f"{name}: encoding {encoding[:40]!r} is no known colour or depth encoding."
+        return ImageTopic(topic, "", problem, frame, (width, height), encoding)
+    return ImageTopic(topic, kind, "", frame, (width, height), encoding)
 
 
-def chosen_views(
-    bag: Bag, views: Sequence[View], colour: str | None, depth: str | None, *, with_depth: bool
-) -> tuple[View, View | None]:
-    """Return the colour and the depth that belong together best, or those named.
+def choose_images(
+    bag: Bag,
+    views: Sequence[ImageTopic],
+    colour: str | None,
+    depth: str | None,
+    *,
+    with_depth: bool,
+) -> tuple[ImageTopic, ImageTopic | None]:
+    """Return the best matching colour and depth topics, or those named.
 
-    Raises `InputError` where a named topic is not there or of another kind, or there is no colour.
+    Raises `InputError` where a named topic is missing or of another kind, or there is no colour topic.
     """
     colours = [v for v in views if v.kind in {"colour", "grey"}]
-    depths: list[View | None] = [v for v in views if v.kind == "depth"] if with_depth else []
+    depths: list[ImageTopic | None] = [v for v in views if v.kind == "depth"] if with_depth else []
     if colour is not None:
         colours = [_named(bag, views, colour, ("colour", "grey"))]
     if depth is not None:
@@ -101,27 +105,27 @@ def chosen_views(
     if not colours:
         why = next((f" {v.problem}" for v in views if v.problem), "")
         raise InputError(
-            f"{bag.path} holds no colour images: no sensor_msgs/Image or CompressedImage in colour "
-            f"has messages.{why} Record the camera's image topic."
+            f"{bag.path} holds no colour images (sensor_msgs/Image or CompressedImage).{why} Record the "
+            "camera's image topic."
         )
     infos = {t.name for t in bag.of_type("sensor_msgs/CameraInfo")}
 
-    def worth(pair: tuple[View, View | None]) -> tuple[float, ...]:
+    def rank(pair: tuple[ImageTopic, ImageTopic | None]) -> tuple[float, ...]:
         seen, measured = pair
         joint = 0.0
         if measured is not None:
             alike = seen.frame == measured.frame and bool(seen.frame)
-            joint = 1.0 + 2.0 * alike + _shared(seen.base, measured.base)
+            joint = 1.0 + 2.0 * alike + _common_namespace(seen.base, measured.base)
         plain = seen.topic.short == IMAGES[0]
         named = bool(re.search(r"colou?r|rgb", seen.topic.name))
-        known = info_names(seen)[0] in infos
+        known = camera_info_names(seen)[0] in infos
         return (seen.kind == "colour", joint, known, named, len(seen.topic), plain)
 
     pairs = [(c, d) for c in colours for d in depths or [None]]
-    return max(pairs, key=worth)
+    return max(pairs, key=rank)
 
 
-def _named(bag: Bag, views: Sequence[View], name: str, kinds: tuple[str, ...]) -> View:
+def _named(bag: Bag, views: Sequence[ImageTopic], name: str, kinds: tuple[str, ...]) -> ImageTopic:
     view = next((v for v in views if v.topic.name == name), None)
     if view is None:
         there = ", ".join(v.topic.name for v in views) or "none"
@@ -136,36 +140,34 @@ def _named(bag: Bag, views: Sequence[View], name: str, kinds: tuple[str, ...]) -
     return view
 
 
-def _shared(a: str, b: str) -> float:
-    """Return the share of the names of two topics that is one namespace, 0 to 1."""
+def _common_namespace(a: str, b: str) -> float:
+    """Return the common share of two topics' namespaces, 0 to 1."""
     x, y = a.strip("/").split("/"), b.strip("/").split("/")
-    same = 0
-    while same < min(len(x), len(y)) and x[same] == y[same]:
-        same += 1
-    return same / max(len(x), len(y))
+    same = takewhile(lambda pair: pair[0] == pair[1], zip(x, y, strict=False))
+    return sum(1 for _ in same) / max(len(x), len(y))
 
 
-def info_names(view: View) -> tuple[str, str]:
-    """Return the names that the topic of a view's CameraInfo has by custom."""
+def camera_info_names(view: ImageTopic) -> tuple[str, str]:
+    """Return the customary names of the CameraInfo topic of an image topic."""
     return f"{view.base.rpartition('/')[0]}/camera_info", f"{view.base}/camera_info"
 
 
-def camera_for(
-    bag: Bag, view: View, given: str | dict[str, Any] | None, role: str
+def find_camera(
+    bag: Bag, view: ImageTopic, given: str | dict[str, Any] | None, role: str
 ) -> tuple[Camera, Topic | None]:
-    """Camera of a view, and the topic that says so: one that is given, else the CameraInfo beside it.
+    """Return the camera of an image topic, and the CameraInfo topic that describes it.
 
-    `role` is what the file beside the bag calls it, where `given` may be intrinsics. Raises
-    `InputError` where there is none.
+    `given` is a topic or intrinsics, `role` their key in the file beside the bag. Raises `InputError`
+    where there is no camera.
     """
     if isinstance(given, dict):
-        return camera_of_dict(given, view.size, f'{bag.path}.json, "{role}"'), None
+        return camera_from_dict(given, view.size, f'{bag.path}.json, "{role}"'), None
     infos = {t.name: t for t in bag.of_type("sensor_msgs/CameraInfo")}
-    names = (given,) if given is not None else info_names(view)
+    names = (given,) if given is not None else camera_info_names(view)
     topic = next((infos[n] for n in names if n in infos), None)
     if topic is None and given is not None:
         raise InputError(
-            f"{bag.path}: {given} is no sensor_msgs/CameraInfo with messages; there are "
+            f"{bag.path}: {given} has no sensor_msgs/CameraInfo messages; CameraInfo topics: "
             f"{', '.join(infos) or 'none'}."
         )
     if topic is None:
@@ -175,76 +177,76 @@ def camera_for(
             f"{bag.path} holds no CameraInfo of {view.topic.name} ({' or '.join(names)}); record it, or "
             f'write {bag.path}.json with {{"{role}": {{"fx": ..., "fy": ..., "cx": ..., "cy": ...}}}}.'
         )
-    info = decoded(topic[0], topic.name, topic.type, topic.encoding)
+    info = decode_message(topic[0], topic.name, topic.type, topic.encoding)
     rectified = _RECTIFIED.search(view.base.rpartition("/")[2]) is not None
     name = f"{bag.path}, {topic.name}"
-    return camera_of_info(info, view.size, name, rectified=rectified), topic
+    return camera_from_info(info, view.size, name, rectified=rectified), topic
 
 
-def _is_of(topic: Topic, view: View) -> bool:
-    """Return whether a CameraInfo by another name is of a view's frame and size."""
-    info = decoded(topic[0], topic.name, topic.type, topic.encoding)
-    return frame_of(info.header.frame_id) == view.frame and (info.width, info.height) == view.size
+def _is_of(topic: Topic, view: ImageTopic) -> bool:
+    """Return whether a CameraInfo topic has the frame and size of an image topic."""
+    info = decode_message(topic[0], topic.name, topic.type, topic.encoding)
+    return frame_name(info.header.frame_id) == view.frame and (info.width, info.height) == view.size
 
 
 _MODELS = {"": "opencv", "none": "opencv", "plumb_bob": "opencv", "rational_polynomial": "opencv",
            "radtan": "opencv", "equidistant": "fisheye", "fisheye": "fisheye"}  # fmt: skip
 
 
-def camera_of_info(info: Any, size: tuple[int, int], name: str, *, rectified: bool) -> Camera:  # noqa: ANN401
-    """Return the camera of images of this width and height [px]; `rectified`: they were freed of the lens.
+def camera_from_info(info: Any, size: tuple[int, int], name: str, *, rectified: bool) -> Camera:  # noqa: ANN401
+    """Return the camera of images of a width and height [px]; `rectified`: without distortion.
 
     ROS counts pixels from their centres, placegraph from their corners: half a pixel is added.
-    Raises `InputError`, which begins with `name`, where the message is none of such images.
+    Raises `InputError`, beginning with `name`, where the message does not fit the images.
     """
     get = {field: _field(info, field) for field in ("k", "p", "d")}
     matrix = np.asarray(get["p"] if rectified else get["k"], np.float64)
     if not matrix.any():
         raise InputError(
-            f"{name}: {'P' if rectified else 'K'} is all zeros: the camera was not calibrated; give its "
+            f"{name}: {'P' if rectified else 'K'} is all zeros, so the camera was not calibrated; give "
             'intrinsics as "camera" in the file beside the bag.'
         )
     matrix = matrix.reshape(3, -1)
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5
-    said = str(info.distortion_model).lower()
-    if said not in _MODELS:
+    lens = str(info.distortion_model).lower()
+    if lens not in _MODELS:
         raise InputError(
-            f"{name}: distortion_model is {said[:40]!r}; plumb_bob, rational_polynomial and equidistant "
-            'are known. Rectify the images, or give "camera" in the file beside the bag.'
+            f"{name}: distortion_model is {lens[:40]!r}; plumb_bob, rational_polynomial and equidistant "
+            'are read. Rectify the images, or give "camera" in the file beside the bag.'
         )
-    bent = () if rectified else _distortion(get["d"], _MODELS[said], name)
-    whole = int(info.width), int(info.height)
+    distortion = () if rectified else _distortion(get["d"], _MODELS[lens], name)
+    full_size = int(info.width), int(info.height)
     roi = info.roi
-    if roi.width and roi.height and (roi.width, roi.height) != whole:
-        cx, cy, whole = cx - roi.x_offset, cy - roi.y_offset, (int(roi.width), int(roi.height))
-    if whole == (0, 0):  # drivers that leave it out
-        whole = size
-    model = "opencv" if rectified else _MODELS[said]
-    camera = make_camera(name, whole, (fx, fy, cx, cy), bent, model)
-    if abs(size[0] * whole[1] - size[1] * whole[0]) > max(*size, *whole):
+    if roi.width and roi.height and (roi.width, roi.height) != full_size:
+        cx, cy, full_size = cx - roi.x_offset, cy - roi.y_offset, (int(roi.width), int(roi.height))
+    if full_size == (0, 0):  # drivers that leave it out
+        full_size = size
+    model = "opencv" if rectified else _MODELS[lens]
+    camera = make_camera(name, full_size, (fx, fy, cx, cy), distortion, model)
+    if abs(size[0] * full_size[1] - size[1] * full_size[0]) > max(*size, *full_size):
         raise InputError(
-            f"{name} is of {whole[0]} x {whole[1]} pixels, but the images have {size[0]} x {size[1]}, "
-            'which is not the same view; give their intrinsics as "camera" in the file beside the bag.'
+            f"{name} says {full_size[0]} x {full_size[1]} pixels, but images have {size[0]} x {size[1]}, "
+            'another shape; give their intrinsics as "camera" in the file beside the bag.'
         )
-    return camera if size == whole else camera.resized(*size)
+    return camera if size == full_size else camera.resized(*size)
 
 
-def camera_of_dict(content: Mapping[str, Any], size: tuple[int, int], name: str) -> Camera:
-    """Return the camera of intrinsics as `camera.json` has them, but for the size, which is the images'."""
+def camera_from_dict(content: Mapping[str, Any], size: tuple[int, int], name: str) -> Camera:
+    """Return the camera of intrinsics as in `camera.json`, of images of a width and height [px]."""
     try:
         numbers = [float(content[field]) for field in ("fx", "fy", "cx", "cy")]
-        bent = [float(v) for v in content.get("distortion") or ()]
-        whole = int(content.get("width", size[0])), int(content.get("height", size[1]))
+        distortion = [float(v) for v in content.get("distortion") or ()]
+        full_size = int(content.get("width", size[0])), int(content.get("height", size[1]))
         model = str(content.get("model", "opencv"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{name} must have fx, fy, cx, cy as numbers, as camera.json has them ({error!r})."
+            f"{name} must have the numbers fx, fy, cx and cy, as camera.json does ({error!r})."
         ) from error
-    if whole != size:
+    if full_size != size:
         raise InputError(
-            f"{name} is of {whole[0]} x {whole[1]} pixels, but the images have {size[0]} x {size[1]}."
+            f"{name} is of {full_size[0]} x {full_size[1]} pixels, but the images have {size[0]} x {size[1]}."
         )
-    return make_camera(name, size, numbers, bent, model)
+    return make_camera(name, size, numbers, distortion, model)
 
 
 def _field(info: Any, name: str) -> Any:  # noqa: ANN401  # capital letters in ROS 1
@@ -258,7 +260,7 @@ def _distortion(given: Any, model: str, name: str) -> tuple[float, ...]:  # noqa
     most = 4 if model == "fisheye" else 8
     if any(numbers[most:]):
         raise InputError(
-            f"{name}: D has {len(numbers)} coefficients; the first {most} are known. Rectify the "
+            f"{name}: D has {len(numbers)} coefficients; the first {most} are read. Rectify the "
             'images, or give "camera" in the file beside the bag.'
         )
     numbers = numbers[:most]
@@ -273,49 +275,46 @@ _KEYS = (*_NAMES, *_CAMERAS, "depth_scale", "transforms")
 
 @dataclass(frozen=True, slots=True)
 class TopicChoice:
-    """Topics and frames by their role; None: found by type."""
+    """Topics and frames by role; None: chosen by type."""
 
     colour: str | None = None
     depth: str | None = None
     odometry: str | None = None
     imu: str | None = None
     frame: str | None = None
-    """In which poses are told."""
+    """Frame of the poses."""
     camera: str | dict[str, Any] | None = None
-    """A CameraInfo's topic, or intrinsics."""
+    """CameraInfo topic, or intrinsics."""
     depth_camera: str | dict[str, Any] | None = None
     depth_scale: float | None = None
     """Units of depth in a metre."""
     transforms: Samples = field(default_factory=dict)
-    """That the bag lacks; they never change."""
+    """Fixed transforms that the bag lacks."""
     with_depth: bool = True
     with_imu: bool = True
 
 
 def read_topic_choice(path: Path, given: Mapping[str, Any] | None) -> TopicChoice:
-    """Return what `BAG.json` says, and over it what is given.
-
-    Raises `InputError` of the file's content, `OptionError` of what is given.
-    """
+    """Read `BAG.json`, overridden by `given`; raises `InputError` of the file, `OptionError` of `given`."""
     file = Path(f"{path}.json")
     content = read_json(file) if file.is_file() else {}
     if not isinstance(content, dict):
         raise InputError(f"{file} must be a JSON object with {', '.join(_KEYS)}.")
     _check(content, f"{file}: ", InputError)
     _check(given or {}, "topics: ", OptionError)
-    said = {**content, **(given or {})}
-    out: dict[str, Any] = {k: said[k] for k in (*_NAMES, *_CAMERAS, "depth_scale") if k in said}
+    values = {**content, **(given or {})}
+    out: dict[str, Any] = {k: values[k] for k in (*_NAMES, *_CAMERAS, "depth_scale") if k in values}
     out["transforms"] = {
         (row["parent"], row["child"]): [np.array([[0.0, *row["xyz"], *row["xyzw"]]])]
-        for row in said.get("transforms") or ()
+        for row in values.get("transforms") or ()
     }
     for role in ("depth", "imu"):
-        out[f"with_{role}"] = not (role in said and said[role] is None)
+        out[f"with_{role}"] = not (role in values and values[role] is None)
     return TopicChoice(**out)
 
 
-def _check(said: Mapping[str, Any], name: str, error: type[InputError | OptionError]) -> None:
-    for key, value in said.items():
+def _check(values: Mapping[str, Any], name: str, error: type[InputError | OptionError]) -> None:
+    for key, value in values.items():
         good = {
             **dict.fromkeys(_NAMES, value is None or isinstance(value, str)),
             **dict.fromkeys(_CAMERAS, isinstance(value, str | dict)),
@@ -323,7 +322,7 @@ def _check(said: Mapping[str, Any], name: str, error: type[InputError | OptionEr
             "transforms": isinstance(value, list) and all(_is_transform(row) for row in value),
         }
         if key not in good:
-            raise error(f"{name}{key!r} is not known; there are {', '.join(_KEYS)}.")
+            raise error(f"{name}{key!r} is unknown; known keys are {', '.join(_KEYS)}.")
         if not good[key]:
             raise error(f"{name}{key} is {str(value)[:60]!r}; {_WANTED.get(key, 'it is a name')}.")
 
@@ -331,7 +330,7 @@ def _check(said: Mapping[str, Any], name: str, error: type[InputError | OptionEr
 _WANTED = {
     "camera": "it is a topic or an object with fx, fy, cx, cy",
     "depth_camera": "it is a topic or an object with fx, fy, cx, cy",
-    "depth_scale": "it is how many units of depth make a metre, such as 1000",
+    "depth_scale": "it is the number of depth units per metre, such as 1000",
     "transforms": 'it is a list of {"parent", "child", "xyz": [x, y, z], "xyzw": [x, y, z, w]}',
 }
 
@@ -350,71 +349,71 @@ def _is_transform(row: Any) -> bool:  # noqa: ANN401  # whatever the file holds
 
 
 @dataclass(eq=False)
-class Plan:
-    """What was found in a bag for a capture. Nothing is raised: what is lacking is told."""
+class CapturePlan:
+    """Topics, cameras and poses that make a capture of a bag; `missing` says what it lacks."""
 
     bag: Bag
     choice: TopicChoice
-    views: list[View] = field(default_factory=list)
-    colour: View | None = None
+    views: list[ImageTopic] = field(default_factory=list)
+    colour: ImageTopic | None = None
     camera: Camera | None = None
     camera_topic: Topic | None = None
-    depth: View | None = None
+    depth: ImageTopic | None = None
     depth_camera: Camera | None = None
-    """Of the depth as a capture has it."""
+    """Camera of the depth images of the capture."""
     depth_camera_topic: Topic | None = None
     registration: Registration | None = None
-    """Where depth was measured by another camera."""
+    """Set where depth was measured by another camera."""
     pose_reader: PoseReader | None = None
-    lacks: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
     """By role (colour, camera, poses, depth) the sentence of the error."""
     notes: list[str] = field(default_factory=list)
 
-    def tried(self, role: str, step: Callable[[], None]) -> None:
-        """Do a step, and keep what it lacks."""
+    def attempt(self, role: str, step: Callable[[], None]) -> None:
+        """Run a step; note its error in `missing`."""
         try:
             step()
         except InputError as error:
-            self.lacks.setdefault(role, str(error))
+            self.missing.setdefault(role, str(error))
 
 
-def plan_of(bag: Bag, choice: TopicChoice) -> Plan:
-    """Choose what a capture is made of, and read what is needed to place its frames."""
-    plan = Plan(bag, choice, views_of(bag), notes=list(bag.notes))
-    plan.tried("colour", lambda: _choose(plan))
+def plan_capture(bag: Bag, choice: TopicChoice) -> CapturePlan:
+    """Choose the topics of a capture, and read its cameras, stamps and transforms."""
+    plan = CapturePlan(bag, choice, inspect_images(bag), notes=list(bag.notes))
+    plan.attempt("colour", lambda: _choose_topics(plan))
     if plan.colour is None:
         return plan
-    plan.tried("camera", lambda: _camera(plan))
+    plan.attempt("camera", lambda: _find_camera(plan))
     plan.pose_reader = PoseReader(bag, choice, plan.colour, plan.depth)
-    plan.tried("poses", plan.pose_reader.read)
+    plan.attempt("poses", plan.pose_reader.read)
     plan.notes += plan.pose_reader.notes
-    plan.tried("depth", lambda: _depth(plan))
+    plan.attempt("depth", lambda: _find_depth(plan))
     return plan
 
 
-def _choose(plan: Plan) -> None:
+def _choose_topics(plan: CapturePlan) -> None:
     choice = plan.choice
-    plan.colour, plan.depth = chosen_views(
+    plan.colour, plan.depth = choose_images(
         plan.bag, plan.views, choice.colour, choice.depth, with_depth=choice.with_depth
     )
-    plan.notes.append(f"Colour is {plan.colour.said}.")
+    plan.notes.append(f"Colour is {plan.colour.summary}.")
     if plan.depth is not None:
-        plan.notes.append(f"Depth is {plan.depth.said}.")
+        plan.notes.append(f"Depth is {plan.depth.summary}.")
 
 
-def _camera(plan: Plan) -> None:
+def _find_camera(plan: CapturePlan) -> None:
     assert plan.colour is not None  # noqa: S101  # chosen before
-    found = camera_for(plan.bag, plan.colour, plan.choice.camera, "camera")
+    found = find_camera(plan.bag, plan.colour, plan.choice.camera, "camera")
     plan.camera, plan.camera_topic = found
 
 
-def _depth(plan: Plan) -> None:
+def _find_depth(plan: CapturePlan) -> None:
     colour, depth, choice = plan.colour, plan.depth, plan.choice
     if depth is None or colour is None or plan.pose_reader is None:
         return
     same = depth.frame == colour.frame
     try:
-        found = camera_for(plan.bag, depth, choice.depth_camera, "depth_camera")
+        found = find_camera(plan.bag, depth, choice.depth_camera, "depth_camera")
         camera, plan.depth_camera_topic = found
     except InputError:
         if not (same and plan.camera is not None and depth.size == colour.size):
@@ -423,12 +422,12 @@ def _depth(plan: Plan) -> None:
     plan.depth_camera = camera
     if same or plan.camera is None:
         return
-    if plan.pose_reader.tree.path(colour.frame, depth.frame) is None:
+    if plan.pose_reader.tree.find_path(colour.frame, depth.frame) is None:
         raise InputError(
-            f"{plan.bag.path}: no transform joins {colour.frame!r}, where colours are seen, and "
-            f"{depth.frame!r}, where depth is measured; record /tf_static, or write it as "
-            f'"transforms" in {plan.bag.path}.json, or do without depth: "depth": null.'
+            f"{plan.bag.path}: no transform connects the colour camera {colour.frame!r} and the depth "
+            f'camera {depth.frame!r}; record /tf_static, write it as "transforms" in '
+            f'{plan.bag.path}.json, or use no depth: "depth": null.'
         )
     plan.registration = Registration(plan.camera, camera)
     plan.depth_camera = plan.registration.camera
-    plan.notes.append(f"Depth is brought from {depth.frame} to {colour.frame} by the transforms.")
+    plan.notes.append(f"Depth is registered from {depth.frame} to {colour.frame} by transforms.")
