@@ -119,7 +119,7 @@ def test_what_the_published_code_does_otherwise():
     assert [p.stride for p in published.passes] == [20, 12, 20]
     assert (published.spacing, published.per_cell) == (0.1, 4)
     assert (published.modes, published.pool_modes) == (8, True)
-    assert (published.inject_every, published.unscored) == (5, 1)
+    assert (published.inject_every, published.burn_in) == (5, 1)
 
 
 def test_presets_by_name():

@@ -19,7 +19,7 @@ from placegraph.indoor.status import SURE, decide_fit
 INDOOR = Path(placegraph.__file__).parent / "indoor"
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
-GOOD = Agreement(1.0, 0.95, 0.97, 0.2, np.full(8, 5.0), np.full(8, 4.0), held=0.1)
+GOOD = Agreement(1.0, 0.95, 0.97, 0.2, np.full(8, 5.0), np.full(8, 4.0), constraint=0.1)
 TOLD = 60.0
 
 
@@ -166,7 +166,7 @@ def test_images_alone_must_be_clear(colour, status):
 @pytest.mark.parametrize("weights", [np.zeros(8), np.r_[5.0, np.zeros(7)]])
 def test_a_bare_wall_has_no_cliff(weights):
     """Log odds grow with what colours tell, in small steps; one label lifts no more than its share."""
-    bare = replace(GOOD, held=0.0, weights=weights)
+    bare = replace(GOOD, constraint=0.0, weights=weights)
     odds = [CONFIDENCE.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
     steps = np.diff(odds)
     assert steps.min() > 0
@@ -176,11 +176,11 @@ def test_a_bare_wall_has_no_cliff(weights):
 
 def test_tones_tell_a_place_whose_depth_has_changed():
     """The office's other half: chairs moved, steps of colour blurred, and the right pose was `LOST`."""
-    moved = replace(GOOD, semantic=math.nan, depth=0.7, colour=0.015, held=0.19)
+    moved = replace(GOOD, semantic=math.nan, depth=0.7, colour=0.015, constraint=0.19)
     assert decide_fit(replace(moved, tone=0.05), modes(1.0), TOLD)[0] is not Status.OK
     assert decide_fit(replace(moved, tone=0.35), modes(1.0), TOLD)[0] is Status.OK
     # a wall and a floor of a wrong room, seen from low above the ground
-    floor = replace(moved, depth=0.72, colour=0.009, tone=0.33, held=0.06)
+    floor = replace(moved, depth=0.72, colour=0.009, tone=0.33, constraint=0.06)
     assert decide_fit(floor, modes(1.0), TOLD)[0] is not Status.OK
     denied = replace(GOOD, semantic=math.nan, depth=0.3, tone=1.0)
     assert decide_fit(denied, modes(1.0), TOLD)[0] is Status.LOST

@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.labels import explain_foreign_ids
-from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.likelihood.observe import observe_frame
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
 from placegraph.indoor.pose.agreement import find_fault, find_image_fault
@@ -69,13 +69,15 @@ def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
     fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
     """
     window, estimate = _localize_as_said(query, refining)
-    mend = refining and find_camera_correction(window, estimate, refining)
-    if mend:
-        mended = replace(query, frames=mend.frames(query.frames))
-        chosen = mend.chosen(query, estimate, _localize_as_said(mended, refining)[1])
-        if Status.OK in (estimate.status, chosen.status):
-            return chosen
-        estimate = chosen
+    correction = refining and find_camera_correction(window, estimate, refining)
+    if correction:
+        mended = replace(query, frames=correction.frames(query.frames))
+        choose_answer = correction.choose_answer(
+            query, estimate, _localize_as_said(mended, refining)[1]
+        )
+        if Status.OK in (estimate.status, choose_answer.status):
+            return choose_answer
+        estimate = choose_answer
     return _explain_faults(window, estimate)
 
 
@@ -90,19 +92,19 @@ def _localize_as_said(
     window = observe(query)
     fault = find_image_fault(window)
     if fault:  # no search could help
-        return window, reject_frames(fault, [s.frame.index for s in window.sightings])
+        return window, reject_frames(fault, [s.frame.index for s in window.observations])
     seeds = search(window, rng)
     if len(seeds):
         seeds = np.concatenate([locate_by_landmarks(window), seeds])
     options = query.options.particle_filter
     filtered = run_passes(window, seeds, rng) if options else None
     if filtered and options and options.answer == "mle":
-        fits = heaviest_modes(window.chain, filtered.particles, options.modes)
+        candidates = heaviest_modes(window.chain, filtered.particles, options.modes)
     else:
         starts = seeds if filtered is None else np.concatenate([filtered.modes, seeds])
-        fits = correct_drift(window, fit_window(window, starts, rng), rng)
-        fits = explore_unobservable(window, fits, rng)
-    estimate = _add_costs(window, estimate_pose(window, fits), filtered)
+        candidates = correct_drift(window, fit_window(window, starts, rng), rng)
+        candidates = explore_unobservable(window, candidates, rng)
+    estimate = _add_costs(window, estimate_pose(window, candidates), filtered)
     if refining:
         estimate = refine_estimate(window, estimate, refining, explained=True)
     return window, estimate
@@ -113,7 +115,7 @@ def _track(query: PoseQuery) -> tuple[Window, PoseEstimate]:
     tracker = Tracker(query)
     estimate = track_capture(tracker, query.frames)
     # without what an encoder says of them
-    newest = [sight(frame, None, query.options) for frame in query.frames[-WINDOW:]]
+    newest = [observe_frame(frame, None, query.options) for frame in query.frames[-WINDOW:]]
     return Window(query, tracker.scorer, newest), estimate
 
 

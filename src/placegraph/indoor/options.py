@@ -224,7 +224,7 @@ class FilterOptions(PoseSearchOptions):
         0.1, "Share of particles drawn anew: from the table, or everywhere.", below=1
     )
     inject_every: int = option(0, "Frames between injections; 0: inject if the likelihood drops.")
-    unscored: int = option(
+    burn_in: int = option(
         0, "Frames at the beginning that only move particles; the last is always scored."
     )
     pool_modes: bool = option(
@@ -300,7 +300,7 @@ class FilterOptions(PoseSearchOptions):
             likelihood=Likelihood(kind="gaussian", sigma=0.6, depth_clip=0.5),
             injection=0.1,
             inject_every=5,
-            unscored=1,
+            burn_in=1,
             modes=8,
             pool_modes=True,
         )

@@ -74,7 +74,7 @@ class RefinementDiagnostics:
 
     accepted: bool = False
     """Whether held-back samples confirm the refined pose."""
-    doubt: str = ""
+    objection: str = ""
     """Evidence against the coarse pose too, as half a sentence."""
     motion: float = 0.0
     """Root mean square of the odometry's normalised errors on the refined trajectory."""
@@ -153,34 +153,40 @@ def add_note(estimate: PoseEstimate, note: str) -> PoseEstimate:
 # ------------------------------------------------------------------------------------ one window
 
 
-def decide_pose(found: Diagnostics, modes: Sequence[PoseMode]) -> tuple[Status, str, Diagnostics]:
+def decide_pose(
+    diagnostics: Diagnostics, modes: Sequence[PoseMode]
+) -> tuple[Status, str, Diagnostics]:
     """Return status, reason and completed diagnostics of the modes (best first) of a window of frames.
 
     All frames together, the newest frame alone, and the description each have a say.
     """
-    agreed = found.agreement
+    agreed = diagnostics.agreement
     assert agreed is not None  # noqa: S101  a window compares something
-    consistent = _is_consistent(found, agreed)
-    if found.image_fault:
-        return Status.LOST, found.image_fault, replace(found, consistent=consistent)
-    status, reason = decide_fit(agreed, modes, found.ratio_per_frame)
+    consistent = _is_consistent(diagnostics, agreed)
+    if diagnostics.image_fault:
+        return Status.LOST, diagnostics.image_fault, replace(diagnostics, consistent=consistent)
+    status, reason = decide_fit(agreed, modes, diagnostics.ratio_per_frame)
     undecided = status is Status.AMBIGUOUS
-    if found.contradiction:
+    if diagnostics.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
-        return status, found.contradiction, replace(found, consistent=consistent)
-    if status is Status.OK and len(found.frames) > 1:
+        return status, diagnostics.contradiction, replace(diagnostics, consistent=consistent)
+    if status is Status.OK and len(diagnostics.frames) > 1:
         against = _contradicts_newest(agreed.frames[-1])
         if against:
             status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
     without_looks = replace(agreed, semantic=np.nan)
-    if status is Status.OK and found.unnamed and not _is_sure(without_looks, modes[0].probability):
+    if (
+        status is Status.OK
+        and diagnostics.unnamed
+        and not _is_sure(without_looks, modes[0].probability)
+    ):
         status = Status.AMBIGUOUS
         reason = "One place fits best, but what patches look like says too little of it alone."
-    if status is Status.OK and found.unmet:
+    if status is Status.OK and diagnostics.unmet:
         status = Status.AMBIGUOUS
-        reason = f"{reason} But that is not what was said: {found.unmet}."
+        reason = f"{reason} But that is not what was said: {diagnostics.unmet}."
     consistent = consistent or status is Status.OK
-    return status, reason, replace(found, undecided=undecided, consistent=consistent)
+    return status, reason, replace(diagnostics, undecided=undecided, consistent=consistent)
 
 
 def decide_fit(
@@ -227,9 +233,9 @@ def _is_sure(agreed: Agreement, probability: float) -> bool:
     return probability >= ALONE and CONFIDENCE.probability(agreed, probability) >= SURE
 
 
-def _is_consistent(found: Diagnostics, agreed: Agreement) -> bool:
+def _is_consistent(diagnostics: Diagnostics, agreed: Agreement) -> bool:
     """Return whether nothing seen contradicts the best mode, however little it says of it."""
-    fault = found.image_fault or found.contradiction
+    fault = diagnostics.image_fault or diagnostics.contradiction
     if fault or agreed.semantic < _PATCHES_AGREE or _contradicts_newest(agreed.frames[-1]):
         return False
     mute = np.isnan(agreed.depth)
@@ -305,31 +311,31 @@ def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
 # ---------------------------------------------------------------------------------- refinement
 
 
-def decide_refined(estimate: PoseEstimate, found: RefinementDiagnostics) -> tuple[Status, str]:
+def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tuple[Status, str]:
     """Return status and reason after a refinement of an estimate."""
     status, reason = estimate.status, estimate.reason
-    if status is Status.OK and found.motion > BENT:
+    if status is Status.OK and refined.motion > BENT:
         status = Status.AMBIGUOUS
         reason = (
             "One place fits, but there the frames contradict the odometry, or the camera's intrinsics "
             "do."
         )
-    if status is Status.OK and found.doubt:
-        status, reason = Status.AMBIGUOUS, f"One place fits, but {found.doubt}."
-    images_alone = found.accepted and not found.has_depth and found.landmarks is None
-    parted = (found.shift, found.turn_deg)
+    if status is Status.OK and refined.objection:
+        status, reason = Status.AMBIGUOUS, f"One place fits, but {refined.objection}."
+    images_alone = refined.accepted and not refined.has_depth and refined.landmarks is None
+    parted = (refined.shift, refined.turn_deg)
     if status is Status.OK and images_alone and any(np.greater(parted, _PARTED)):
         status = Status.AMBIGUOUS
         reason = (
             "One place fits, but images matched with the map move it by "
-            f"{found.shift:.1f} m and {found.turn_deg:.0f} degrees: check the camera's intrinsics."
+            f"{refined.shift:.1f} m and {refined.turn_deg:.0f} degrees: check the camera's intrinsics."
         )
     undecided = diagnostics_of(estimate).undecided
     one_scene = len({mode.scene for mode in estimate.modes}) == 1
-    if found.landmarks is not None and undecided and found.accepted and one_scene:
+    if refined.landmarks is not None and undecided and refined.accepted and one_scene:
         # they were looked for in the whole map, and led to where the likelihood is largest
         status = Status.OK
-        reason = f"One place fits: {found.landmarks} landmarks of the map agree on it."
+        reason = f"One place fits: {refined.landmarks} landmarks of the map agree on it."
     return status, reason
 
 
@@ -501,38 +507,38 @@ def choose_scene(
     if best.status is not Status.OK or probability >= SURE_SCENE:
         return best
     likeliest, other = sorted([best, *rivals], key=weight, reverse=True)[:2]
-    doubt = f"another fits nearly as well in {other.modes[0].scene}."
-    return _doubt(likeliest, doubt)
+    objection = f"another fits nearly as well in {other.modes[0].scene}."
+    return _make_ambiguous(likeliest, objection)
 
 
-def doubt_by_search(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
+def doubt_by_search(estimate: PoseEstimate, search: SceneEstimate, looked: int) -> PoseEstimate:
     """Return the estimate with the doubts of the search that proposed its scene, if they outweigh its odds.
 
     `looked`: scenes of the search that were looked into.
     """
     if estimate.status is not Status.OK or estimate.best is None:
         return estimate
-    lean, left_out = search_odds(scene_of(estimate), found, looked)
+    lean, left_out = search_odds(scene_of(estimate), search, looked)
     if fit_odds(estimate) + lean >= log_odds(SURE, 0.0):
         return estimate
-    if left_out > found.elsewhere:
-        doubt = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
+    if left_out > search.elsewhere:
+        objection = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
     else:
-        doubt = f"it may be in no scene of the library ({found.elsewhere:.0%})."
-    return _doubt(estimate, doubt)
+        objection = f"it may be in no scene of the library ({search.elsewhere:.0%})."
+    return _make_ambiguous(estimate, objection)
 
 
-def search_odds(name: str, found: SceneEstimate, looked: int) -> tuple[float, float]:
+def search_odds(name: str, search: SceneEstimate, looked: int) -> tuple[float, float]:
     """Return what a search adds to the odds of a scene [nat], at most 0, and the probability left out.
 
     A search errs: it is believed no further than one in a hundred.
     """
-    here = next(m.probability for m in found.modes if m.scene == name)
-    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
-    lean = np.log((here + _SEARCH_ERRS) / (found.elsewhere + left_out + _SEARCH_ERRS))
+    here = next(m.probability for m in search.modes if m.scene == name)
+    left_out = 1.0 - search.elsewhere - sum(m.probability for m in search.modes[:looked])
+    lean = np.log((here + _SEARCH_ERRS) / (search.elsewhere + left_out + _SEARCH_ERRS))
     return min(0.0, float(lean)), left_out
 
 
-def _doubt(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
+def _make_ambiguous(estimate: PoseEstimate, objection: str) -> PoseEstimate:
     """Return the estimate as ambiguous, with the doubt."""
-    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} But {doubt}")
+    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} But {objection}")

@@ -183,9 +183,9 @@ LABELS = Agreement(1.0, 0.9, math.nan, math.nan, np.zeros(1), np.zeros(1))
 
 
 def fitting(odds):
-    sharp = replace(LABELS, semantic=math.nan, depth=0.99, held=0.99)  # log(held + .01) is 0
+    sharp = replace(LABELS, semantic=math.nan, depth=0.99, constraint=0.99)  # log(held + .01) is 0
     top = CONFIDENCE.odds(sharp)
-    return replace(sharp, held=math.exp((odds - top) / CONFIDENCE.depth[2]) - 0.01)
+    return replace(sharp, constraint=math.exp((odds - top) / CONFIDENCE.depth[2]) - 0.01)
 
 
 @pytest.mark.parametrize(

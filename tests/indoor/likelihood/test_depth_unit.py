@@ -15,9 +15,9 @@ from placegraph.indoor.likelihood.observe import (
     FACTORS,
     FINE,
     check_unit,
-    hint,
-    sight,
-    suspected_factor,
+    describe_suspected_unit,
+    observe_frame,
+    suspect_unit_factor,
     views,
 )
 from placegraph.indoor.likelihood.score import model_of
@@ -42,13 +42,16 @@ def scaled(capture, factor):
 
 
 def suspected(scene, frames):
-    return suspected_factor(_views(scene, frames), scene.visibility(OPTIONS).background)
+    return suspect_unit_factor(_views(scene, frames), scene.visibility(OPTIONS).background)
 
 
 def _views(scene, frames):
     background = scene.visibility(OPTIONS).background
     return views(
-        [sight(f, None, OPTIONS) for f in frames], FINE, model_of(OPTIONS.likelihood), background
+        [observe_frame(f, None, OPTIONS) for f in frames],
+        FINE,
+        model_of(OPTIONS.likelihood),
+        background,
     )
 
 
@@ -80,10 +83,10 @@ def test_a_scale_a_little_off_is_no_other_unit(flat, flat_walk, factor):
 def test_no_depth_no_suspicion(room, walk):
     background = room.visibility(OPTIONS).background
     blind = [v._replace(depth=np.zeros_like(v.depth)) for v in _views(room, walk[:2])]
-    assert suspected_factor(blind, background) is None
+    assert suspect_unit_factor(blind, background) is None
     few = [v._replace(depth=np.where(np.arange(len(v.depth)) < 9, v.depth, 0)) for v in blind]
-    assert suspected_factor(few, background) is None
-    assert not hint(blind, background, walk[0])
+    assert suspect_unit_factor(few, background) is None
+    assert not describe_suspected_unit(blind, background, walk[0])
 
 
 # ------------------------------------------------------------------------------- refusing
@@ -125,18 +128,18 @@ def rescaled(walk, tmp_path, scale):
 def test_a_hand_before_the_lens_is_no_unit(walk):
     """Half a decimetre and more is a distance; so is the far end of a large map."""
     for metres, diagonal in ((0.08, 5.0), (25.0, 5.0), (80.0, 40.0)):
-        seen = [sight(f, None, OPTIONS) for f in walk[:2]]
+        seen = [observe_frame(f, None, OPTIONS) for f in walk[:2]]
         check_unit(diagonal, [replace(s, depth=np.full_like(s.depth, metres)) for s in seen])
 
 
 def test_one_frame_of_many_may_be_absurd(walk):
     frames = [*scaled(walk[:4], 1.0), *scaled(walk[4:5], 1000.0)]
-    check_unit(5.0, [sight(f, None, OPTIONS) for f in frames])
+    check_unit(5.0, [observe_frame(f, None, OPTIONS) for f in frames])
 
 
 def test_too_few_readings_say_nothing(walk):
     (frame,) = scaled(walk[:1], 1000.0)
-    told = sight(frame, None, OPTIONS)
+    told = observe_frame(frame, None, OPTIONS)
     with pytest.raises(OptionError, match="metres"):
         check_unit(5.0, [told])
     few = np.where(np.arange(told.depth.size).reshape(told.depth.shape) % 400, np.nan, told.depth)

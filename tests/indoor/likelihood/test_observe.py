@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.observe import Background, sight, views
+from placegraph.indoor.likelihood.observe import Background, observe_frame, views
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.map.map_kernels import opponent_colour
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
@@ -51,7 +51,7 @@ class Says:
 
 def view_of(seen, stride=10.0, encoder=None, options=OPTIONS, around=None):
     model = model_of(options.likelihood)
-    (view,) = views([sight(seen, encoder, options)], stride, model, around or background())
+    (view,) = views([observe_frame(seen, encoder, options)], stride, model, around or background())
     return view
 
 
@@ -214,15 +214,15 @@ def test_holes_say_nothing():
     assert (view.depth[read] == 2.0).all()
     assert (read == ((v > 84) & (view.patch >= 0))).all()
     assert np.isfinite(view.depth).all()
-    assert (view.usual_depth[~read] == 0).all()
+    assert (view.background_depth[~read] == 0).all()
     assert view.terms.tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize("depth", [np.zeros((45, 80)), np.full((45, 80), np.nan)])
 def test_depth_without_a_reading_is_none(depth):
     seen = frame(depth=depth)
-    sighting = sight(seen, None, OPTIONS)
-    assert sighting.depth is None
+    observation = observe_frame(seen, None, OPTIONS)
+    assert observation.depth is None
     assert view_of(seen).terms.tolist() == [False, False, True]
 
 
@@ -241,12 +241,12 @@ def test_nothing_is_read_that_is_not_asked_for():
     torn = Frame(*(getattr(seen, name) for name in Frame.__slots__[:-1]), images=Torn())
     for cue, says in (("depth", "the depth"), ("colour", "the colours")):
         with pytest.raises(AssertionError, match=says):
-            sight(torn, None, OPTIONS.only(**{cue: True}))
+            observe_frame(torn, None, OPTIONS.only(**{cue: True}))
     encoder = Says(patches((2, 2)))
-    sighting = sight(torn, encoder, OPTIONS.only(semantic=True))
-    assert sighting.patches is encoder.patches
-    assert sighting.depth is sighting.rgb is None
-    assert sight(frame(), encoder, OPTIONS.only(colour=True)).patches is None
+    observation = observe_frame(torn, encoder, OPTIONS.only(semantic=True))
+    assert observation.patches is encoder.patches
+    assert observation.depth is observation.rgb is None
+    assert observe_frame(frame(), encoder, OPTIONS.only(colour=True)).patches is None
 
 
 # ------------------------------------------------------------------------------- semantic
@@ -312,18 +312,22 @@ def test_what_fills_many_patches_counts_in_part():
     options = PoseSearchOptions(likelihood=few)
     first = patches((6, 6), rows=[0] * 30 + [1] * 5 + [-1])
     second = patches((6, 6), rows=[0] * 6 + [1] * 4 + [2] * 3 + [-1] * 23)
-    sightings = [sight(frame(), Says(p), options) for p in (first, second)]
-    one, two = views(sightings, 20.0, model_of(few), background())
+    observations = [observe_frame(frame(), Says(p), options) for p in (first, second)]
+    one, two = views(observations, 20.0, model_of(few), background())
     wall = math.sqrt(9 / 36)
     np.testing.assert_allclose(one.weight, [wall] * 30 + [1.0] * 5 + [0, 0], rtol=1e-6)
     np.testing.assert_allclose(two.weight[:13], [wall] * 6 + [1.0] * 7, rtol=1e-6)
     assert (two.weight[13:] == 0).all()
     # a frame that has no patches among others that have
-    mixed = views([sightings[0], sight(frame(), None, options)], 20.0, model_of(few), background())
+    mixed = views(
+        [observations[0], observe_frame(frame(), None, options)], 20.0, model_of(few), background()
+    )
     assert [v.terms[0] for v in mixed] == [True, False]
     assert not mixed[1].weight.any()
     paper = Likelihood(kind="gaussian", object_patches=9.0)
-    assert views(sightings, 20.0, model_of(paper), background())[0].weight.tolist() == [1] * 35 + [
+    assert views(observations, 20.0, model_of(paper), background())[0].weight.tolist() == [
+        1
+    ] * 35 + [
         0,
         0,
     ]
@@ -355,7 +359,7 @@ def test_usual_readings_say_nothing(metres, seed):
     assert (np.abs(elevation) < around.highest).all()
     for r, long in zip(read, reach, strict=True):
         ratios = depth_ratio(around.distances, metres * long, OPTIONS.likelihood)
-        mean = (ratios * around.ranges[0]).sum() / math.exp(view.usual_depth[r])
+        mean = (ratios * around.ranges[0]).sum() / math.exp(view.background_depth[r])
         assert mean == pytest.approx(1, rel=1e-3)
 
 
@@ -372,9 +376,9 @@ def test_readings_are_compared_with_those_of_their_elevation():
     view = view_of(seen, 10.0, around=around)
     ahead = (view.depth > 0) & (np.linalg.norm(view.directions, axis=1) < 1.05)
     below, above = ahead & (view.directions[:, 2] < -0.1), ahead & (view.directions[:, 2] > 0.1)
-    assert view.usual_depth[below].min() > view.usual_depth[above].max() + 1
+    assert view.background_depth[below].min() > view.background_depth[above].max() + 1
     gaussian = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
-    assert not view_of(seen, 10.0, options=gaussian, around=around).usual_depth.any()
+    assert not view_of(seen, 10.0, options=gaussian, around=around).background_depth.any()
 
 
 def test_steep_views_stay_within_the_bands():
@@ -382,8 +386,8 @@ def test_steep_views_stay_within_the_bands():
     for gravity in ((0, 0, 1), (0, 0, -1)):
         depth = np.full((45, 80), 1.5, np.float32)
         view = view_of(frame(depth=depth, gravity=gravity), 20.0)
-        assert np.isfinite(view.usual_depth).all()
-        assert (view.usual_depth[view.depth > 0] != 0).all()
+        assert np.isfinite(view.background_depth).all()
+        assert (view.background_depth[view.depth > 0] != 0).all()
 
 
 # --------------------------------------------------------------------------------- colour
@@ -407,13 +411,13 @@ def test_colours_are_means_of_cells():
 
 def test_scores_add_up():
     scores = np.array([[1.0, 2.0, 4.0, 8.0], [-3.0, 0.5, 0.25, 1.0]], np.float32)
-    got = model_of(Likelihood()).combined(scores, ALL)
+    got = model_of(Likelihood()).combine_terms(scores, ALL)
     assert got.tolist() == [15.0, -1.25]
     for terms, sums in (
         ([True, False, True], [5.0, -2.75]),  # tones count beside depth alone
         ([False, True, False], [2.0, 0.5]),
     ):
-        assert model_of(Likelihood()).combined(scores, np.array(terms)).tolist() == sums
+        assert model_of(Likelihood()).combine_terms(scores, np.array(terms)).tolist() == sums
 
 
 def test_eq_2():
@@ -421,13 +425,13 @@ def test_eq_2():
     options = Likelihood(kind="gaussian", sigma=0.3, depth_lambda=0.5, colour_lambda=0.25)
     model = model_of(options)
     scores = np.array([[2, 2, 2, 0], [1.5, 1.0, 0.4, 0]], np.float32)
-    got = model.combined(scores, ALL)
+    got = model.combine_terms(scores, ALL)
     assert got[0] == 0.0
     assert got[1] == pytest.approx(-((3.5 - (1.5 + 0.5 + 0.1)) ** 2) / (2 * 0.09))
     # a term that is not there asks for nothing
-    only = model.combined(scores, np.array([True, False, False]))
+    only = model.combine_terms(scores, np.array([True, False, False]))
     assert only[1] == pytest.approx(-(0.5**2) / 0.18)
-    even = model_of(Likelihood(kind="gaussian")).combined(scores, ALL)
+    even = model_of(Likelihood(kind="gaussian")).combine_terms(scores, ALL)
     assert even[1] == pytest.approx(-((6 - 2.9) ** 2) / 0.08, rel=1e-6)  # the paper's 6
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from placegraph.core.geometry import Camera, level_from_camera, rotation_z
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.observe import View, sight, views
+from placegraph.indoor.likelihood.observe import View, observe_frame, views
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.likelihood.score_kernels import (
     COLOUR,
@@ -17,7 +17,7 @@ from placegraph.indoor.likelihood.score_kernels import (
     SEMANTIC,
     STEEPEST,
     TONE,
-    look,
+    cast_view,
     score_poses,
 )
 from placegraph.indoor.map.map_kernels import opponent_colour, sample_colour
@@ -82,7 +82,7 @@ def slow_depth(hits, view, used, model):
             return 0.0
         return 2 * (1 - float(np.minimum(np.abs(expected - measured) / model.depth_clip, 1).mean()))
     total = 0.0
-    for e, m, usual in zip(expected, measured, view.usual_depth[rows], strict=True):
+    for e, m, usual in zip(expected, measured, view.background_depth[rows], strict=True):
         if not math.isfinite(e):
             continue  # where the map ends nothing is known
         off = (e - m) / (model.depth_floor + model.depth_slope * m)
@@ -175,7 +175,7 @@ def camera_view(rng, objects, model, *, stride=8, terms=(True, True, True)):
         semantic=rng.uniform(0.2, 2.0, (grid * grid + 1, objects + 1)).astype(np.float32),
         weight=(rng.random(grid * grid + 1) * (rng.random(grid * grid + 1) < 0.7)).astype("f4"),
         depth=depth.astype(np.float32),
-        usual_depth=(rng.normal(0, 0.5, len(x)) * (not model.gaussian)).astype(np.float32),
+        background_depth=(rng.normal(0, 0.5, len(x)) * (not model.gaussian)).astype(np.float32),
         colour=(rng.random((len(x), 3)) * (3, 1, 1) - (0, 0.5, 0.5)).astype(np.float32),
         footprint=1 / 100 * 160 / columns,
         terms=np.array(terms),
@@ -203,7 +203,9 @@ def compared(caster, surface, poses, view, model):
     got = score_poses(caster.tracer, surface, poses, view, model)
     used = view.patch >= 0
     alike = [
-        (look(caster.tracer, p, view.directions)[0] == cast(caster, p, view).triangle)[used].all()
+        (cast_view(caster.tracer, p, view.directions)[0] == cast(caster, p, view).triangle)[
+            used
+        ].all()
         for p in poses
     ]
     assert np.mean(alike) > 0.5
@@ -240,7 +242,9 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     encoder = InstancesEncoder(room) if kind == "instances" else None
     frame = walk[4]
     around = room.visibility(options).background
-    (view,) = views([sight(frame, encoder, options)], 10.0, model_of(options.likelihood), around)
+    (view,) = views(
+        [observe_frame(frame, encoder, options)], 10.0, model_of(options.likelihood), around
+    )
     at = truth(walk)[4]
     yaw = math.atan2(at[1, 2], at[0, 2])
     poses = np.array([*at[:3, 3], yaw]) + rng.normal(size=(40, 4)) * (0.1, 0.1, 0.05, 0.05)
@@ -343,7 +347,7 @@ def test_a_camera_off_the_map(model, room, rng):
 def test_frames_without_readings_or_patches_score_nothing(model, room, rng):
     view = camera_view(rng, len(room), model)
     view = view._replace(
-        depth=np.zeros_like(view.depth), usual_depth=np.zeros_like(view.depth),
+        depth=np.zeros_like(view.depth), background_depth=np.zeros_like(view.depth),
         weight=np.zeros_like(view.weight),
     )  # fmt: skip
     scores = score_poses(
@@ -392,10 +396,10 @@ def test_tones_tell_rooms_apart_whose_steps_are_alike(boxes):
     view = camera_view(np.random.default_rng(0), 1, CALIBRATED, terms=(False, True, True))
     poses = np.array([[3, 2, 1.5, 0], [3, 2, 1.5, np.pi]])
     seen = seen_by_itself(caster, surface, poses[0], view)
-    seen = seen._replace(usual_depth=np.zeros_like(seen.usual_depth))
+    seen = seen._replace(background_depth=np.zeros_like(seen.background_depth))
     right, wrong = score_poses(caster.tracer, surface, poses, seen, CALIBRATED)
     np.testing.assert_allclose(right[[DEPTH, COLOUR]], wrong[[DEPTH, COLOUR]], rtol=0.02)
-    right, wrong = model_of(Likelihood()).combined(np.array([right, wrong]), seen.terms)
+    right, wrong = model_of(Likelihood()).combine_terms(np.array([right, wrong]), seen.terms)
     assert right > wrong + 30  # nat, of one frame
 
 
@@ -466,7 +470,7 @@ def test_depth_before_a_wall_by_hand(distance, boxes):
         semantic=np.ones((2, 2), np.float32),
         weight=np.zeros(2, np.float32),
         depth=np.full(16, 2 - distance, np.float32),
-        usual_depth=np.full(16, 0.25, np.float32),
+        background_depth=np.full(16, 0.25, np.float32),
         colour=np.zeros((16, 3), np.float32),
         footprint=0.01,
         terms=np.array([False, True, False]),
@@ -482,6 +486,6 @@ def test_depth_before_a_wall_by_hand(distance, boxes):
     beyond = view._replace(depth=np.full(16, 2 + distance, np.float32))
     farther = score_poses(tracer, surface, pose, beyond, CALIBRATED)[0, DEPTH]
     assert farther == pytest.approx(ratio(2 + distance, 2.0), rel=1e-3)
-    view = view._replace(usual_depth=np.zeros(16, np.float32))  # Eq. 2 knows of none
+    view = view._replace(background_depth=np.zeros(16, np.float32))  # Eq. 2 knows of none
     clipped = score_poses(tracer, surface, pose, view, PAPER)[0, DEPTH]
     assert clipped == pytest.approx(2 * (1 - min(distance / 0.5, 1)), abs=1e-4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import compose
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import PoseSearchOptions
 
@@ -16,7 +16,10 @@ OPTIONS = PoseSearchOptions()
 def seen(room, walk):
     around_ = room.visibility(OPTIONS).background
     return views(
-        [sight(f, None, OPTIONS) for f in walk[:3]], 20.0, model_of(OPTIONS.likelihood), around_
+        [observe_frame(f, None, OPTIONS) for f in walk[:3]],
+        20.0,
+        model_of(OPTIONS.likelihood),
+        around_,
     )
 
 
@@ -28,7 +31,7 @@ def test_scores_are_counted(room, seen):
     assert scorer.poses == 2
     assert scorer.rays == 2 * len(seen[0].directions)
     values = scorer(poses, seen[0])
-    np.testing.assert_allclose(values, scorer.model.combined(terms, seen[0].terms))
+    np.testing.assert_allclose(values, scorer.model.combine_terms(terms, seen[0].terms))
     assert scorer.poses == 4
     assert scorer.seconds > 0
 

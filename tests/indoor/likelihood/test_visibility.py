@@ -8,7 +8,7 @@ import pytest
 
 from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap_angle
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.likelihood.observe import View, sight, views
+from placegraph.indoor.likelihood.observe import View, observe_frame, views
 from placegraph.indoor.likelihood.score import TEMPERATURE, model_of
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map import free_space as free
@@ -25,7 +25,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import STANDING, Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.search import SEEDS, table_seeds
-from placegraph.indoor.pose.window import level_poses, own_encoder
+from placegraph.indoor.pose.window import level_poses, make_label_encoder
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -319,7 +319,7 @@ def some_view(rng, objects, terms, gravity=(0.05, 1, 0.1)):
         semantic=rng.uniform(0.2, 3, (7, objects + 1)).astype(np.float32),
         weight=np.array([1, 0.5, 0, 1, 0.8, 1, 0], np.float32),
         depth=depth.astype(np.float32),
-        usual_depth=rng.normal(0, 0.3, 128).astype(np.float32),
+        background_depth=rng.normal(0, 0.3, 128).astype(np.float32),
         colour=(rng.random((128, 3)) * (3, 1, 1) - (0, 0.5, 0.5)).astype(np.float32),
         footprint=0.1,
         terms=np.array(terms),
@@ -348,7 +348,7 @@ def slow_scan(table, view, k, a, turn=0.0):
             sd = NOISE.depth_floor + table.spacing / 2 + NOISE.depth_slope * measured
             good = 1 / (1 + ((expected - measured) / sd) ** 2)
             cost = NOISE.near_cost if expected > measured else NOISE.far_cost
-            fit = good * NOISE.depth_gain - (1 - good) * cost - view.usual_depth[r]
+            fit = good * NOISE.depth_gain - (1 - good) * cost - view.background_depth[r]
             total += fit * NOISE.depth_weight / len(used)
         if view.terms[2] and math.isfinite(expected):
             seen.append(view.colour[r] * (85, 127, 63) + (0, 127, 127))
@@ -458,9 +458,12 @@ def sighted(scene, capture, truth, cues):
     """Views of a capture, its odometry and its true poses (T, 4)."""
     options = OPTIONS.only(**cues)
     around = scene.visibility(options).background
-    encoder = own_encoder(scene, capture[0]) if cues.get("semantic") else None
+    encoder = make_label_encoder(scene, capture[0]) if cues.get("semantic") else None
     seen = views(
-        [sight(f, encoder, options) for f in capture], 10.0, model_of(options.likelihood), around
+        [observe_frame(f, encoder, options) for f in capture],
+        10.0,
+        model_of(options.likelihood),
+        around,
     )
     poses = level_poses(capture.odometry, capture.gravity)
     return seen, poses, split_pose(truth(capture))[0]

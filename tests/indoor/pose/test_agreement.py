@@ -11,9 +11,9 @@ from placegraph.core.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bind_encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
-from placegraph.indoor.likelihood.score_kernels import look
+from placegraph.indoor.likelihood.score_kernels import cast_view
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.agreement import Agreement, agreement, explain
 from placegraph.indoor.pose.window import level_poses
@@ -43,7 +43,7 @@ def rendered(scene, pose, kind, **change):
     """A frame of boxes as a camera at a pose (4,) sees them, without noise."""
     v, u = np.mgrid[:48, :80] + 0.5
     rays = np.stack([np.ones(u.size), (40 - u.ravel()) / 60, (24 - v.ravel()) / 60], axis=1)
-    triangle, depth = look(scene.caster.tracer, pose, rays.astype(np.float32))
+    triangle, depth = cast_view(scene.caster.tracer, pose, rays.astype(np.float32))
     objects = np.where(triangle >= 0, scene.mesh.object_of[triangle], -1).reshape(48, 80)
     labels = [label.strip() for label in scene.graph.labels]
     names = {i + 1: label for i, label in enumerate(dict.fromkeys(labels))}
@@ -64,7 +64,9 @@ def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
     labels = kind == "labels"
     encoder = bind_encoder(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
     around = scene.visibility(options).background
-    seen = views([sight(frame, encoder, options)], 4.0, model_of(options.likelihood), around)
+    seen = views(
+        [observe_frame(frame, encoder, options)], 4.0, model_of(options.likelihood), around
+    )
     return agreement(Scorer(scene, options.likelihood), pose, seen, np.zeros((1, 4)))
 
 
@@ -171,7 +173,10 @@ def walked(room, walk, truth):
     encoder = InstancesEncoder(room)
     around = room.visibility(OPTIONS).background
     seen = views(
-        [sight(f, encoder, OPTIONS) for f in walk], 10.0, model_of(OPTIONS.likelihood), around
+        [observe_frame(f, encoder, OPTIONS) for f in walk],
+        10.0,
+        model_of(OPTIONS.likelihood),
+        around,
     )
     poses = level_poses(walk.odometry, walk.gravity)
     pose, _ = split_pose(truth(walk)[-1])
@@ -217,7 +222,7 @@ def test_eq_2_can_be_explained_too(room, walk, truth):
     options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
     around = room.visibility(options).background
     seen = views(
-        [sight(walk[-1], InstancesEncoder(room), options)],
+        [observe_frame(walk[-1], InstancesEncoder(room), options)],
         10.0,
         model_of(options.likelihood),
         around,

@@ -39,7 +39,7 @@ def drifting(truth, degrees, rng, systematic):
 
 def seen(truth, rng, rows=slice(None)):
     """What frames say of their poses, each with its own error."""
-    told = QuadraticFactors.nothing(truth + rng.normal(size=truth.shape) * KNOWN)
+    told = QuadraticFactors.zeros(truth + rng.normal(size=truth.shape) * KNOWN)
     told.information[rows] = np.diag(1.0 / KNOWN**2)
     return told
 

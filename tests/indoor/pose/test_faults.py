@@ -9,7 +9,7 @@ import pytest
 from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor import localize
-from placegraph.indoor.likelihood.observe import Sighting
+from placegraph.indoor.likelihood.observe import Observation
 from placegraph.indoor.pose import agreement as faults
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb as bad
@@ -115,7 +115,7 @@ def test_hopeless_frames_are_not_searched(room, shot, rng, monkeypatch):
     ],
 )
 def test_images_alone_can_contradict_each_other(colours, said, shot):
-    sightings = [Sighting(f, np.eye(3), None, None, f.rgb()) for f in shot.frames]
-    window = SimpleNamespace(sightings=sightings)
+    observations = [Observation(f, np.eye(3), None, None, f.rgb()) for f in shot.frames]
+    window = SimpleNamespace(observations=observations)
     frames = np.column_stack([np.full((10, 2), np.nan), colours])
     assert bool(faults.find_contradiction(window, frames)) is said

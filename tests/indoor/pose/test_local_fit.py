@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import compose, split_pose, wrap_angle
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
 from placegraph.indoor.pose.local_fit import (
@@ -238,7 +238,7 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     options = PoseSearchOptions()
     around = room.visibility(options).background
     seen = views(
-        [sight(f, InstancesEncoder(room), options) for f in walk],
+        [observe_frame(f, InstancesEncoder(room), options) for f in walk],
         10.0,
         model_of(options.likelihood),
         around,

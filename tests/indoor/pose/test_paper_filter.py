@@ -12,7 +12,7 @@ from tests.indoor.pose import paper_filter as theirs
 
 from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap_angle
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
@@ -167,9 +167,9 @@ def test_equation_1(rng):
 def test_scores_of_semantics_depth_and_colour(stride, scene, world, images, frames, rng):
     """Sec. 3.3 and 3.4, at the strides of the passes and at full resolution."""
     model = model_of(PAPER.likelihood)
-    sightings = [sight(frame, Told(images), PAPER) for frame in frames]
+    observations = [observe_frame(frame, Told(images), PAPER) for frame in frames]
     background = scene.visibility(PAPER).background
-    seen = views(sightings, float(stride), model, background)
+    seen = views(observations, float(stride), model, background)
     poses = np.concatenate([TRUE, scattered(rng, 24 if stride > 1 else 2)])
     ours = [Scorer(scene, PAPER.likelihood).terms(poses, view) for view in seen]
     for scores, view, image in zip(ours, seen, images, strict=True):
@@ -180,11 +180,11 @@ def test_scores_of_semantics_depth_and_colour(stride, scene, world, images, fram
         expected = np.stack([semantic, metres, colour], axis=1)
         np.testing.assert_allclose(scores[:, :3], expected, rtol=0, atol=1e-6)
         assert not scores[:, 3].any()  # the paper knows no tones
-        logs = model.combined(scores.astype(float), view.terms)
+        logs = model.combine_terms(scores.astype(float), view.terms)
         np.testing.assert_allclose(
             logs, theirs.likelihood(*scores[:, :3].astype(float).T), rtol=1e-12
         )
-        alone = model.combined(scores.astype(float), np.array([True, False, False]))
+        alone = model.combine_terms(scores.astype(float), np.array([True, False, False]))
         np.testing.assert_allclose(alone, theirs.likelihood(scores[:, 0]), rtol=1e-12)
 
 

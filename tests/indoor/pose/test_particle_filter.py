@@ -299,7 +299,7 @@ def test_frames_that_are_not_scored_only_move_particles(rng):
         asked.append(view)
         return near(poses, view)
 
-    filter_ = filter_of(scattered(rng, 900), rng, replace(OPTIONS, unscored=2), scorer, most=900)
+    filter_ = filter_of(scattered(rng, 900), rng, replace(OPTIONS, burn_in=2), scorer, most=900)
     run = run_pass(filter_, true, steps, range(6))
     np.testing.assert_array_equal(asked, true[2:])
     assert run.counts[:3] == (900,) * 3  # nothing is drawn anew before anything was said
@@ -307,7 +307,7 @@ def test_frames_that_are_not_scored_only_move_particles(rng):
 
 def test_the_only_frame_is_always_scored(rng):
     true, steps = walk(1)
-    filter_ = filter_of(scattered(rng, 500), rng, replace(OPTIONS, unscored=1))
+    filter_ = filter_of(scattered(rng, 500), rng, replace(OPTIONS, burn_in=1))
     run = run_pass(filter_, true, steps, range(1))
     np.testing.assert_array_equal(run.modes[0], run.particles.poses[run.particles.weights.argmax()])
 

@@ -271,7 +271,7 @@ def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
 
 def test_what_the_map_cannot_serve_is_not_asked(room, capture):
     assert PoseQuery.of(room, capture).options.colour is room.has_colours is True
-    grey = SimpleNamespace(coloured=False)
+    grey = SimpleNamespace(has_colours=False)
     assert not PoseQuery.of(grey, capture).options.colour
     with pytest.raises(OptionError, match="all off"):
         PoseQuery.of(grey, capture, options=PoseSearchOptions().only(colour=True))

@@ -48,7 +48,7 @@ def _frames(scene, poses, camera=CAMERA, odometry=None):
     return Capture.from_frames(frames)
 
 
-def _problem(scene, capture, options=None, *, sights=None, blind=(), gravity=None, phase=0):
+def _problem(scene, capture, options=None, *, matches=None, blind=(), gravity=None, phase=0):
     """What the frames of a capture say; those in `blind` have no depth."""
     options = options or RefineOptions()
     seen = [
@@ -58,7 +58,7 @@ def _problem(scene, capture, options=None, *, sights=None, blind=(), gravity=Non
     return Problem(
         Surfaces.of(scene),
         seen,
-        sights or [PointMatches.none()] * len(capture),
+        matches or [PointMatches.none()] * len(capture),
         np.stack([f.odometry for f in capture]),
         np.stack([f.gravity for f in capture]) if gravity is None else gravity,
         np.array([f.stamp for f in capture]),

@@ -20,8 +20,8 @@ from placegraph.indoor.refine.camera_correction import (
     CameraCorrection,
     calibrate_camera,
     depth_from_camera,
-    lengthen,
-    moved_depth,
+    reproject_depth,
+    scale_focal,
     share_view,
     turn_gravity,
 )
@@ -40,15 +40,17 @@ def matched(way, rng):
     """
 
     def made(factor=1.0):
-        sights = []
+        matches = []
         for pose in way:
             inside = rng.uniform([-0.5, -0.4, 1.5], [0.5, 0.4, 5.0], (150, 3))
             inside[:, :2] *= inside[:, 2:]
             centre = np.array([LENS.cx, LENS.cy])
             pixels = (LENS.project(inside) - centre) * factor + centre
             pixels += 0.3 * rng.normal(size=pixels.shape)
-            sights.append(PointMatches.of(inside @ pose[:3, :3].T + pose[:3, 3], pixels, LENS, 1.0))
-        return sights
+            matches.append(
+                PointMatches.of(inside @ pose[:3, :3].T + pose[:3, 3], pixels, LENS, 1.0)
+            )
+        return matches
 
     return made
 
@@ -56,7 +58,7 @@ def matched(way, rng):
 @pytest.mark.parametrize("factor", [0.85, 1.0, 1.1])
 def test_a_focal_length_is_told_by_matches(hall, way, walked, kit, matched, factor):
     """From poses that are off, too: a tenth to 2 in a thousand, linearised anew at each step."""
-    problem = kit.problem(hall, walked, sights=matched(factor), blind=range(len(way)))
+    problem = kit.problem(hall, walked, matches=matched(factor), blind=range(len(way)))
     found = calibrate_camera(
         hall, problem, kit.moved(way, (0.1, -0.05, 0.02), (0, 0, 2.0)), [IMAGE]
     )
@@ -113,19 +115,19 @@ def test_depth_that_is_late_or_elsewhere_is_told_by_both(
     # what a camera reads that stands elsewhere: the hall from poses moved by the mount
     drawn = kit.frames(hall, way @ depth_from_camera(mount))
     elsewhere = in_memory(walked, depth=lambda f: drawn[f.index].depth())
-    found = calibrate_camera(hall, kit.problem(hall, elsewhere, sights=images), way, PLACE)
+    found = calibrate_camera(hall, kit.problem(hall, elsewhere, matches=images), way, PLACE)
     np.testing.assert_allclose(found.values[list(PLACE)], mount[list(PLACE)], atol=5e-3)
     late = in_memory(walked, depth=lambda f: walked[max(f.index - 1, 0)].depth())
-    problem = kit.problem(hall, late, RefineOptions(), sights=images, blind=[0])
+    problem = kit.problem(hall, late, RefineOptions(), matches=images, blind=[0])
     found = calibrate_camera(hall, problem, way, [])
     assert found.values[TIME] == pytest.approx(-1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_of_numbers_that_are_not_finite_nothing_is_found(hall, way, walked, kit, matched, value):
-    sights = matched(1.1)
-    sights[1].rays[0] = value
-    problem = kit.problem(hall, walked, sights=sights, blind=range(len(way)))
+    matches = matched(1.1)
+    matches[1].rays[0] = value
+    problem = kit.problem(hall, walked, matches=matches, blind=range(len(way)))
     with np.errstate(invalid="ignore"):
         found = calibrate_camera(hall, problem, way, [IMAGE])
     np.testing.assert_array_equal(found.poses, way)
@@ -145,10 +147,10 @@ def test_cameras_of_one_device_stand_side_by_side(walk, way, status, words):
         PoseEstimate(Status.OK, (), reason, refinement=SimpleNamespace(accepted=True))
         for reason in ("before", "after")
     )
-    chosen = CameraCorrection(values, np.zeros(COUNT)).chosen(asked, before, after)
-    assert chosen.status is status
-    assert words in chosen.reason
-    assert f"{100 * way:.0f} cm" in chosen.reason
+    choose_answer = CameraCorrection(values, np.zeros(COUNT)).choose_answer(asked, before, after)
+    assert choose_answer.status is status
+    assert words in choose_answer.reason
+    assert f"{100 * way:.0f} cm" in choose_answer.reason
 
 
 def values(**known):
@@ -164,8 +166,8 @@ def test_a_wrong_focal_length_is_found_said_and_mended(room, exact, kit, factor)
     wrong = Capture.from_frames(
         [
             replace(
-                f, camera=lengthen(f.camera, np.log(factor)),
-                depth_camera=lengthen(f.depth_camera, np.log(factor)),
+                f, camera=scale_focal(f.camera, np.log(factor)),
+                depth_camera=scale_focal(f.depth_camera, np.log(factor)),
             )
             for f in exact.capture
         ]
@@ -217,7 +219,7 @@ def test_sentences_and_mended_frames(exact):
         np.testing.assert_allclose(after.depth(), before.depth() * np.exp(0.1), rtol=1e-5)
         np.testing.assert_array_equal(after.rgb(), before.rgb())
         assert after.images.labels() is None
-    assert CameraCorrection.nothing().frames(frames)[0].images is frames[0].images
+    assert CameraCorrection.identity().frames(frames)[0].images is frames[0].images
     assert share_view(frame.camera, frame.camera.resized(80, 60))
     assert not share_view(frame.camera, replace(frame.camera, fx=125.0))
     assert not share_view(frame.camera, None)
@@ -227,8 +229,10 @@ def test_depth_is_brought_to_where_the_camera_was(hall, way, kit):
     """A reading of the hall from elsewhere, brought back, is what is read there."""
     mount = np.linalg.inv(way[2]) @ way[3]
     seen, elsewhere = (hall.render(way[i], kit.camera, samples=1).depth for i in (2, 3))
-    brought = moved_depth(elsewhere, kit.camera, mount)
+    brought = reproject_depth(elsewhere, kit.camera, mount)
     both = np.isfinite(brought)
     assert both.mean() > 0.6
     assert np.median(np.abs(brought - seen)[both]) < 0.01
-    np.testing.assert_array_equal(np.isfinite(moved_depth(seen, kit.camera, np.eye(4))), seen > 0)
+    np.testing.assert_array_equal(
+        np.isfinite(reproject_depth(seen, kit.camera, np.eye(4))), seen > 0
+    )

@@ -23,7 +23,7 @@ from placegraph.indoor.refine.refinement import (
     FARTHEST,
     FARTHEST_BLIND,
     NOTHING,
-    _late,
+    _describe_lags,
     confirm_fit,
     depth_evidence,
     image_evidence,
@@ -307,6 +307,6 @@ def test_a_lag_is_told_with_its_sign_and_unit_where_it_matters(stamps, lag, spee
     refiner = SimpleNamespace(frames=[SimpleNamespace(stamp=s) for s in stamps])
     twist = np.tile([speed, 0, 0, 0, 0, 0.01], (3, 1))
     lags = Lags(np.array([lag, 0.0]), np.full(2, 1e-4), twist, 0.03)
-    told = _late(refiner, SimpleNamespace(lags=lags))
+    told = _describe_lags(refiner, SimpleNamespace(lags=lags))
     assert said in told
     assert bool(told) == bool(said)

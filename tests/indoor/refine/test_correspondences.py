@@ -122,14 +122,14 @@ def test_matches_become_points_of_the_map(hall, way, walked, picture):
     some = np.array([[30.5, 40.5], [100.5, 80.5], [120.5, 30.5]])
     told = Told(Matches.of(some, some, [0.9, 0.8, 0.7]), Matches.of(some[:1], some[:1], [0.5]))
     frame = walked[0]
-    sights = match_views(
+    matches = match_views(
         Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, size=160, sigma=1.5
     )
-    assert len(sights) == 4
+    assert len(matches) == 4
     v, u = some.astype(int).T[::-1]
-    np.testing.assert_allclose(sights.points[:3], picture.points[v, u], atol=1e-6)
-    np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=1e-2)
-    assert (sights.sigma == 1.5 * 160 / 640).all()
+    np.testing.assert_allclose(matches.points[:3], picture.points[v, u], atol=1e-6)
+    np.testing.assert_allclose(matches.errors(way[0]), 0.0, atol=1e-2)
+    assert (matches.sigma == 1.5 * 160 / 640).all()
 
 
 def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
@@ -140,9 +140,9 @@ def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
         told = Told(Matches.of(points, points, np.ones(len(points))))
         return match_views(Renderer(hall), frame, frame.rgb(), way[:1], told, size=80, sigma=1.0)
 
-    sights = matched(some)
-    np.testing.assert_allclose(sights.pixels, 2 * some)
-    np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=0.05)
+    matches = matched(some)
+    np.testing.assert_allclose(matches.pixels, 2 * some)
+    np.testing.assert_allclose(matches.errors(way[0]), 0.0, atol=0.05)
     assert len(matched(np.array([[0, 0], [80, 60], [80, 10.5], [10.5, 60]], float))) <= 4
     assert len(matched(np.zeros((0, 2)))) == 0
 
@@ -150,7 +150,7 @@ def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
 def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
     """Poses of a rig in one place, and what its frames were matched with: most of it wrong."""
     rng = np.random.default_rng(seed)
-    poses, sights = [], []
+    poses, matches = [], []
     for t in range(frames):
         pose = np.eye(4)
         pose[:3, :3] = rotation_from_vector([0.1 * t, 0.3 * t, 0.0])
@@ -164,53 +164,53 @@ def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
         pixels[bad] += far * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         points = inside @ pose[:3, :3].T + pose[:3, 3]
         poses.append(pose)
-        sights.append(PointMatches.of(points, pixels, LENS, 1.0))
-    return np.stack(poses), sights
+        matches.append(PointMatches.of(points, pixels, LENS, 1.0))
+    return np.stack(poses), matches
 
 
 @settings(max_examples=16)
 @given(st.integers(0, 999), st.integers(1, 4), st.sets(st.integers(0, 3), max_size=3))
 def test_a_rig_is_found_among_seventy_percent_outliers(kit, seed, frames, blind):
     """By whichever frames have matches; the pose is the reference's."""
-    poses, sights = fabricated(seed, frames)
+    poses, matches = fabricated(seed, frames)
     blind = blind if len(blind & set(range(frames))) < frames else set()
-    sights = [PointMatches.none() if t in blind else s for t, s in enumerate(sights)]
+    matches = [PointMatches.none() if t in blind else s for t, s in enumerate(matches)]
     mounts = list(np.linalg.inv(poses[-1]) @ poses)
-    found = solve_rig(sights, mounts, OPTIONS)
+    found = solve_rig(matches, mounts, OPTIONS)
     metres, degrees = kit.off(found.pose, poses[-1])
     assert metres < 0.01
     assert degrees < 0.5
-    right = [s.errors(p) < 1e-3 for s, p in zip(sights, poses, strict=True)]
+    right = [s.errors(p) < 1e-3 for s, p in zip(matches, poses, strict=True)]
     assert found.count >= sum(r.sum() for r in right)
     for inlier, true in zip(found.inliers, right, strict=True):
         assert inlier[true].all()
-    again = solve_rig(sights, mounts, OPTIONS)
+    again = solve_rig(matches, mounts, OPTIONS)
     np.testing.assert_allclose(again.pose, found.pose, atol=1e-12)  # PoseLib's last digits vary
 
 
 def test_noise_of_a_pixel_is_millimetres(kit):
-    poses, sights = fabricated(7, count=200, wrong=0.5, noise=1.0)
-    found = solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
+    poses, matches = fabricated(7, count=200, wrong=0.5, noise=1.0)
+    found = solve_rig(matches, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
     assert kit.off(found.pose, poses[-1])[0] < 0.02
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_agrees_on_nothing_is_no_pose(seed):
-    _, sights = fabricated(seed, wrong=1.0)
-    assert solve_frame(sights[0], replace(OPTIONS, inlier=2.0)) is None
+    _, matches = fabricated(seed, wrong=1.0)
+    assert solve_frame(matches[0], replace(OPTIONS, inlier=2.0)) is None
 
 
 def test_too_few_are_no_pose():
-    poses, sights = fabricated(1, frames=2, count=5, wrong=0.0)
-    assert solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) is None
+    poses, matches = fabricated(1, frames=2, count=5, wrong=0.0)
+    assert solve_rig(matches, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) is None
     assert solve_rig([PointMatches.none()], [np.eye(4)], OPTIONS) is None
 
 
 def test_without_poselib_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "poselib", None)
-    _, sights = fabricated(1)
+    _, matches = fabricated(1)
     with pytest.raises(MissingExtraError, match="pip install poselib") as raised:
-        solve_frame(sights[0], OPTIONS)
+        solve_frame(matches[0], OPTIONS)
     assert str(raised.value).endswith(".")
 
 
@@ -229,29 +229,29 @@ def scattered(seed, count=20):
 @given(st.integers(0, 999))
 def test_true_pixels_have_no_error_whatever_the_lens(seed):
     pose, points, pixels = scattered(seed)
-    sights = PointMatches.of(points, pixels, BENT, 1.5)
-    assert len(sights) == 20
-    np.testing.assert_allclose(sights.errors(pose), 0.0, atol=1e-4)
-    assert sights.focal == 245.0
+    matches = PointMatches.of(points, pixels, BENT, 1.5)
+    assert len(matches) == 20
+    np.testing.assert_allclose(matches.errors(pose), 0.0, atol=1e-4)
+    assert matches.focal == 245.0
     # tolerances are meant for images 640 wide; this one has half as many pixels
-    assert (sights.sigma == 0.75).all()
-    assert sights.unit == 0.5
+    assert (matches.sigma == 0.75).all()
+    assert matches.unit == 0.5
 
 
 def test_some_of_them_and_none():
     _, points, pixels = scattered(3)
-    sights = PointMatches.of(points, pixels, BENT, 1.0)
-    some = sights[np.arange(20) % 2 == 0]
+    matches = PointMatches.of(points, pixels, BENT, 1.0)
+    some = matches[np.arange(20) % 2 == 0]
     np.testing.assert_array_equal(some.points, points[::2])
     np.testing.assert_array_equal(some.pixels, pixels[::2])
     assert len(PointMatches.none()) == 0
     assert len(PointMatches.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0)) == 0
     assert PointMatches.none().errors(np.eye(4)).shape == (0,)
-    sights = PointMatches.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
-    assert sights.errors(np.eye(4))[0] == pytest.approx(5.0, rel=0.03)  # pixels
+    matches = PointMatches.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
+    assert matches.errors(np.eye(4))[0] == pytest.approx(5.0, rel=0.03)  # pixels
     behind = np.array([[0, 0, -2.0], [0, 0, 0.0]])
-    sights = PointMatches.of(behind, np.full((2, 2), 100.0), BENT, 1.0)
-    assert np.isinf(sights.errors(np.eye(4))).all()
+    matches = PointMatches.of(behind, np.full((2, 2), 100.0), BENT, 1.0)
+    assert np.isinf(matches.errors(np.eye(4))).all()
 
 
 def frame_of(depth, **camera):

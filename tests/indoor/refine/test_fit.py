@@ -19,11 +19,11 @@ from placegraph.indoor.refine.fit import (
     common_error,
     covariance,
     in_map_axes,
+    lag_deviation,
     odometry_errors,
     shift_in_time,
     solve,
     twists,
-    usual_lag,
 )
 from placegraph.indoor.refine.refiner import DEPTH_WIDTHS
 
@@ -73,7 +73,7 @@ def test_one_frame(kit, hall, walked, way):
     assert solution.information.shape == (6, 6)
     np.testing.assert_array_equal(solution.lags.values, 0.0)  # nothing is late
     assert solution.lags.find_clear() == {}
-    np.testing.assert_array_equal(solution.lags.of_depth(way[:1]), way[:1])
+    np.testing.assert_array_equal(solution.lags.depth_poses(way[:1]), way[:1])
     shift, away = common_error(problem, solution)
     assert shift >= ALONE
     assert 0.5 < away < 6.0
@@ -138,11 +138,11 @@ def test_gravity_is_a_prior_not_a_cage(kit, hall, walked, way, tilt_deg):
     turn = turn @ level_from_camera([0.0, 1.0, 0.0]).T
     upright = np.stack([f.gravity for f in walked])
     wrong = upright @ turn.T
-    lean = np.degrees(np.arccos(np.clip(np.sum(wrong * upright, axis=1), -1, 1)))
-    assert lean.min() > 0.1 * tilt_deg
+    measure_lean = np.degrees(np.arccos(np.clip(np.sum(wrong * upright, axis=1), -1, 1)))
+    assert measure_lean.min() > 0.1 * tilt_deg
     problem = kit.problem(hall, walked, gravity=wrong)
     solution = solve(problem, way, DEPTH_WIDTHS, 6)
-    assert kit.off(solution.poses[-1], way[-1])[1] < 0.4 * lean.min()
+    assert kit.off(solution.poses[-1], way[-1])[1] < 0.4 * measure_lean.min()
     # without depth, gravity is all there is: half a degree of the start is put right
     problem = kit.problem(hall, walked, blind=range(5))
     start = kit.moved(way, turn_deg=(0.5, 0.5, 0.0))
@@ -180,7 +180,7 @@ def test_along_a_corridor_nobody_knows_how_far(kit, rng):
     assert found[0, 3] == pytest.approx(poses[-1, 0, 3] + 0.1, abs=0.01)
     assert found[1, 3] == pytest.approx(poses[-1, 1, 3], abs=0.003)
     # points say what depth cannot
-    problem = kit.problem(corridor, capture, sights=sights_of(capture, poses, rng))
+    problem = kit.problem(corridor, capture, matches=sights_of(capture, poses, rng))
     solution = solve(problem, kit.moved(poses, (0.06, 0.0, 0.0)), DEPTH_WIDTHS, 6)
     assert kit.off(solution.poses[-1], poses[-1])[0] < 0.005
     assert np.sqrt(solution.covariance()[0, 0]) < 0.05
@@ -202,8 +202,8 @@ def test_moved_furniture_is_weighted_down(kit, way, metres, within):
 
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
 def test_points_alone(kit, hall, walked, way, rng, wrong):
-    sights = sights_of(walked, way, rng, wrong=wrong)
-    problem = kit.problem(hall, walked, sights=sights, blind=range(5))
+    matches = sights_of(walked, way, rng, wrong=wrong)
+    problem = kit.problem(hall, walked, matches=matches, blind=range(5))
     start = kit.moved(way, (0.05, -0.04, 0.02), (0.2, 0.2, 2.0))
     solution = solve(problem, start, ((10.0, 20.0), (5.0, 6.0), (3.0, 3.0)), 6)
     metres, degrees = kit.off(solution.poses[-1], way[-1])
@@ -276,13 +276,13 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
     """By as much as they miss at their distance."""
     found = []
     for miss in (0.0, 2.0, 6.0):
-        sights = []
+        matches = []
         for frame, pose in zip(walked, way, strict=True):
             inside = rng.uniform([-0.5, -0.4, 2.9], [0.5, 0.4, 3.1], (80, 3))
             pixels = frame.camera.project(inside) + miss * rng.normal(size=(80, 2))
             points = inside @ pose[:3, :3].T + pose[:3, 3]
-            sights.append(PointMatches.of(points, pixels, frame.camera, 1.0))
-        problem = kit.problem(hall, walked, sights=sights, blind=range(5))
+            matches.append(PointMatches.of(points, pixels, frame.camera, 1.0))
+        problem = kit.problem(hall, walked, matches=matches, blind=range(5))
         made = Solution(way, np.eye(30), np.ones(2), np.nan, 1)
         shift, away = common_error(problem, made)
         assert away == pytest.approx(3.0, abs=0.15)
@@ -290,7 +290,7 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
     assert found[0] < found[1] < found[2]
     assert found[2] / found[1] == pytest.approx(3.0, rel=0.25)
     nothing = PointMatches.none()
-    bare = kit.problem(hall, walked, sights=[nothing] * 5, blind=range(5))
+    bare = kit.problem(hall, walked, matches=[nothing] * 5, blind=range(5))
     assert common_error(bare, made) == (pytest.approx(LEAST), 1.0)
 
 
@@ -326,10 +326,10 @@ def test_the_way_in_map_axes_is_the_derivative(kit, lag):
     moved = (shift_in_time(poses, twist, lag + step) - at)[:, :3, 3] / step
     told = in_map_axes(poses, twist).reshape(4, 6)
     np.testing.assert_allclose(moved, told[:, :3], atol=1e-6)
-    back = Lags(np.array([lag, 0.0]), np.ones(2), twist, 1.0).of_depth(poses)
+    back = Lags(np.array([lag, 0.0]), np.ones(2), twist, 1.0).depth_poses(poses)
     np.testing.assert_allclose(back, at)
-    assert usual_lag(np.array([0.0])) == usual_lag(np.arange(0, 1, 0.033)) == 0.03
-    assert usual_lag(np.arange(10.0)) == pytest.approx(0.3)
+    assert lag_deviation(np.array([0.0])) == lag_deviation(np.arange(0, 1, 0.033)) == 0.03
+    assert lag_deviation(np.arange(10.0)) == pytest.approx(0.3)
 
 
 def test_in_steady_motion_a_lag_is_not_told_from_a_shift_and_stamps_are_believed(kit, hall):

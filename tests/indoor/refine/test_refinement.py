@@ -15,7 +15,7 @@ from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
 from placegraph.indoor.refine import refinement as judge
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.refinement import Confirmation, _told
+from placegraph.indoor.refine.refinement import FitCheck, _apply_check
 from placegraph.indoor.status import Diagnostics
 from placegraph.io.capture.capture import open_capture
 
@@ -110,9 +110,9 @@ def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, a
     )
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
-    judgement = Confirmation(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")
+    judgement = FitCheck(accepted, "", fitted, {}, objection="" if accepted else "it is elsewhere")
     before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=Diagnostics(undecided=undecided))
-    assert _told(before, refiner, judgement).status is after
+    assert _apply_check(before, refiner, judgement).status is after
 
 
 def test_the_same_seed_the_same_answer(refined, room_world, room, walk):

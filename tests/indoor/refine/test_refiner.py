@@ -30,12 +30,12 @@ class Nowhere:
 def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
     one = refiner(depth=False, frames=slice(0, 4))
     (stage, *_) = matching_stages(None, near=False)
-    sights = one.matched(stage, exact.poses[:4])
+    matches = one.match(stage, exact.poses[:4])
     camera = one.frames[0].camera
-    assert sum(map(len, sights)) > 5
-    assert not any(held_back(s.pixels, camera).any() for s in sights)
-    all_ = refiner(depth=False, frames=slice(0, 4), check=False).matched(stage, exact.poses[:4])
-    assert sum(map(len, all_)) > sum(map(len, sights))
+    assert sum(map(len, matches)) > 5
+    assert not any(held_back(s.pixels, camera).any() for s in matches)
+    all_ = refiner(depth=False, frames=slice(0, 4), check=False).match(stage, exact.poses[:4])
+    assert sum(map(len, all_)) > sum(map(len, matches))
     assert any(held_back(s.pixels, camera).any() for s in all_)
 
 
@@ -44,15 +44,15 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     camera = one.frames[0].camera
     pixels = rng.uniform(0, (camera.width, camera.height), (120, 2))
     points = camera.directions(pixels) * rng.uniform(1, 4, (120, 1)) @ pose[:3, :3].T + pose[:3, 3]
-    sights = PointMatches.of(points, pixels, camera, 0.7)
-    one.landmarks = [sights]
-    few, shifted = sights[:20], pose.copy()
+    matches = PointMatches.of(points, pixels, camera, 0.7)
+    one.landmarks = [matches]
+    few, shifted = matches[:20], pose.copy()
     shifted[:3, 3] += 0.01
     fitted = FittedTrajectory(shifted[None], None, [few], np.eye(6))
-    assert one.completed(fitted) is fitted  # no landmarks had led there
+    assert one.add_held_back(fitted) is fitted  # no landmarks had led there
     one.landmark_matches = len(few)
-    whole = one.completed(fitted)
-    assert len(whole.sights[0]) > 110
+    whole = one.add_held_back(fitted)
+    assert len(whole.matches[0]) > 110
     assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3
 
 
@@ -72,25 +72,27 @@ def test_readings_of_fit_and_check_are_other_pixels(refiner):
 def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
     """`auto`: images where depth leaves doubts; `True`: always; without depth: always."""
     nowhere = Nowhere()
-    refiner(matcher=nowhere).fitted(exact.poses)
+    refiner(matcher=nowhere).fit_trajectory(exact.poses)
     assert nowhere.views == []
-    refiner(matcher=nowhere, images=True, views=3).fitted(exact.poses)
+    refiner(matcher=nowhere, images=True, views=3).fit_trajectory(exact.poses)
     assert nowhere.views == [3] * FEW + [1] * FEW
     nowhere.views.clear()
-    refiner(matcher=nowhere, depth=False, views=1, frames=slice(0, 2)).fitted(exact.poses[:2])
+    refiner(matcher=nowhere, depth=False, views=1, frames=slice(0, 2)).fit_trajectory(
+        exact.poses[:2]
+    )
     assert nowhere.views == [1] * 4
     nowhere.views.clear()
-    refiner(matcher=nowhere, images=False).fitted(exact.poses)
+    refiner(matcher=nowhere, images=False).fit_trajectory(exact.poses)
     assert nowhere.views == []
 
 
 def test_where_nothing_matches_depth_decides(refiner, exact, kit):
     start, told = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0)), []
-    fitted = refiner(matcher=Nowhere(), images=True, views=1).fitted(start)
+    fitted = refiner(matcher=Nowhere(), images=True, views=1).fit_trajectory(start)
     assert kit.off(fitted.poses[-1], exact.poses[-1])[0] < 0.01
     blind = refiner(matcher=Nowhere(), depth=False, views=1)
-    fitted = blind.fitted(start, lambda *a: told.append(a))
-    assert sum(map(len, fitted.sights)) == 0
+    fitted = blind.fit_trajectory(start, lambda *a: told.append(a))
+    assert sum(map(len, fitted.matches)) == 0
     assert kit.off(fitted.poses[-1], start[-1])[0] < 0.01
     assert {"matching images", "checking"} <= {what for what, _, _ in told}
     assert all(0 <= done <= total for _, done, total in told)
@@ -99,11 +101,11 @@ def test_where_nothing_matches_depth_decides(refiner, exact, kit):
 def test_a_white_map_is_not_matched(refiner, exact, room, kit):
     white = kit.white(room)
     nowhere = Nowhere()
-    fitted = refiner(white, nowhere, depth=False).fitted(exact.poses)
+    fitted = refiner(white, nowhere, depth=False).fit_trajectory(exact.poses)
     assert nowhere.views == []
     assert fitted.solution is None
     np.testing.assert_array_equal(fitted.poses, exact.poses)
-    assert refiner(white, nowhere, images=True).fitted(exact.poses).solution is not None
+    assert refiner(white, nowhere, images=True).fit_trajectory(exact.poses).solution is not None
 
 
 @pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])
@@ -112,7 +114,7 @@ def test_frames_that_are_looked_at(refiner, count, asked):
     for matcher, most in ((None, MANY), (Nowhere(), FEW)):
         rows = refiner(matcher=matcher, frames=slice(0, count))
         rows.options = RefineOptions(frames=asked)
-        looked = rows.looked()
+        looked = rows.image_rows()
         assert looked[-1] == count - 1
         assert len(looked) == min(count, asked or most)
         assert (np.diff(looked) > 0).all()

@@ -11,7 +11,7 @@ from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions, refinement
 from placegraph.indoor.refine.correspondences import MOST, match_views
 from placegraph.indoor.refine.matching import Matches
-from placegraph.indoor.refine.refinement import Confirmation
+from placegraph.indoor.refine.refinement import FitCheck
 from placegraph.indoor.refine.refiner import FittedTrajectory
 from placegraph.indoor.render import Renderer
 
@@ -63,13 +63,13 @@ def pairs(value, which, count=200):
 @pytest.mark.parametrize("which", ["query", "rendered"])
 def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, value, which):
     frame = walked[0]
-    sights = match_views(
+    matches = match_views(
         Renderer(hall), frame, frame.rgb(), way[:1], pairs(value, which), size=160, sigma=1.0
     )
-    assert 150 < len(sights) <= 199
-    assert np.isfinite(sights.points).all()
-    assert np.isfinite(sights.rays).all()
-    errors = sights.errors(way[0])
+    assert 150 < len(matches) <= 199
+    assert np.isfinite(matches.points).all()
+    assert np.isfinite(matches.rays).all()
+    errors = matches.errors(way[0])
     assert np.quantile(errors, 0.95) < 0.01
     assert errors.max() < 1.0  # edges between pixel centres
 
@@ -115,10 +115,10 @@ def test_the_surest_of_too_many_are_used(hall, way, walked, rng):
     sure = rng.random(count)
     crowd = Mine(lambda _, views: [Matches.of(at, at, sure)] * views)
     frame = walked[0]
-    sights = match_views(Renderer(hall), frame, frame.rgb(), way[:1], crowd, size=160, sigma=1.0)
-    assert 0.8 * MOST < len(sights) <= MOST
+    matches = match_views(Renderer(hall), frame, frame.rgb(), way[:1], crowd, size=160, sigma=1.0)
+    assert 0.8 * MOST < len(matches) <= MOST
     surest = {tuple(p) for p in at[np.argsort(-sure)[:MOST]].tolist()}
-    assert all(tuple(p) in surest for p in sights.pixels.tolist())
+    assert all(tuple(p) in surest for p in matches.pixels.tolist())
 
 
 @pytest.mark.parametrize(("count", "low", "high"), [(1000, 0, 1), (300, -3, 4)])
@@ -183,14 +183,14 @@ def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch):
     before = room.localize(walk, frames=FIVE, refine=False)
     assert before.status is Status.OK
     nothing = FittedTrajectory(np.eye(4)[None], None, [], np.eye(6))
-    for doubt in ("", "the camera is a liar"):
-        verdict = Confirmation(False, "Not refined: so it is.", nothing, {}, doubt)
+    for objection in ("", "the camera is a liar"):
+        verdict = FitCheck(False, "Not refined: so it is.", nothing, {}, objection)
         monkeypatch.setattr(refinement, "confirm_fit", lambda *_, v=verdict: v)
         after = told(room.localize(walk, frames=FIVE))
         assert not after.refinement.accepted
         np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)
-        if not doubt:
+        if not objection:
             assert (after.status, after.reason) == (before.status, before.reason)
     assert after.status is Status.AMBIGUOUS
-    assert doubt in after.reason
+    assert objection in after.reason
     assert after.reason.endswith(".")

@@ -34,14 +34,14 @@ def poses():
 
 def test_the_second_answer_of_one_place_counts(poses):
     again, ((before, here), (now, there)) = Confirmation(), poses
-    first = again.judged("flat", at(before), found(here))
+    first = again.confirm("flat", at(before), found(here))
     assert first.status is Status.AMBIGUOUS
     assert first.modes
     assert first.reason == "One place fits; it is believed when another image finds it again."
     unsure = found(there, Status.LOST)
-    assert again.judged("flat", at(now), unsure) is unsure
+    assert again.confirm("flat", at(now), unsure) is unsure
     sure = found(there)
-    assert again.judged("flat", at(now), sure) is sure
+    assert again.confirm("flat", at(now), sure) is sure
 
 
 def test_an_alias_does_not(poses):
@@ -53,5 +53,5 @@ def test_an_alias_does_not(poses):
     for scene, odometry, pose in (
         ("flat", before, alias), ("flat", now, there), ("hall", now, there), ("hall", now, turned),
     ):  # fmt: skip
-        assert again.judged(scene, at(odometry), found(pose)).status is Status.AMBIGUOUS
-    assert again.judged("hall", at(now), found(turned)).status is Status.OK
+        assert again.confirm(scene, at(odometry), found(pose)).status is Status.AMBIGUOUS
+    assert again.confirm("hall", at(now), found(turned)).status is Status.OK

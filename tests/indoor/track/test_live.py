@@ -339,7 +339,7 @@ def test_threads(room, film, truth):
         assert pose.status is Status.OK
         assert distance(pose, truth(film)[5]) < 0.2
         assert live.dropped == 0
-        assert live.told.total() == 6
+        assert live.status_counts.total() == 6
 
 
 def test_who_waits_is_told_that_it_was_closed(room, film):
@@ -379,12 +379,12 @@ def test_odometry_that_falls_silent(told, live, film):
 
 def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeypatch):
     """As wallpaper that repeats: the first image is found 0.7 m too high, and those after it are not."""
-    whole, asked = Relocalizer.anywhere, []
+    whole, search = Relocalizer.anywhere, []
 
-    def fooled(finder, frames, rng):
-        name, told = whole(finder, frames, rng)
-        asked.append(told.status)
-        if len(asked) > 1:
+    def fooled(relocalizer, frames, rng):
+        name, told = whole(relocalizer, frames, rng)
+        search.append(told.status)
+        if len(search) > 1:
             return name, told
         pose = truth(film)[0].copy()
         pose[2, 3] += 0.7
@@ -405,8 +405,8 @@ def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeyp
 def test_of_several_places_none_is_the_pose(count, live, film, monkeypatch):
     whole = Relocalizer.anywhere
 
-    def doubted(finder, frames, rng):
-        name, told = whole(finder, frames, rng)
+    def doubted(relocalizer, frames, rng):
+        name, told = whole(relocalizer, frames, rng)
         return name, replace(told, status=Status.AMBIGUOUS, modes=told.modes[:1] * count)
 
     monkeypatch.setattr(Relocalizer, "anywhere", doubted)
@@ -434,14 +434,14 @@ def test_depth_in_another_unit_is_named(live, film):
 
 def test_slow_frames_are_looked_up_with_those_before(room, film):
     """Each is too near the last to be a keyframe beside it; together they are a way."""
-    asked = []
+    search = []
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
-    live._follower.hear = lambda found: asked.append(found.frames)
+    live._follower.hear = lambda found: search.append(found.frames)
     for i in range(30):
         odometry = film[0].odometry.copy()
         odometry[:3, 3] += (0.04 * i, 0.0, 0.0)
         live.step(replace(film[0], odometry=odometry, stamp=0.2 * i))
-    last = [frame.odometry[0, 3] for frame in asked[-1]]
+    last = [frame.odometry[0, 3] for frame in search[-1]]
     assert len(last) > 5
     assert np.all(np.diff(last) > 0.1)
 

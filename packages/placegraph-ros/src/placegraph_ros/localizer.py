@@ -262,7 +262,7 @@ class Localizer:
         """Change the map, without a pose (``load_map``)."""
         self.tracker.close()
         self._dropped += self.tracker.dropped
-        self._counts += self.tracker.told
+        self._counts += self.tracker.status_counts
         mount = self._reporter.base_from_camera
         self._start(maps)
         self._reporter.base_from_camera = mount
@@ -280,7 +280,7 @@ class Localizer:
         missing = self._discovery.missing if parts is None else ()
         if self._covariance_fault:
             notes.append(self._covariance_fault)
-        statuses = self._counts + self.tracker.told
+        statuses = self._counts + self.tracker.status_counts
         if self.frames and not statuses[Status.OK.name]:
             notes.append(f"No pose was certain: {self._reason}")
         dropped = self._dropped + self.tracker.dropped

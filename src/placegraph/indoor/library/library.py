@@ -41,7 +41,7 @@ from placegraph.indoor.library.signature import (
     read_signatures,
 )
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.pose.estimate import whereabouts
+from placegraph.indoor.pose.estimate import possible_earth_poses
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 
@@ -142,7 +142,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
         signature = compute_signature(opened, self.encoders, captures, self.height)
         digest = "" if path is None else hash_file(path)
-        self.insert(name, Entry(signature, path, digest, whereabouts(opened)))
+        self.insert(name, Entry(signature, path, digest, possible_earth_poses(opened)))
         if path is None:
             self._open[name] = opened
 

@@ -29,7 +29,7 @@ from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.library import search_kernels as kernels
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS, Signature, find_distinct
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.pose.window import chosen_frames, leveled
+from placegraph.indoor.pose.window import chosen_frames, level_frames
 from placegraph.indoor.status import decide_scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -187,7 +187,7 @@ def encode_frames(
             f"Nothing to compare: the frames have nothing for {names}. Give frames with labels, or a "
             "library whose scenes are encoded by their looks: appearance."
         )
-    return Query(parts, leveled(frames))
+    return Query(parts, level_frames(frames))
 
 
 def _encode_by(

@@ -84,7 +84,7 @@ class View(NamedTuple):
     """(P + 1,) weight of each patch; 0: it says nothing. The last patch is for samples in none."""
     depth: NDArray[np.float32]
     """(R,) along the optical axis [m]; 0: no reading."""
-    usual_depth: NDArray[np.float32]
+    background_depth: NDArray[np.float32]
     """(R,) log-likelihood of the reading if nothing is known of where the camera is."""
     colour: NDArray[np.float32]
     """(R, 3) `surface.opponent` of the image, averaged over what each sample stands for."""
@@ -130,25 +130,27 @@ class Model(Protocol):
     noise: Noise
     """Its numbers, for compiled loops."""
 
-    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
+    def named(
+        self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
+    ) -> Floats:
         """What patches say if they see each of N objects or, last column, none: (M, N + 1).
 
         `cosines`: (M, N) of each kind of patch with each object; `temperature`: of their softmax;
-        `usual`: (N,) how much of a map each object fills.
+        `object_shares`: (N,) how much of a map each object fills.
         """
 
     def shares(self, counts: Floats) -> Floats:
         """Weight (N,) of one patch of each object, which is seen in so many (N,)."""
 
-    def usual_depth(
+    def background_depth(
         self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
         """What each reading (R,) [m] along directions (R, 3) scores if nothing is known of the pose."""
 
-    def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
+    def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
         """Log-likelihoods (N,) of scores (N, 4) of `score_poses`; `terms` (3,) are asked for."""
 
-    def heat(self, views: Sequence[View]) -> float:
+    def compute_temperature(self, views: Sequence[View]) -> float:
         """Nats that count as one among modes where these views are summed."""
 
 
@@ -164,7 +166,7 @@ _TILE = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class Observation:
     """One frame, read and encoded once; views at any stride are cut from it."""
 
     frame: Frame
@@ -177,12 +179,14 @@ class Sighting:
     """(H, W, 3)"""
 
 
-def sight(frame: Frame, encoder: MapEncoder | None, options: PoseSearchOptions) -> Sighting:
+def observe_frame(
+    frame: Frame, encoder: MapEncoder | None, options: PoseSearchOptions
+) -> Observation:
     """Read what the options ask for, and no more; raises `InputError` where an image is broken."""
     depth = frame.depth() if options.depth else None
     if depth is not None and not np.isfinite(depth).any():
         depth = None
-    return Sighting(
+    return Observation(
         frame=frame,
         level=level_from_camera(frame.gravity),
         patches=encoder.encode(frame) if encoder is not None and options.semantic else None,
@@ -191,16 +195,16 @@ def sight(frame: Frame, encoder: MapEncoder | None, options: PoseSearchOptions) 
     )
 
 
-Cut = dict[tuple[Sighting, float], View]
+ViewCache = dict[tuple[Observation, float], View]
 """Views of frames by their stride, before patches are weighted."""
 
 
 def views(
-    sightings: Sequence[Sighting],
+    observations: Sequence[Observation],
     stride: float,
     model: Model,
     background: Background,
-    cut: Cut | None = None,
+    cut: ViewCache | None = None,
 ) -> list[View]:
     """Views of frames of one window, `stride` pixels of the colour image between samples.
 
@@ -209,16 +213,16 @@ def views(
     where what is new is added.
     """
     cut = {} if cut is None else cut
-    for sighting in sightings:
-        if (sighting, stride) not in cut:
-            cut[sighting, stride] = _view(sighting, stride, model, background)
-    weights = _patch_weights([s.patches for s in sightings], model)
-    pairs = zip(sightings, weights, strict=True)
-    return [cut[sighting, stride]._replace(weight=weight) for sighting, weight in pairs]
+    for observation in observations:
+        if (observation, stride) not in cut:
+            cut[observation, stride] = _view(observation, stride, model, background)
+    weights = _patch_weights([s.patches for s in observations], model)
+    pairs = zip(observations, weights, strict=True)
+    return [cut[observation, stride]._replace(weight=weight) for observation, weight in pairs]
 
 
-def _view(sighting: Sighting, stride: float, model: Model, background: Background) -> View:
-    frame, patches = sighting.frame, sighting.patches
+def _view(observation: Observation, stride: float, model: Model, background: Background) -> View:
+    frame, patches = observation.frame, observation.patches
     samples = _samples(frame.camera, float(stride))
     inside = samples.inside
     patch = np.where(inside, 0, -1).astype(np.int32)
@@ -227,26 +231,28 @@ def _view(sighting: Sighting, stride: float, model: Model, background: Backgroun
         cell = samples.cells(patches.camera, *patches.grid)
         patch = np.where(inside, np.where(cell >= 0, cell, len(patches.rows)), -1)
         semantic = _semantic(patches, model, background)
-    directions = samples.directions @ sighting.level.T
+    directions = samples.directions @ observation.level.T
     depth = np.zeros(len(inside), np.float32)
-    if sighting.depth is not None:
-        h, w = sighting.depth.shape
+    if observation.depth is not None:
+        h, w = observation.depth.shape
         cell = samples.cells(frame.depth_camera or frame.camera, h, w)
-        readings = np.where(inside & (cell >= 0), sighting.depth.ravel()[cell], 0.0)
+        readings = np.where(inside & (cell >= 0), observation.depth.ravel()[cell], 0.0)
         depth = np.nan_to_num(readings).astype(np.float32)
     colour = np.zeros((len(inside), 3), np.float32)
-    if sighting.rgb is not None:
-        colour = _opponents(sighting.rgb, samples)
+    if observation.rgb is not None:
+        colour = _opponents(observation.rgb, samples)
     return View(
         directions=directions.astype(np.float32),
         patch=patch.astype(np.int32),
         semantic=semantic,
         weight=np.zeros(len(semantic), np.float32),
         depth=depth,
-        usual_depth=model.usual_depth(depth, directions, background),
+        background_depth=model.background_depth(depth, directions, background),
         colour=colour,
         footprint=samples.footprint,
-        terms=np.array([patches is not None, sighting.depth is not None, sighting.rgb is not None]),
+        terms=np.array(
+            [patches is not None, observation.depth is not None, observation.rgb is not None]
+        ),
     )
 
 
@@ -400,7 +406,7 @@ _FLOOR = 0.01  # density, in units of an even one, of readings that the map neve
 _USUAL = 2.0  # median of the depth in a room [m]
 
 
-def check_unit(diagonal: float, sightings: Sequence[Sighting]) -> None:
+def check_unit(diagonal: float, observations: Sequence[Observation]) -> None:
     """Refuse depth that cannot be in metres; `diagonal` is the map's [m].
 
     Raises
@@ -411,7 +417,7 @@ def check_unit(diagonal: float, sightings: Sequence[Sighting]) -> None:
         The same for frames in memory.
 
     """
-    found = [_some(s.depth) for s in sightings if s.depth is not None]
+    found = [_some(s.depth) for s in observations if s.depth is not None]
     readings = np.concatenate([np.zeros(0, np.float32), *found])
     if len(readings) < _FEWEST:
         return
@@ -419,9 +425,9 @@ def check_unit(diagonal: float, sightings: Sequence[Sighting]) -> None:
     if SHORTEST <= middle <= max(LONGEST, DIAGONALS * diagonal):
         return
     factor = _nearest(middle / _USUAL)
-    frame = next(s.frame for s in sightings if s.depth is not None)
+    frame = next(s.frame for s in observations if s.depth is not None)
     error = InputError if isinstance(frame.images, LazyImages) else OptionError
-    raise error(f"The median of the depth is {middle:.3g} m. {mended(frame, factor)}")
+    raise error(f"The median of the depth is {middle:.3g} m. {describe_unit_error(frame, factor)}")
 
 
 def _some(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -437,7 +443,7 @@ def _nearest(ratio: float) -> float:
     return float(known[np.abs(np.log(known / ratio)).argmin()])
 
 
-def suspected_factor(views: Sequence[View], background: Background) -> float | None:
+def suspect_unit_factor(views: Sequence[View], background: Background) -> float | None:
     """By how much depth readings look too long (over 1) or too short; None: they do not.
 
     A factor must gain `TELLING` a reading [nat]. Compares the likelihood of all readings under what the
@@ -478,13 +484,13 @@ def _density(background: Background) -> Floats:
     return np.asarray(smooth * ranges.shape[1])
 
 
-def hint(views: Sequence[View], background: Background, frame: Frame) -> str:
+def describe_suspected_unit(views: Sequence[View], background: Background, frame: Frame) -> str:
     """A sentence on the unit of the depth readings of frames like this one; empty: all is well."""
-    factor = suspected_factor(views, background)
-    return "" if factor is None else mended(frame, factor)
+    factor = suspect_unit_factor(views, background)
+    return "" if factor is None else describe_unit_error(frame, factor)
 
 
-def mended(frame: Frame, factor: float) -> str:
+def describe_unit_error(frame: Frame, factor: float) -> str:
     """What is wrong, where, and what would fit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
     said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"

@@ -26,7 +26,9 @@ class Paper:
         self.options = options
         self.noise = Noise.of(options, gaussian=True)
 
-    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
+    def named(
+        self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
+    ) -> Floats:
         """Sec. 3.3: cosine + 1 where patch and object agree, (M, N + 1); see `Model`."""
         best = cosines >= cosines.max(axis=1, keepdims=True) - 1e-6
         table = np.where(best, cosines + 1.0, 0.0)
@@ -36,19 +38,19 @@ class Paper:
         """Every patch counts in full."""
         return np.ones(len(counts))
 
-    def usual_depth(
+    def background_depth(
         self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
         """Scores are not ratios: nothing is usual."""
         return np.zeros(len(depth), np.float32)
 
-    def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
+    def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
         """Eq. 2: -(2 (1 + l1 + l2) - (s + l1 d + l2 c))^2 / (2 sigma^2); terms not there ask nothing."""
         o = self.options
         factors = np.array([1.0, o.depth_lambda, o.colour_lambda]) * terms
         missing = 2.0 * factors.sum() - scores[:, :TONE].astype(np.float64) @ factors
         return np.asarray(-(missing**2) / (2.0 * o.sigma**2))
 
-    def heat(self, views: Sequence[View]) -> float:
+    def compute_temperature(self, views: Sequence[View]) -> float:
         """Eq. 2 is a log-likelihood already."""
         return 1.0

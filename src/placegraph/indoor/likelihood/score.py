@@ -36,7 +36,9 @@ class Calibrated:
         self.options = options
         self.noise = Noise.of(options, gaussian=False)
 
-    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
+    def named(
+        self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
+    ) -> Floats:
         """Likelihood ratio (M, N + 1) of what patches say if they see each object; see `Model`.
 
         A softmax of the cosines, mixed with the share of patches that are labelled wrongly.
@@ -46,14 +48,14 @@ class Calibrated:
         share /= share.sum(axis=1, keepdims=True)
         wrong = self.options.wrong
         table = (1.0 - wrong) * share * cosines.shape[1] + wrong
-        table /= (table @ usual)[:, None]
+        table /= (table @ object_shares)[:, None]
         return np.concatenate([table, np.ones((len(table), 1))], axis=1)
 
     def shares(self, counts: Floats) -> Floats:
         """Weight (N,) of a patch of each object: of many, the square root of the surplus counts."""
         return np.sqrt(np.minimum(1.0, self.options.object_patches / np.maximum(counts, 1.0)))
 
-    def usual_depth(
+    def background_depth(
         self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
         """Log of the mean likelihood ratio (R,) of each reading over all places of the map."""
@@ -73,12 +75,12 @@ class Calibrated:
         out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
         return out
 
-    def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
+    def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
         """Log-likelihoods (N,): the sum of the terms that are there; tones count beside depth."""
         asked = np.append(terms, terms[COLOUR] and terms[DEPTH])
         return np.asarray(scores.astype(np.float64)[:, asked].sum(axis=1))
 
-    def heat(self, views: Sequence[View]) -> float:
+    def compute_temperature(self, views: Sequence[View]) -> float:
         """Nats that count as one where these views are summed."""
         depth, colour = np.any([v.terms for v in views], axis=0)[[DEPTH, COLOUR]]
         beside = TEMPERATURE_TONES if colour else TEMPERATURE_DEPTH
@@ -134,7 +136,7 @@ class Scorer:
 
     def __call__(self, poses: Floats, view: View) -> Floats:
         """Log-likelihoods (N,) of poses (N, 4) against one view."""
-        return self.model.combined(self.terms(poses, view), view.terms)
+        return self.model.combine_terms(self.terms(poses, view), view.terms)
 
     def together(self, poses: Floats, views: Sequence[View], steps: Floats) -> Floats:
         """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole window.

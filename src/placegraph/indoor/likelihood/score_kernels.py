@@ -53,12 +53,12 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
     """Fill rows `first` to `last` of scores (N, 4)."""
     patches = len(view.weight)
     packet, ints, valid = new_packet()
-    seen = np.zeros(patches, np.float32)
+    patch_sums = np.zeros(patches, np.float32)
     count = np.zeros(patches, np.float32)
-    shown, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
+    map_colours, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
     steps, tones = np.zeros(5, np.float64), np.zeros((3, 6), np.float64)
     for k in range(first, last):
-        seen[:] = 0.0
+        patch_sums[:] = 0.0
         count[:] = 0.0
         steps[:] = 0.0
         tones[:] = 0.0
@@ -79,7 +79,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 seen_object = view.semantic.shape[1] - 1
                 if triangle >= 0:
                     seen_object = surface.object_of[triangle]
-                seen[patch] += view.semantic[patch, seen_object]
+                patch_sums[patch] += view.semantic[patch, seen_object]
                 count[patch] += np.float32(1.0)
                 if view.terms[DEPTH] and view.depth[r] > 0:
                     readings += 1
@@ -87,19 +87,19 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                         # what the map does not show is 0 in its depth image
                         expected = packet[FAR, lane] if triangle >= 0 else np.float32(0.0)
                         far += _depth(expected, view.depth[r], noise)
-                        far -= view.usual_depth[r]
+                        far -= view.background_depth[r]
             if noise.gaussian:  # tiles are summed in double precision
                 missed += float(far)
                 far = np.float32(0.0)
                 if view.terms[COLOUR]:
                     ssim += _ssim(tile, packet, ints, surface, view)
             elif view.terms[COLOUR]:
-                _show(tile, packet, ints, surface, view, shown, hit)
-                _steps(tile, view, shown, hit, steps)
+                _show(tile, packet, ints, surface, view, map_colours, hit)
+                _steps(tile, view, map_colours, hit, steps)
                 if view.terms[DEPTH]:
-                    _tones(tile, view, shown, hit, tones)
+                    _tones(tile, view, map_colours, hit, tones)
         if view.terms[SEMANTIC]:
-            scores[k, SEMANTIC] = _semantic(seen, count, view.weight, noise.gaussian)
+            scores[k, SEMANTIC] = _semantic(patch_sums, count, view.weight, noise.gaussian)
         samples = np.float32(0.0)
         for patch in range(patches):
             samples += count[patch]
@@ -131,14 +131,14 @@ def aim(packet, pose, directions, first):
 
 
 @kernel(inline="always", fastmath=True)
-def _semantic(seen, count, weight, gaussian):
+def _semantic(patch_sums, count, weight, gaussian):
     """Sum over patches of the log of their mean ratio: a patch sees its objects by their shares."""
     total = np.float32(0.0)
     patches = np.float32(0.0)
-    for patch in range(len(seen)):
+    for patch in range(len(patch_sums)):
         if count[patch] > 0 and weight[patch] > 0:
             patches += np.float32(1.0)
-            mean = seen[patch] / count[patch]
+            mean = patch_sums[patch] / count[patch]
             total += mean if gaussian else weight[patch] * np.log(mean)
     if gaussian:
         total = total / patches if patches else np.float32(0.0)
@@ -162,24 +162,24 @@ def _depth(expected, measured, noise):
 
 
 @kernel(inline="always", fastmath=True)
-def _show(tile, packet, ints, surface, view, shown, hit):
-    """What the map shows at the samples of a tile: `shown` (16, 3) where `hit` (16,)."""
+def _show(tile, packet, ints, surface, view, map_colours, hit):
+    """What the map shows at the samples of a tile: `map_colours` (16, 3) where `hit` (16,)."""
     for lane in range(LANES):
         triangle = ints[TRIANGLE, lane]
         hit[lane] = triangle >= 0 and view.patch[tile * LANES + lane] >= 0
         if hit[lane]:
-            red, green, blue = _shown(packet, lane, triangle, surface, view)
-            shown[lane, 0], shown[lane, 1], shown[lane, 2] = red, green, blue
+            red, green, blue = _map_colour(packet, lane, triangle, surface, view)
+            map_colours[lane, 0], map_colours[lane, 1], map_colours[lane, 2] = red, green, blue
 
 
 @kernel(inline="always", fastmath=True)
-def _tones(tile, view, shown, hit, moments):
+def _tones(tile, view, map_colours, hit, moments):
     """Add the colours of a tile to a frame's moments (3, 6) of each channel."""
     for lane in range(LANES):
         if not hit[lane]:
             continue
         for c in range(3):
-            q, r = view.colour[tile * LANES + lane, c], shown[lane, c]
+            q, r = view.colour[tile * LANES + lane, c], map_colours[lane, c]
             moments[c, 0] += q
             moments[c, 1] += r
             moments[c, 2] += q * q
@@ -189,7 +189,7 @@ def _tones(tile, view, shown, hit, moments):
 
 
 @kernel(inline="always", fastmath=True)
-def _steps(tile, view, shown, hit, moments):
+def _steps(tile, view, map_colours, hit, moments):
     """Add steps of colour between neighbours of a tile to a frame's moments.
 
     Moments: pairs of neighbours in the image, those of them that hit, and over these the sums of
@@ -211,7 +211,7 @@ def _steps(tile, view, shown, hit, moments):
             both += 1
             for c in range(3):
                 q = _step(view.colour[sample, c], view.colour[sample + to, c], STEEPEST[c])
-                r = _step(shown[lane, c], shown[lane + to, c], STEEPEST[c])
+                r = _step(map_colours[lane, c], map_colours[lane + to, c], STEEPEST[c])
                 qq, rr, qr = qq + q * q, rr + r * r, qr + q * r
     moments[0] += pairs
     moments[1] += both
@@ -227,10 +227,10 @@ def _step(here, there, steepest):
 
 
 @kernel(inline="always", fastmath=True)
-def _shown(packet, lane, triangle, surface, view):
+def _map_colour(packet, ray, triangle, surface, view):
     """`opponent_colour` of what one ray hits."""
-    width = packet[FAR, lane] * np.float32(view.footprint)
-    red, green, blue = sample_colour(surface, triangle, packet[U, lane], packet[V, lane], width)
+    width = packet[FAR, ray] * np.float32(view.footprint)
+    red, green, blue = sample_colour(surface, triangle, packet[U, ray], packet[V, ray], width)
     return opponent_colour(red, green, blue)
 
 
@@ -246,7 +246,7 @@ def _ssim(tile, packet, ints, surface, view):
             continue
         hits += 1
         q = np.float64(view.colour[sample, 0])
-        r = np.float64(_shown(packet, lane, triangle, surface, view)[0])
+        r = np.float64(_map_colour(packet, lane, triangle, surface, view)[0])
         q1, r1, q2, r2, qr = q1 + q, r1 + r, q2 + q * q, r2 + r * r, qr + q * r
     if hits < 2:
         return 0.0
@@ -293,7 +293,7 @@ def _tone(moments):
 
 
 @kernel
-def look(tracer, pose, directions):
+def cast_view(tracer, pose, directions):
     """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
     n = len(directions)
     triangles = np.empty(n, np.int32)

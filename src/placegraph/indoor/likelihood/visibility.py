@@ -74,7 +74,7 @@ class VisibilityTable:
     """(layers, nx, ny) row of the position of each cell; -1: not free."""
     layer: NDArray[np.int32]
     """(K,) layer of each position."""
-    usual: NDArray[np.bool_]
+    is_common: NDArray[np.bool_]
     """(K,) whether cameras are usually there: where the map's own were, else where one holds them."""
 
     mapped: NDArray[np.bool_]
@@ -93,7 +93,7 @@ class VisibilityTable:
         """
         total = np.zeros((len(self), HEADINGS), np.float32)
         rare = _RARE * TEMPERATURE * np.sqrt(len(views))
-        total[~self.usual] = np.float32(rare)
+        total[~self.is_common] = np.float32(rare)
         for scan, step in zip(self.scans(views, steps[:, 3], noise), steps, strict=True):
             # what the table does not know is taken for bad, not for impossible
             unknown = np.float32(np.percentile(scan.ravel()[::_THINNED], 5.0))
@@ -181,11 +181,13 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
         spacing=grid.spacing,
         index=index.reshape(len(grid.height), *grid.shape),
         layer=layer_of,
-        usual=_usual(scene, layer_of, np.concatenate(positions), np.concatenate(ground)),
+        is_common=_find_common_positions(
+            scene, layer_of, np.concatenate(positions), np.concatenate(ground)
+        ),
     )
 
 
-def _usual(
+def _find_common_positions(
     scene: Scene, layer: NDArray[np.int32], positions: Floats, ground: Floats
 ) -> NDArray[np.bool_]:
     """Where (K,) cameras usually are, of `positions` (K, 3) in layers above `ground` (K,) [m].
@@ -197,8 +199,8 @@ def _usual(
     if len(scene.viewpoints):
         walked[find_nearest_scene(scene, scene.viewpoints[:, :2])[0]] = True
     held = (above > _USUAL[0]) & (above < _USUAL[1])
-    usual = np.where(walked[within], layer == 0, held)
-    return usual if usual.any() else np.ones(len(above), np.bool_)
+    is_common = np.where(walked[within], layer == 0, held)
+    return is_common if is_common.any() else np.ones(len(above), np.bool_)
 
 
 def _background(panoramas: Panoramas, objects: int) -> Background:
@@ -244,7 +246,7 @@ def _samples(
         weight = (left * view.weight / np.maximum(share, 1))[:, None]
         semantic = (np.log(np.maximum(view.semantic, 1e-6)) * weight).astype(np.float32)
     if terms[DEPTH]:
-        depth = _depth_costs(view.depth[use] * reach, view.usual_depth[use], noise, blur)
+        depth = _depth_costs(view.depth[use] * reach, view.background_depth[use], noise, blur)
     # where labels and depth are there, colours are left to the rays: they are the dearest here
     if terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH]):
         colour = scale_colours(view.colour[use])
@@ -277,7 +279,7 @@ _NO_COLOURS = np.zeros((0, 3), np.float32)
 
 
 def _depth_costs(
-    ranges: Floats, usual: NDArray[np.float32], noise: Noise, blur: float
+    ranges: Floats, is_common: NDArray[np.float32], noise: Noise, blur: float
 ) -> NDArray[np.float32]:
     """Log-likelihood (S, 256) of each measured range [m] for every stored one.
 
@@ -286,7 +288,7 @@ def _depth_costs(
     expected = decode_ranges(np.arange(256, dtype=np.uint8))[None, :]
     measured = ranges[:, None]
     sd = noise.depth_floor + blur + noise.depth_slope * measured
-    table = reading_ratio(expected - measured, sd, noise) - usual[:, None]
+    table = reading_ratio(expected - measured, sd, noise) - is_common[:, None]
     table[:, NOTHING] = 0.0
     table[ranges <= 0] = 0.0
     return np.asarray(table * (noise.depth_weight / max(1, len(ranges))), np.float32)

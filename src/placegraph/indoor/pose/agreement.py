@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
 from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap_angle
-from placegraph.indoor.likelihood.observe import FINE, Sighting, View
+from placegraph.indoor.likelihood.observe import FINE, Observation, View
 from placegraph.indoor.likelihood.score import Scorer, reading_ratio
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, cast_view
 from placegraph.indoor.map.scene import Scene, make_object_ref
 from placegraph.indoor.pose.local_fit import fit_window
 from placegraph.indoor.pose.search import search
@@ -78,7 +79,7 @@ def features(agreed: Agreement) -> list[float]:
     """(8,) what the coefficients of `ConfidenceModel` stand before."""
     depth = [0.0, 0.0, 0.0]
     if not np.isnan(agreed.depth):
-        bare = _alone(agreed) * float(np.log(agreed.held + _SLIM))
+        bare = _share_of_depth_alone(agreed) * float(np.log(agreed.constraint + _SLIM))
         depth = [1.0, log_odds(agreed.depth, 0.01), bare]
     colour = [0.0, 0.0]
     if not np.isnan(agreed.colour):
@@ -89,7 +90,7 @@ def features(agreed: Agreement) -> list[float]:
     return [1.0, *depth, *colour, *tone]
 
 
-def _alone(agreed: Agreement) -> float:
+def _share_of_depth_alone(agreed: Agreement) -> float:
     """How far depth speaks alone, 0 to 1: clear colours lift it, and several objects that tell."""
     colour = 0.0 if np.isnan(agreed.colour) else (agreed.colour - SPEAK) / (CLEAR - SPEAK)
     named = 0.0 if np.isnan(agreed.semantic) else np.clip(agreed.weights / TELLING, 0.0, 1.0).sum()
@@ -125,11 +126,11 @@ class Agreement:
     """Mean log-likelihood of the steps of colour per independent pair [nat]; NaN: no colours."""
     weights: Floats
     """(N,) what the patches and readings that concern each object told for the pose [nat]."""
-    told: Floats
+    counts: Floats
     """(N,) how many patches or readings concern each object."""
     ratio: float = 0.0
     """Log-likelihood ratio of what is seen against anywhere in the map, a frame [nat]."""
-    held: float = 0.0
+    constraint: float = 0.0
     """How firmly surfaces hold the position, 0 to 1/3: of the readings that lie on them, the share
     whose surface faces the direction that fewest do. A blank wall and the floor: 0."""
     tone: float = np.nan
@@ -151,13 +152,13 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
     """Agreement of a pose (4,) of the reference frame with all frames of the window."""
     scene, noise = scorer.scene, scorer.model.noise
     count = len(scene)
-    weights, told = np.zeros(count), np.zeros(count)
+    weights, counts = np.zeros(count), np.zeros(count)
     samples = hits = 0
     fits = np.zeros((len(views), 4, 2))
     total, faced = 0.0, np.zeros((3, 3))
     for fit, view, step in zip(fits, views, steps, strict=True):
         at = compose(pose, step)
-        triangles, distances = look(scene.caster.tracer, at, view.directions)
+        triangles, distances = cast_view(scene.caster.tracer, at, view.directions)
         used = view.patch >= 0
         hit = used & (triangles >= 0)
         samples, hits = samples + int(used.sum()), hits + int(hit.sum())
@@ -167,24 +168,26 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             ratio = view.semantic[view.patch, objects]
             mean = np.bincount(view.patch[used], ratio[used], size)
             shares = np.bincount(view.patch[used], minlength=size)
-            said = (view.weight > 0) & (np.bincount(view.patch[hit], minlength=size) > 0)
-            logs = np.log(np.maximum(mean[said] / shares[said], 1e-6))
-            fit[SEMANTIC] = (logs > 0).sum(), said.sum()
-            about = _concerned(view.semantic[:, :count], view.patch[hit], objects[hit], said, logs)
-            np.add.at(weights, about, logs * view.weight[said])
-            np.add.at(told, about, 1.0)
+            is_informative = (view.weight > 0) & (np.bincount(view.patch[hit], minlength=size) > 0)
+            logs = np.log(np.maximum(mean[is_informative] / shares[is_informative], 1e-6))
+            fit[SEMANTIC] = (logs > 0).sum(), is_informative.sum()
+            about = _concerned(
+                view.semantic[:, :count], view.patch[hit], objects[hit], is_informative, logs
+            )
+            np.add.at(weights, about, logs * view.weight[is_informative])
+            np.add.at(counts, about, 1.0)
         if view.terms[DEPTH]:
             read = hit & (view.depth > 0)
             error = distances[read] - view.depth[read]
             sd = noise.depth_floor + noise.depth_slope * view.depth[read]
-            ratio = reading_ratio(error, sd, noise) - view.usual_depth[read]
+            ratio = reading_ratio(error, sd, noise) - view.background_depth[read]
             lies = np.abs(error) < sd
             fit[DEPTH] = lies.sum(), read.sum()
             normals = scene.normals[triangles[read][lies]]
             faced += normals.T @ normals
             share = noise.depth_weight / max(1, int(used.sum()))
             np.add.at(weights, objects[read], ratio * share)
-            np.add.at(told, objects[read], share)
+            np.add.at(counts, objects[read], share)
         scores = scorer.terms(at[None], view)[0].astype(np.float64)
         total += float(scores.sum())
         if view.terms[COLOUR]:
@@ -201,9 +204,9 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             colour=colour,
             tone=tone,
             weights=weights,
-            told=told,
+            counts=counts,
             ratio=total / max(1, len(views)),
-            held=float(np.linalg.eigvalsh(faced)[0] / max(1.0, np.trace(faced))),
+            constraint=float(np.linalg.eigvalsh(faced)[0] / max(1.0, np.trace(faced))),
             frames=fits[:, :TONE, 0] / fits[:, :TONE, 1],
         )
 
@@ -212,10 +215,10 @@ def _concerned(
     semantic: NDArray[np.float32],
     patch: NDArray[np.int32],
     objects: NDArray[np.int32],
-    said: NDArray[np.bool_],
+    is_informative: NDArray[np.bool_],
     logs: Floats,
 ) -> NDArray[np.int64]:
-    """Object that each patch in `said` speaks for or against, by what it sees: `objects` of hits.
+    """Object that each patch in `is_informative` speaks for or against, by what it sees: `objects` of hits.
 
     A patch that fits speaks for the object that it sees; one that does not, against the one that it
     named. Where it named several (all chairs of a map), it speaks against what the map shows there.
@@ -227,13 +230,15 @@ def _concerned(
     named = semantic.argmax(axis=1)
     several = (semantic == semantic.max(axis=1, keepdims=True)).sum(axis=1) > 1
     blamed = np.where(several, seen.argmax(axis=1), named)
-    return np.asarray(np.where(logs > 0, sums.argmax(axis=1)[said], blamed[said]))
+    return np.asarray(
+        np.where(logs > 0, sums.argmax(axis=1)[is_informative], blamed[is_informative])
+    )
 
 
 def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
     """Evidence in words, the heaviest first."""
     order = np.argsort(-np.abs(agreed.weights), kind="stable")
-    rows = order[agreed.told[order] > 0][:_NAMED].tolist()
+    rows = order[agreed.counts[order] > 0][:_NAMED].tolist()
     out = [_of_object(scene, n, float(agreed.weights[n])) for n in rows]
     if not np.isnan(agreed.depth):
         out.append(
@@ -300,8 +305,8 @@ def find_image_fault(window: Window) -> str:
 
     Rows *lens cap* and *frozen image*.
     """
-    others = any(s.depth is not None or s.patches is not None for s in window.sightings)
-    if not others and all(s.rgb is not None and _is_blank(s.rgb) for s in window.sightings):
+    others = any(s.depth is not None or s.patches is not None for s in window.observations)
+    if not others and all(s.rgb is not None and _is_blank(s.rgb) for s in window.observations):
         return (
             "The lens seems to be covered: no image shows anything, and there is no depth. "
             "Uncover it, or check the camera's output."
@@ -309,14 +314,14 @@ def find_image_fault(window: Window) -> str:
     frozen = _find_frozen_run(window)
     if frozen is None:
         return ""
-    first, last = (window.sightings[i].frame.index for i in frozen)
+    first, last = (window.observations[i].frame.index for i in frozen)
     return (
         f"The images are frozen: frames {first} to {last} are the same, although the camera "
         "moved by its odometry. Restart the camera, or leave repeated frames out."
     )
 
 
-def _is_blank(rgb: NDArray[np.uint8]) -> bool:
+def _is_blank(rgb: NDArray[Any]) -> bool:
     """Return whether an image (H, W, 3) has no contrast but the noise of its pixels."""
     rows, columns = (n // k * k for n, k in zip(rgb.shape, _BLOCKS, strict=False))
     some = rgb[:rows:2, :columns:2].astype(np.float32).mean(axis=2)
@@ -333,7 +338,7 @@ def _find_frozen_run(window: Window) -> tuple[int, int] | None:
     """
     found, start, last = None, 0, len(window) - 1
     for i in range(1, len(window) + 1):
-        if i <= last and _have_equal_image(window.sightings[i - 1], window.sightings[i]):
+        if i <= last and _have_equal_image(window.observations[i - 1], window.observations[i]):
             continue
         ends_now, count = i - 1 == last, i - start
         if count > 1 and (count > 2 or ends_now) and _has_moved(window.poses[start:i]):
@@ -342,7 +347,7 @@ def _find_frozen_run(window: Window) -> tuple[int, int] | None:
     return found
 
 
-def _have_equal_image(one: Sighting, other: Sighting) -> bool:
+def _have_equal_image(one: Observation, other: Observation) -> bool:
     """Return whether two frames have an equal image: the noise of sensors lets no image repeat.
 
     Blank images prove nothing: a covered lens may be free of noise.
@@ -377,20 +382,20 @@ def find_contradiction(window: Window, frames: Floats) -> str:
         (T, 3) agreement of each frame with one trajectory (`Agreement.frames`).
 
     """
-    if _is_odometry_missing(window.sightings):
+    if _is_odometry_missing(window.observations):
         return (
             "The odometry stands still, although the camera moved by its depth: give its odometry, or "
             "localize each frame by itself."
         )
     depth, colour = frames[:, 1], frames[:, 2]
     by_images = np.isnan(depth) & np.isnan(frames[:, 0])
-    by_images &= [s.rgb is not None and not _is_blank(s.rgb) for s in window.sightings]
+    by_images &= [s.rgb is not None and not _is_blank(s.rgb) for s in window.observations]
     misses = np.where(by_images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
     fits = np.where(by_images, colour > SPEAK, depth > _FITS)
     few = misses.sum() < max(2, round(0.3 * len(depth)))
     if fits.sum() < 2 or (few and not (by_images & misses)[-1]):
         return ""
-    rows = [window.sightings[i].frame.index for i in np.flatnonzero(misses)]
+    rows = [window.observations[i].frame.index for i in np.flatnonzero(misses)]
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
     return (
         f"Frames {listed} contradict the others: they were taken elsewhere, or the odometry "
@@ -398,14 +403,14 @@ def find_contradiction(window: Window, frames: Floats) -> str:
     )
 
 
-def _is_odometry_missing(sightings: list[Sighting]) -> bool:
+def _is_odometry_missing(observations: list[Observation]) -> bool:
     """Return whether odometry is one pose, although half of the depth readings changed."""
-    first, last = sightings[0].depth, sightings[-1].depth
-    if len(sightings) < 2 or first is None or last is None or first.shape != last.shape:
+    first, last = observations[0].depth, observations[-1].depth
+    if len(observations) < 2 or first is None or last is None or first.shape != last.shape:
         return False
     change = np.abs(first[::7, ::5] - last[::7, ::5])
     read = np.isfinite(change)
-    still = np.ptp([s.frame.odometry for s in sightings], axis=0).max() < _STILL
+    still = np.ptp([s.frame.odometry for s in observations], axis=0).max() < _STILL
     return bool(still and read.any() and np.median(change[read]) > _MOVED)
 
 
@@ -420,7 +425,7 @@ def find_fault(window: Window, ratio: float, rng: Generator) -> str:
         Log-likelihood ratio against anywhere of the frames as they are, a frame [nat].
 
     """
-    if all(s.depth is None for s in window.sightings):
+    if all(s.depth is None for s in window.observations):
         return ""
     for corrected, sentence in _undo_faults(window):
         if not len(corrected.table):
@@ -439,9 +444,9 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
 
     Rows *gravity up*, *mirrored* and *below the floor*.
     """
-    query, sightings = replace(window.query, prior=None), window.sightings
-    if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or the camera is held upside down
-        upright = [_turn_gravity_round(s) for s in sightings]
+    query, observations = replace(window.query, prior=None), window.observations
+    if np.mean([s.frame.gravity[1] for s in observations]) < 0:  # or the camera is held upside down
+        upright = [_turn_gravity_round(s) for s in observations]
         yield (
             Window(query, window.scorer, upright),
             (
@@ -450,7 +455,7 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
             ),
         )
     yield (
-        Window(query, window.scorer, [_mirror(s) for s in sightings]),
+        Window(query, window.scorer, [_mirror(s) for s in observations]),
         (
             "Mirrored they fit: left and right of the images seem to be swapped. Give images as the camera "
             "sees them."
@@ -458,24 +463,24 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
     )
     below = replace(query, options=replace(query.options, heights=_UNDERGROUND))
     yield (
-        Window(below, window.scorer, sightings),
+        Window(below, window.scorer, observations),
         (
             "They fit a camera below the floor of the map: check which storey this is, and the map's floor."
         ),
     )
 
 
-def _turn_gravity_round(sighting: Sighting) -> Sighting:
-    frame = replace(sighting.frame, gravity=-sighting.frame.gravity)
-    return replace(sighting, frame=frame, level=level_from_camera(frame.gravity))
+def _turn_gravity_round(observation: Observation) -> Observation:
+    frame = replace(observation.frame, gravity=-observation.frame.gravity)
+    return replace(observation, frame=frame, level=level_from_camera(frame.gravity))
 
 
-def _mirror(sighting: Sighting) -> Sighting:
-    patches, depth, rgb = sighting.patches, sighting.depth, sighting.rgb
+def _mirror(observation: Observation) -> Observation:
+    patches, depth, rgb = observation.patches, observation.depth, observation.rgb
     if patches is not None:
         patches = replace(patches, rows=patches.rows.reshape(patches.grid)[:, ::-1].ravel())
     return replace(
-        sighting,
+        observation,
         patches=patches,
         depth=None if depth is None else np.ascontiguousarray(depth[:, ::-1]),
         rgb=None if rgb is None else np.ascontiguousarray(rgb[:, ::-1]),

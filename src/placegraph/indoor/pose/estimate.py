@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
-from placegraph.indoor.likelihood.observe import FINE, hint
+from placegraph.indoor.likelihood.observe import FINE, describe_suspected_unit
 from placegraph.indoor.map.floor import find_storey
 from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.map.scene import Scene
@@ -49,7 +49,7 @@ def _add_earth_pose(scene: Scene, mode: PoseMode) -> PoseMode:
     return replace(mode, earth=tuple(poses))
 
 
-def whereabouts(scene: Scene) -> tuple[EarthPose, ...]:
+def possible_earth_poses(scene: Scene) -> tuple[EarthPose, ...]:
     """Where somebody may be who is anywhere in a map: each candidate of its anchor, likeliest first."""
     share = 1.0 / len(scene.scenes)
     found = [
@@ -64,7 +64,7 @@ _EXPLAINED = 3
 """Modes that can be explained."""
 
 
-def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
+def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
     """Estimate of the last frame from fits, best first."""
     with timed(window.seconds, "verdict"):
         judging, looked = window.judging, window.newest
@@ -74,43 +74,47 @@ def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
             steps = between(fit.pose, fit.poses[looked])
             return agreement(judging.scorer, fit.pose, told_apart, steps)
 
-        fits, shares = _probabilities(window, fits, window.scorer.model.heat(told_apart))
+        candidates, shares = _probabilities(
+            window, candidates, window.scorer.model.compute_temperature(told_apart)
+        )
         count = max(_EXPLAINED, int((shares > RIVAL).sum()))
-        agreed = [agreed_at(fit) for fit in fits[:count]]
+        agreed = [agreed_at(fit) for fit in candidates[:count]]
         if window.options.likelihood.tempered:
             shares = weigh_by_confidence(shares, np.array([CONFIDENCE.odds(a) for a in agreed]))
             order = np.argsort(-shares, kind="stable")
-            shares, fits = shares[order], [fits[i] for i in order]
+            shares, candidates = shares[order], [candidates[i] for i in order]
             agreed = [agreed[i] for i in order[: len(agreed)]]
         modes = tuple(
             _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
-            for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
+            for i, (fit, share) in enumerate(zip(candidates, shares.tolist(), strict=True))
         )
-        poses = fits[0].poses
+        poses = candidates[0].poses
         steps = between(poses[-1], poses[looked])
         told = judging.scorer.together(poses[-1][None], told_apart, steps)[0]
         frames = _agreement_of_frames(judging, poses, agreed[0])
-        sightings, prior = window.sightings, window.log_prior
+        observations, prior = window.observations, window.log_prior
         found = Diagnostics(
             agreement=agreed[0],
             frames=frames,
             ratio_per_frame=float(told) / len(looked),
             image_fault=find_image_fault(judging),
             contradiction=find_contradiction(judging, frames),
-            unnamed=any(s.patches is not None and not s.patches.named for s in sightings),
+            unnamed=any(s.patches is not None and not s.patches.named for s in observations),
             unmet="" if prior is None else prior.against(modes[0].pose),
         )
         status, reason, found = decide_pose(found, modes)
         if status is not Status.OK and not (found.image_fault or found.contradiction):
             # depth may look to be in another unit
-            unit = hint(judging.views(FINE), window.table.background, sightings[-1].frame)
+            unit = describe_suspected_unit(
+                judging.views(FINE), window.table.background, observations[-1].frame
+            )
             reason = f"{reason} {unit}".rstrip()
         return PoseEstimate(
             status=status,
             modes=modes,
             reason=reason,
             trajectory=pose_matrix(poses, window.levels),
-            frames=np.array([s.frame.index for s in sightings]),
+            frames=np.array([s.frame.index for s in observations]),
             stats={
                 "trust": agreed[0].numbers() | {"probability": modes[0].probability},
                 "rival": agreed[1].numbers() if len(agreed) > 1 else {},
@@ -132,22 +136,24 @@ def _agreement_of_frames(window: Window, poses: Floats, agreed: Agreement) -> Fl
     return np.concatenate([before.frames, agreed.frames])
 
 
-def _probabilities(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Floats]:
+def _probabilities(
+    window: Window, candidates: list[Fit], temperature: float
+) -> tuple[list[Fit], Floats]:
     """Fits, likeliest first, and their probabilities.
 
     What somebody said of the place is no image: it is a witness of its own, and counts in full.
     Particles have heard it already, and their weights are probabilities.
     """
-    logs = np.array([f.log_likelihood for f in fits])
+    logs = np.array([f.log_likelihood for f in candidates])
     options = window.options.particle_filter
     if options is not None and options.answer == "mle":
-        return fits, np.exp(logs)
-    shares = probabilities(logs, heat)
+        return candidates, np.exp(logs)
+    shares = probabilities(logs, temperature)
     if window.log_prior is None:
-        return fits, shares
-    shares *= np.exp(window.log_prior.at(np.stack([f.pose for f in fits])))
+        return candidates, shares
+    shares *= np.exp(window.log_prior.at(np.stack([f.pose for f in candidates])))
     order = np.argsort(-shares, kind="stable")
-    return [fits[i] for i in order], shares[order] / shares.sum()
+    return [candidates[i] for i in order], shares[order] / shares.sum()
 
 
 def weigh_by_confidence(shares: Floats, odds: Floats) -> Floats:

@@ -102,33 +102,35 @@ def fit_modes(
     chain, level = levels[0].chain, levels[0]
     along = between(chain.poses[-1], chain.poses[level.rows])
     values = scorer.together(starts, level.views, along)
-    fits = [Fit.at(chain, pose, value) for pose, value in zip(starts, values, strict=True)]
+    candidates = [Fit.at(chain, pose, value) for pose, value in zip(starts, values, strict=True)]
     left: list[tuple[Fit, float]] = []  # and how far behind
     for number, level in enumerate(levels):
         # starts within reach of one peak would climb it together: let others have a turn
         reach = MERGED if number or len(levels) == 1 else {"apart": APART, "turned": TURNED}
-        fits, fallen = _survivors(fits, level, reach)
-        top = fits[0].log_likelihood
+        candidates, fallen = _survivors(candidates, level, reach)
+        top = candidates[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
-        fits = [_fit_by_cross_entropy(scorer, fit, level, rng) for fit in fits]
-    best = max(fit.log_likelihood for fit in fits)
+        candidates = [_fit_by_cross_entropy(scorer, fit, level, rng) for fit in candidates]
+    best = max(fit.log_likelihood for fit in candidates)
     # a rival must not lose by chance what more samples would find
-    fits = [
+    candidates = [
         max(fit, _fit_by_cross_entropy(scorer, fit, level, rng), key=lambda f: f.log_likelihood)
         if 0.0 < best - fit.log_likelihood < level.gap
         else fit
-        for fit in fits
+        for fit in candidates
     ]
-    best = max(fit.log_likelihood for fit in fits)
-    fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
-    return merge_fits(fits)
+    best = max(fit.log_likelihood for fit in candidates)
+    candidates += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
+    return merge_fits(candidates)
 
 
-def merge_fits(fits: list[Fit]) -> list[Fit]:
+def merge_fits(candidates: list[Fit]) -> list[Fit]:
     """Of fits near each other the best; best first."""
-    poses = np.array([f.pose for f in fits])
-    kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **MERGED)
-    return [fits[i] for i in kept]
+    poses = np.array([f.pose for f in candidates])
+    kept = distinct(
+        poses, np.array([f.log_likelihood for f in candidates]), len(candidates), **MERGED
+    )
+    return [candidates[i] for i in kept]
 
 
 MERGED = {"apart": 0.3, "turned": 0.2}
@@ -136,12 +138,12 @@ MERGED = {"apart": 0.3, "turned": 0.2}
 
 
 def _survivors(
-    fits: list[Fit], level: FitLevel, reach: Mapping[str, float]
+    candidates: list[Fit], level: FitLevel, reach: Mapping[str, float]
 ) -> tuple[list[Fit], list[Fit]]:
     """Distinct fits within the gap, best first, and the other distinct ones."""
-    poses = np.array([f.pose for f in fits])
-    values = np.array([f.log_likelihood for f in fits])
-    kept = [fits[i] for i in distinct(poses, values, len(fits), **reach)]
+    poses = np.array([f.pose for f in candidates])
+    values = np.array([f.log_likelihood for f in candidates])
+    kept = [candidates[i] for i in distinct(poses, values, len(candidates), **reach)]
     able = [f for f in kept[: level.most] if f.log_likelihood > values.max() - level.gap]
     return able, kept[len(able) :]
 
@@ -163,8 +165,8 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
         samples.append(drawn)
         values.append(scores)
         # tempered so that several samples count, however sharp the likelihood
-        heat = max(1.0, float(scores.max() - np.partition(scores, -_COUNTED)[-_COUNTED]))
-        weights = np.exp((scores - scores.max()) * (1.5 / heat))
+        temperature = max(1.0, float(scores.max() - np.partition(scores, -_COUNTED)[-_COUNTED]))
+        weights = np.exp((scores - scores.max()) * (1.5 / temperature))
         mean, covariance = moments(drawn, weights)
         sampling = 1.69 * covariance + FINEST
     at_mean = scorer.together(mean[None], level.views, along)
@@ -253,7 +255,7 @@ class QuadraticFactors:
     """(T, 4, 4) minus its second derivative; 0: the frame has said nothing yet."""
 
     @classmethod
-    def nothing(cls, poses: Floats) -> QuadraticFactors:
+    def zeros(cls, poses: Floats) -> QuadraticFactors:
         """Before any frame has been asked."""
         return cls(poses, np.zeros_like(poses), np.zeros((*poses.shape, 4)))
 
@@ -264,7 +266,7 @@ class QuadraticFactors:
         pulled = self.gradient - 0.5 * np.einsum("tij,tj->ti", self.information, off)
         return float(np.sum(off * pulled))
 
-    def learned(self, rows: NDArray[np.int64], other: QuadraticFactors) -> QuadraticFactors:
+    def with_rows(self, rows: NDArray[np.int64], other: QuadraticFactors) -> QuadraticFactors:
         """With what some frames (rows) say now instead of what they said before."""
         at, gradient, information = self.at.copy(), self.gradient.copy(), self.information.copy()
         at[rows], gradient[rows], information[rows] = other.at, other.gradient, other.information
@@ -301,18 +303,18 @@ class Trajectory:
         return float(0.5 * np.sum(errors**2))
 
 
-def solve_trajectory(chain: Chain, course: Trajectory, told: QuadraticFactors) -> Trajectory:
+def solve_trajectory(chain: Chain, trajectory: Trajectory, factors: QuadraticFactors) -> Trajectory:
     """The course that frames and odometry agree on best: one step of Gauss-Newton, and of EM."""
-    count = len(course.poses)
-    off = course.poses - told.at
+    count = len(trajectory.poses)
+    off = trajectory.poses - factors.at
     off[:, 3] = wrap_angle(off[:, 3])
-    g = np.einsum("tij,tj->ti", told.information, off) - told.gradient
+    g = np.einsum("tij,tj->ti", factors.information, off) - factors.gradient
     h = np.zeros((count, 4, count, 4))
     t = np.arange(count)
-    h[t, :, t, :] = told.information + np.diag(1.0 / _LOOSE**2)
+    h[t, :, t, :] = factors.information + np.diag(1.0 / _LOOSE**2)
     before, after = t[:-1], t[1:]
-    errors, swung = _errors(chain, course.poses)
-    weights = 1.0 / (course.scales * chain.deviations) ** 2
+    errors, swung = _errors(chain, trajectory.poses)
+    weights = 1.0 / (trajectory.scales * chain.deviations) ** 2
     pulled = np.swapaxes(swung, 1, 2) * weights[:, None]
     h[before, :, before, :] += pulled @ swung
     h[after, :, after, :] += weights[:, :, None] * np.eye(4)
@@ -322,9 +324,9 @@ def solve_trajectory(chain: Chain, course: Trajectory, told: QuadraticFactors) -
     g[1:] += weights * errors
     whole = np.linalg.inv(h.reshape(4 * count, 4 * count)).reshape(count, 4, count, 4)
     moved = -np.tensordot(whole, g, axes=2)
-    poses = course.poses + moved
+    poses = trajectory.poses + moved
     poses[:, 3] = wrap_angle(poses[:, 3])
-    scales = course.scales
+    scales = trajectory.scales
     if count > 1:
         left = errors + np.einsum("tij,tj->ti", swung, moved[:-1]) + moved[1:]
         crossed = swung @ whole[before, :, after, :]
@@ -335,7 +337,10 @@ def solve_trajectory(chain: Chain, course: Trajectory, told: QuadraticFactors) -
         )
         scales = _scales((left**2 + unsure) / chain.deviations**2)
     return replace(
-        course, poses=poses, covariances=np.asarray(whole[t, :, t, :], np.float64), scales=scales
+        trajectory,
+        poses=poses,
+        covariances=np.asarray(whole[t, :, t, :], np.float64),
+        scales=scales,
     )
 
 
@@ -366,35 +371,38 @@ _WIDEST = 2.5
 _HOPE = 3.0  # times what paraboloids foresee, which fall too steeply, may be gained
 
 
-def correct_drift(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
+def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
     """Fits whose courses follow the drift of odometry, where there is any; best first."""
     if len(window) < 2:
-        return fits
+        return candidates
     with timed(window.seconds, "correct_drift"):
         level = fit_level(window, FINE, rounds=_ROUNDS)
-        top = fits[0].log_likelihood
-        near = sum(fit.log_likelihood > top - GAP for fit in fits)
+        top = candidates[0].log_likelihood
+        near = sum(fit.log_likelihood > top - GAP for fit in candidates)
         # fits that fell behind early look nearer than they are
-        values = [_log_likelihood(window.scorer, fit, level) for fit in fits[:near]]
-        followed = [
+        values = [_log_likelihood(window.scorer, fit, level) for fit in candidates[:near]]
+        corrected = [
             _fit_trajectory(window.scorer, fit, level, rng)
             if value > max(values) - GAP
             else replace(fit, log_likelihood=value)
-            for fit, value in zip(fits, values, strict=False)
+            for fit, value in zip(candidates, values, strict=False)
         ]
         gains = np.array(
-            [f.log_likelihood - g.log_likelihood for f, g in zip(followed, fits, strict=False)]
+            [
+                f.log_likelihood - g.log_likelihood
+                for f, g in zip(corrected, candidates, strict=False)
+            ]
         )
         clear = GAIN * len(level.rows)
         if gains.max() < clear:
-            return fits
+            return candidates
         # places that gain about alike stay as far from each other, and so do those not asked
         gains[gains > gains.max() - clear] = gains.max()
-        gains = np.append(gains, np.full(len(fits) - near, gains.max()))
-        courses = [*followed, *fits[near:]]
+        gains = np.append(gains, np.full(len(candidates) - near, gains.max()))
+        trajectories = [*corrected, *candidates[near:]]
         out = [
-            replace(course, log_likelihood=fit.log_likelihood + gain)
-            for course, fit, gain in zip(courses, fits, gains.tolist(), strict=True)
+            replace(trajectory, log_likelihood=fit.log_likelihood + gain)
+            for trajectory, fit, gain in zip(trajectories, candidates, gains.tolist(), strict=True)
         ]
         return sorted(out, key=lambda fit: -fit.log_likelihood)
 
@@ -412,29 +420,29 @@ def _fit_trajectory(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -
     clear gain is in sight.
     """
     chain, rows = level.chain, level.rows
-    course, spread = Trajectory.start(chain, fit.pose, fit.spread), fit.spread
-    told = QuadraticFactors.nothing(course.poses)
-    best = course, -np.inf
+    trajectory, spread = Trajectory.start(chain, fit.pose, fit.spread), fit.spread
+    factors = QuadraticFactors.zeros(trajectory.poses)
+    best = trajectory, -np.inf
     for _ in range(level.rounds):
-        sd = np.sqrt(np.einsum("tii->ti", course.covariances[rows]))
+        sd = np.sqrt(np.einsum("tii->ti", trajectory.covariances[rows]))
         wide = np.clip(sd, spread, _WIDEST * SPREAD)
-        said, value = _expand_likelihoods(scorer, course.poses[rows], wide, level.views, rng)
-        value -= course.cost(chain)
+        said, value = _expand_likelihoods(scorer, trajectory.poses[rows], wide, level.views, rng)
+        value -= trajectory.cost(chain)
         if value > best[1]:
-            best = course, value
-        told = told.learned(rows, said)
-        course = solve_trajectory(chain, course, told)
-        hoped = best[1] + _HOPE * SOFT * told.gain(course.poses)
+            best = trajectory, value
+        factors = factors.with_rows(rows, said)
+        trajectory = solve_trajectory(chain, trajectory, factors)
+        hoped = best[1] + _HOPE * SOFT * factors.gain(trajectory.poses)
         if hoped - fit.log_likelihood < 0.5 * GAIN * len(rows):
             return replace(fit, log_likelihood=best[1])
         spread = np.maximum(_SHRINK * spread, NARROWEST)
-    told_apart = zip(course.poses[rows], level.views, strict=True)
+    told_apart = zip(trajectory.poses[rows], level.views, strict=True)
     value = sum(float(scorer(pose[None], view)[0]) for pose, view in told_apart)
-    value -= course.cost(chain)
+    value -= trajectory.cost(chain)
     if value < best[1]:
-        course, value = best
-    covariance = WIDENED * (course.covariances[-1] + FINEST)
-    return replace(fit, poses=course.poses, log_likelihood=value, covariance=covariance)
+        trajectory, value = best
+    covariance = WIDENED * (trajectory.covariances[-1] + FINEST)
+    return replace(fit, poses=trajectory.poses, log_likelihood=value, covariance=covariance)
 
 
 def _cell() -> Floats:
@@ -465,10 +473,10 @@ def _expand_likelihoods(
     drawn = poses[:, None] + u * wide[:, None]
     values = np.stack([scorer(p, v) for p, v in zip(drawn, views, strict=True)])
     gradient, information = _paraboloids(u, values / SOFT)
-    told = QuadraticFactors(
+    factors = QuadraticFactors(
         poses, gradient / wide, information / (wide[:, :, None] * wide[:, None])
     )
-    return told, float(values[:, 0].sum())
+    return factors, float(values[:, 0].sum())
 
 
 def _paraboloids(u: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -498,10 +506,10 @@ FITTED = [0, 1, 2, 5]
 """What is fitted of x, y, z, and a turn about the map's axes."""
 
 
-def pose_covariance(fitted: Floats) -> Floats:
+def pose_covariance(fit_covariance: Floats) -> Floats:
     """Return the covariance (6, 6) of x, y, z and a turn about the map's axes from that of a fit (4, 4)."""
     whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
-    whole[np.ix_(FITTED, FITTED)] = fitted
+    whole[np.ix_(FITTED, FITTED)] = fit_covariance
     return whole
 
 
@@ -544,18 +552,18 @@ def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floa
     drawn += (fit.pose + _SLIDES[:, None] * np.append(axis, 0.0))[:, None]
     logs = judging.scorer.together(drawn.reshape(-1, 4), views, steps).reshape(drawn.shape[:2])
     best = np.arange(len(_SLIDES)), logs.argmax(axis=1)
-    heat = judging.scorer.model.heat(views)
-    return drawn[best], probabilities(logs[best], heat)
+    temperature = judging.scorer.model.compute_temperature(views)
+    return drawn[best], probabilities(logs[best], temperature)
 
 
-def explore_unobservable(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
+def explore_unobservable(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
     """Fits, best first, with what fits next to the best along the direction in which it is least known."""
     with timed(window.seconds, "polish"):
-        fits = merge_fits(fits)  # bending may have brought some together
-        best, other = _probe_direction(window, fits[0], rng)
-        fits = [best, *fits[1:]]
+        candidates = merge_fits(candidates)  # bending may have brought some together
+        best, other = _probe_direction(window, candidates[0], rng)
+        candidates = [best, *candidates[1:]]
         if other is None:
-            return fits
+            return candidates
         chain = Chain.of(best.poses, window.options.motion)
         level = replace(fit_level(window, FINE, rounds=4), chain=chain)
         along = between(best.pose, best.poses[level.rows])
@@ -565,4 +573,4 @@ def explore_unobservable(window: Window, fits: list[Fit], rng: Generator) -> lis
         rival = replace(rival, log_likelihood=best.log_likelihood + gain)
         if gain > 0.0:
             rival, _ = _probe_direction(window, rival, rng)
-        return merge_fits([*fits, rival])
+        return merge_fits([*candidates, rival])

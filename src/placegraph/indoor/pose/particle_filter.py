@@ -225,7 +225,7 @@ def run_pass(
     frame t from the whole map, for a camera that was carried away.
     """
     options = filter_.options
-    first = min(options.unscored, len(views) - 1)
+    first = min(options.burn_in, len(views) - 1)
     record = []
     counts = []
     pool = np.zeros((0, 5))  # modes and their masses, carried along
@@ -317,7 +317,7 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
                 ends = compose(start, between(poses[0], poses[-1]))
                 particles, _ = particles.reweighted(window.log_prior.at(ends))
             filter_ = ParticleFilter(window.scorer, options, rng, particles, spec.particles)
-            frames = [s.frame.index for s in window.sightings]
+            frames = [s.frame.index for s in window.observations]
             run = run_pass(filter_, window.views(spec.stride), steps, frames, elsewhere, tick)
             modes, masses = run.modes, run.masses
             counts.append(list(run.counts))

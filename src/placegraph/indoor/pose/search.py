@@ -33,7 +33,7 @@ _UNTOLD = 0.3  # share of seeds that do not listen to a description
 _FEWEST = 3  # seeds of a merged scene, however small its share
 
 
-class _Try(NamedTuple):
+class _SearchRound(NamedTuple):
     """One round in which seeds are moved to the best of poses tried around them."""
 
     each: int
@@ -49,8 +49,8 @@ class _Try(NamedTuple):
 
 
 _TRIES = (
-    _Try(12, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
-    _Try(8, 0.3, 0.05, SCREENED, 2, SEEDS // 2),
+    _SearchRound(12, 0.5, 0.1, LOOKS, 3, SEEDS // 2),
+    _SearchRound(8, 0.3, 0.05, SCREENED, 2, SEEDS // 2),
 )
 """From a cell of the table to a hand's breadth: many tries by few rays, then few by many."""
 
@@ -88,11 +88,11 @@ def search(window: Window, rng: Generator) -> Floats:
             seeds = compose(drawn, between(window.poses[0], window.poses[-1]))
             first = first._replace(each=1)  # they lie as dense as tries
         for round_ in (first, *rounds):
-            seeds = _tried(window, seeds, round_, rng)
+            seeds = _move_seeds(window, seeds, round_, rng)
         return seeds
 
 
-def _tried(window: Window, seeds: Floats, round_: _Try, rng: Generator) -> Floats:
+def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Generator) -> Floats:
     """Best of the poses tried around each seed (K, 4), best first."""
     poses, last = window.poses, len(window) - 1
     tries = around(seeds, round_.each, round_.box, round_.turn, rng)
@@ -112,7 +112,7 @@ def thinned(view: View, step: int, offset: int) -> View:
         return view
     return view._replace(
         directions=view.directions[use], patch=view.patch[use], depth=view.depth[use],
-        usual_depth=view.usual_depth[use], colour=view.colour[use],
+        background_depth=view.background_depth[use], colour=view.colour[use],
         weight=view.weight * np.float32(len(use) / use.sum()),
     )  # fmt: skip
 

@@ -17,7 +17,14 @@ from placegraph.core.geometry import Floats, between, compose, level_from_camera
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, bind_encoder, make_map_encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
-from placegraph.indoor.likelihood.observe import Cut, Sighting, View, check_unit, sight, views
+from placegraph.indoor.likelihood.observe import (
+    Observation,
+    View,
+    ViewCache,
+    check_unit,
+    observe_frame,
+    views,
+)
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.visibility import VisibilityTable, visibility
 from placegraph.indoor.map.scene import Scene
@@ -42,8 +49,10 @@ def level_poses(odometry: NDArray[np.float64], gravity: NDArray[np.float64]) -> 
     # level_from_camera sets any frame upright whose "down" is given; undo its change of axes
     upright = level_from_camera(np.array([0.0, 1.0, 0.0])).T @ level_from_camera(down)
     to_level = _Z_FROM_Y_DOWN @ upright
-    leveled = to_level @ rotation @ np.swapaxes(level_from_camera(gravity), 1, 2)
-    yaw = np.arctan2(leveled[:, 1, 0] - leveled[:, 0, 1], leveled[:, 0, 0] + leveled[:, 1, 1])
+    level_frames = to_level @ rotation @ np.swapaxes(level_from_camera(gravity), 1, 2)
+    yaw = np.arctan2(
+        level_frames[:, 1, 0] - level_frames[:, 0, 1], level_frames[:, 0, 0] + level_frames[:, 1, 1]
+    )
     return np.column_stack([odometry[:, :3, 3] @ to_level.T, yaw])
 
 
@@ -150,7 +159,7 @@ class PoseQuery:
         if capture is not None:
             chosen = chosen_frames(capture, frames)
             stamps = np.array([frame.stamp for frame in chosen])
-            kept = keyframes(stamps, leveled(chosen), options.every, options.every_metre)
+            kept = keyframes(stamps, level_frames(chosen), options.every, options.every_metre)
             chosen = [chosen[i] for i in kept]
         return cls(
             scene=scene,
@@ -186,7 +195,7 @@ def chosen_frames(
     return chosen
 
 
-def leveled(frames: Sequence[Frame]) -> Floats:
+def level_frames(frames: Sequence[Frame]) -> Floats:
     """Level poses (T, 4) of the odometry of frames."""
     return level_poses(
         np.stack([f.odometry for f in frames]), np.stack([f.gravity for f in frames])
@@ -216,16 +225,16 @@ class Window:
     query: PoseQuery
     """What was asked; its frames may be more than those of the window."""
     scorer: Scorer
-    sightings: list[Sighting]
+    observations: list[Observation]
     seconds: dict[str, float] = field(default_factory=dict)
     """What each stage took."""
-    cut: Cut = field(default_factory=dict)
+    cut: ViewCache = field(default_factory=dict)
     """Views of its frames, which other windows of the same frames and map may share."""
     _views: dict[float, list[View]] = field(default_factory=dict)
     _derived: dict[Hashable, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        return len(self.sightings)
+        return len(self.observations)
 
     @property
     def scene(self) -> Scene:
@@ -240,7 +249,7 @@ class Window:
     @cached_property
     def poses(self) -> Floats:
         """(T, 4) odometry, level."""
-        return leveled([s.frame for s in self.sightings])
+        return level_frames([s.frame for s in self.observations])
 
     @cached_property
     def chain(self) -> Chain:
@@ -250,7 +259,7 @@ class Window:
     @cached_property
     def levels(self) -> Floats:
         """(T, 3, 3) level_from_camera."""
-        return np.stack([s.level for s in self.sightings])
+        return np.stack([s.level for s in self.observations])
 
     @property
     def table(self) -> VisibilityTable:
@@ -272,11 +281,11 @@ class Window:
         if likelihood.kind == "calibrated":
             return self
         scorer = Scorer(self.scene, replace(likelihood, kind="calibrated"))
-        return Window(self.query, scorer, self.sightings, self.seconds)
+        return Window(self.query, scorer, self.observations, self.seconds)
 
     def last(self, count: int) -> Window:
         """The newest frames alone, so many at most."""
-        newest = Window(self.query, self.scorer, self.sightings[-count:], cut=self.cut)
+        newest = Window(self.query, self.scorer, self.observations[-count:], cut=self.cut)
         newest._derived = self._derived
         return newest
 
@@ -296,7 +305,7 @@ class Window:
         if stride not in self._views:
             background = self.table.background
             self._views[stride] = views(
-                self.sightings, stride, self.scorer.model, background, self.cut
+                self.observations, stride, self.scorer.model, background, self.cut
             )
         return self._views[stride]
 
@@ -315,23 +324,25 @@ def observe(query: PoseQuery) -> Window:
     scene = query.scene
     window = Window(query, Scorer(scene, query.options.likelihood), [])
     with timed(window.seconds, "reading"):
-        encoder = query.encoder or own_encoder(scene, query.frames[0])
-        window.sightings = [sight(frame, encoder, query.options) for frame in query.frames]
-    if not any(shows_something(s) for s in window.sightings):
+        encoder = query.encoder or make_label_encoder(scene, query.frames[0])
+        window.observations = [
+            observe_frame(frame, encoder, query.options) for frame in query.frames
+        ]
+    if not any(is_comparable(s) for s in window.observations):
         raise OptionError(
             "Nothing to compare: the frames have no depth and no labels that the map knows, and "
             "the map has no colours (or these terms are switched off)."
         )
-    check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), window.sightings)
+    check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), window.observations)
     return window
 
 
-def shows_something(sighting: Sighting) -> bool:
+def is_comparable(observation: Observation) -> bool:
     """Whether a frame has anything that can be compared with the map."""
-    return bool(sighting.patches) or sighting.depth is not None or sighting.rgb is not None
+    return bool(observation.patches) or observation.depth is not None or observation.rgb is not None
 
 
-def own_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
+def make_label_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
     """Encoder of the labels that a capture brings itself; None where it brings none."""
     if frame.label_kind == "instances":
         return InstancesEncoder(scene)

@@ -36,10 +36,10 @@ from placegraph.indoor.refine.fit import (
     POINTS,
     READINGS,
     Problem,
-    add_beliefs,
-    lean,
+    add_priors,
+    lag_deviation,
+    measure_lean,
     twists,
-    usual_lag,
 )
 from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner, matching_stages
 from placegraph.indoor.status import choose_camera, diagnostics_of
@@ -58,7 +58,7 @@ TILT = (10, 11, 12)
 """Turn [rad] of gravity, in the axes of the camera: an accelerometer that is mounted aslant."""
 COUNT = 13
 BEFORE = np.array([0.15, 0.15, 0.15, np.nan, *(0.1,) * 9])
-"""Standard deviations of the unknowns before anything is seen; of lags `lag.usual_lag`."""
+"""Standard deviations of the unknowns before anything is seen; of lags `lag.lag_deviation`."""
 WIDTHS = (10.0, 10.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0)
 """Of the robust kernel in each step [standard deviations]: what is off has to have a say at first."""
 
@@ -103,37 +103,37 @@ def calibrate_camera(
     and an infinite cost.
     """
     poses, values, size = start.copy(), np.zeros(COUNT), 6 * len(start)
-    chosen = np.array([*free, TIME], int)
+    choose_answer = np.array([*free, TIME], int)
     ways, before = twists(problem.odometry, problem.stamps), BEFORE.copy()
-    before[TIME] = usual_lag(problem.stamps)
-    covariance, cost = np.eye(size + len(chosen)), np.nan
+    before[TIME] = lag_deviation(problem.stamps)
+    covariance, cost = np.eye(size + len(choose_answer)), np.nan
     for width in widths:
         h, g, costs = np.zeros((size + COUNT,) * 2), np.zeros(size + COUNT), []
         for t, pose in enumerate(poses):
             at = np.r_[6 * t : 6 * t + 6, size : size + COUNT]
-            for rows in _seen(scene, problem, t, pose, ways[t], values, width):
+            for rows in _linearize_frame(scene, problem, t, pose, ways[t], values, width):
                 weighted = rows.derivatives.T * rows.weights
                 h[np.ix_(at, at)] += multiply_matrices(weighted, rows.derivatives)
                 g[at] += weighted @ rows.residuals
                 costs.append(rows.cost)
         upright = replace(problem, gravity=turn_gravity(problem.gravity, values))
-        add_beliefs(upright, poses, start, h[:size, :size], g[:size])
+        add_priors(upright, poses, start, h[:size, :size], g[:size])
         _add_tilt(upright, poses, values, h, g)
         h[size:, size:] += np.diag(1.0 / before**2)
         g[size:] += values / before**2
-        kept = np.r_[0:size, size + chosen]
-        system = h[np.ix_(kept, kept)]
+        unknowns = np.r_[0:size, size + choose_answer]
+        system = h[np.ix_(unknowns, unknowns)]
         covariance = _inverse(system)
-        step = -covariance @ g[kept]
+        step = -covariance @ g[unknowns]
         if not np.isfinite(step).all():
             return CalibratedPoses(start.copy(), np.zeros(COUNT), np.zeros(COUNT), np.inf)
         moves = step[:size].reshape(-1, 6)
         poses[:, :3, 3] += moves[:, :3]
         poses[:, :3, :3] = rotation_from_vector(moves[:, 3:]) @ poses[:, :3, :3]
-        values[chosen] += step[size:]
+        values[choose_answer] += step[size:]
         cost = float(np.mean(costs)) if costs else np.nan
     errors = np.zeros(COUNT)
-    errors[chosen] = np.sqrt(np.diag(covariance)[size:])
+    errors[choose_answer] = np.sqrt(np.diag(covariance)[size:])
     return CalibratedPoses(poses, values, errors, cost)
 
 
@@ -147,7 +147,7 @@ def _inverse(system: Floats) -> Floats:
 
 def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Floats) -> None:
     """Add how gravity (`solve._add_gravity`) depends on its own turn, which is none about gravity itself."""
-    up, variance = lean(problem, poses)
+    up, variance = measure_lean(problem, poses)
     turns = poses[:, :3, :3] @ cross_matrix(problem.gravity)
     own = 6 * len(poses) + np.array(TILT)
     for t, (j, by_pose) in enumerate(zip(turns[:, :2], -cross_matrix(up)[:, :2], strict=True)):
@@ -175,7 +175,7 @@ def depth_from_camera(values: Floats, way: Floats | None = None) -> Floats:
     return mount
 
 
-def _seen(
+def _linearize_frame(
     scene: Scene,
     problem: Problem,
     t: int,
@@ -185,42 +185,42 @@ def _seen(
     width: float,
 ) -> list[Rows]:
     """Linearise depth and matches of frame `t` at a pose (4, 4)."""
-    out, read, sights = [], problem.readings[t], problem.sights[t]
+    out, read, matches = [], problem.readings[t], problem.matches[t]
     if read is not None and (read.depth > 0).any():
         out.append(_depth_rows(scene, problem, read, pose, way, values, width))
-    if len(sights):
-        out.append(_image_rows(sights, pose, float(values[IMAGE]), width))
+    if len(matches):
+        out.append(_image_rows(matches, pose, float(values[IMAGE]), width))
     return out
 
 
 def _depth_rows(
     scene: Scene,
     problem: Problem,
-    seen: Readings,
+    readings: Readings,
     pose: Floats,
     way: Floats,
     values: Floats,
     width: float,
 ) -> Rows:
     """Return distances to the planes that readings hit; residuals and weights as of `depth_system`."""
-    noise, read = problem.options.noise, seen.depth > 0
+    noise, read = problem.options.noise, readings.depth > 0
     mount = pose @ depth_from_camera(values, way)
     rotation = mount[:3, :3]
-    inside = seen.directions[read] * np.exp([-values[FOCAL], -values[FOCAL], 0.0])
+    inside = readings.directions[read] * np.exp([-values[FOCAL], -values[FOCAL], 0.0])
     hits = scene.caster.cast(mount[:3, 3], inside @ rotation.T)
     hit = hits.triangle >= 0
-    inside, z = inside[hit], seen.depth[read][hit].astype(np.float64) * np.exp(values[SCALE])
+    inside, z = inside[hit], readings.depth[read][hit].astype(np.float64) * np.exp(values[SCALE])
     aims = inside @ rotation.T
     normals = problem.surfaces.normals[hits.triangle[hit]].astype(np.float64)
     slant = np.sum(normals * aims, axis=1)
     e = slant * (z - hits.distance[hit])
-    facing = np.abs(np.sum((normals @ rotation) * seen.normals[read][hit], axis=1))
+    facing = np.abs(np.sum((normals @ rotation) * readings.normals[read][hit], axis=1))
     low, high = noise.facing
     share = np.clip((facing - low) / (high - low), 0.0, 1.0)
     variance = ((noise.floor + noise.slope * z**2) * slant) ** 2 + noise.surface**2
     ratio = e**2 / (variance * width**2)
     count = max(1, int(read.sum()))
-    worth = READINGS / max(count, 0.25 * len(seen.depth))
+    worth = READINGS / max(count, 0.25 * len(readings.depth))
     j = np.zeros((len(e), 6 + COUNT))
     j[:, :3], j[:, 3:6] = normals, np.cross(aims * z[:, None], normals)
     own = np.concatenate([j[:, :3] @ pose[:3, :3], j[:, 3:6] @ pose[:3, :3]], axis=1)
@@ -231,24 +231,24 @@ def _depth_rows(
     return Rows(j, e, worth * share / (1.0 + ratio) ** 2 / variance, missed)
 
 
-def _image_rows(seen: PointMatches, pose: Floats, focal: float, width: float) -> Rows:
+def _image_rows(matches: PointMatches, pose: Floats, focal: float, width: float) -> Rows:
     """Return reprojection errors; residuals and weights as of `pixel_system`, `focal` the logarithm."""
-    away = seen.points - pose[:3, 3]
+    away = matches.points - pose[:3, 3]
     at = away @ pose[:3, :3]
     ahead = at[:, 2] > 0.05
-    away, at, sigma = away[ahead], at[ahead], seen.sigma[ahead]
-    rays = seen.rays[ahead] * np.exp(-focal)
+    away, at, sigma = away[ahead], at[ahead], matches.sigma[ahead]
+    rays = matches.rays[ahead] * np.exp(-focal)
     xy = at[:, :2] / at[:, 2:]
-    e = seen.focal * (xy - rays)
+    e = matches.focal * (xy - rays)
     ratio = np.sum(e**2, axis=1) / (sigma * width) ** 2
     w = 1.0 / (1.0 + ratio) ** 2
     w *= min(1.0, POINTS / max(float(w.sum()), 1.0)) / sigma**2
     # d(pixel)/d(shift) = -f/z (r_row - xy r_3), with r the columns of the rotation
     shift = pose[:3, :2].T - xy[..., None] * pose[:3, 2]
-    shift *= -(seen.focal / at[:, 2])[:, None, None]
+    shift *= -(matches.focal / at[:, 2])[:, None, None]
     j = np.zeros((len(at), 2, 6 + COUNT))
     j[..., :3], j[..., 3:6] = shift, np.cross(away[:, None], shift)
-    j[..., 6 + IMAGE] = seen.focal * rays
+    j[..., 6 + IMAGE] = matches.focal * rays
     missed = float(np.mean(ratio / (1.0 + ratio))) if len(at) else 1.0
     return Rows(j.reshape(-1, 6 + COUNT), e.ravel(), np.repeat(w, 2), missed)
 
@@ -268,7 +268,7 @@ class CameraCorrection:
     """(COUNT,) standard deviations."""
 
     @classmethod
-    def nothing(cls) -> CameraCorrection:
+    def identity(cls) -> CameraCorrection:
         """Return the camera is as it is said to be."""
         return cls(np.zeros(COUNT), np.zeros(COUNT))
 
@@ -280,14 +280,14 @@ class CameraCorrection:
     def _frame(self, frame: Frame, mount: Floats | None) -> Frame:
         depth, labels, images = frame.depth_camera, frame.label_camera, frame.images
         shared = share_view(frame.camera, labels)
-        depth = None if depth is None else lengthen(depth, self.values[FOCAL])
+        depth = None if depth is None else scale_focal(depth, self.values[FOCAL])
         if mount is not None or self.values[SCALE]:
             images = CorrectedImages(images, float(np.exp(self.values[SCALE])), depth, mount)
         return replace(
             frame,
-            camera=lengthen(frame.camera, self.values[IMAGE]),
+            camera=scale_focal(frame.camera, self.values[IMAGE]),
             depth_camera=depth,
-            label_camera=lengthen(labels, self.values[IMAGE if shared else FOCAL])
+            label_camera=scale_focal(labels, self.values[IMAGE if shared else FOCAL])
             if labels
             else None,
             images=images,
@@ -305,10 +305,12 @@ class CameraCorrection:
             gravity_turn=self.values[list(TILT)],
         )
 
-    def chosen(self, asked: PoseQuery, before: PoseEstimate, after: PoseEstimate) -> PoseEstimate:
+    def choose_answer(
+        self, query: PoseQuery, before: PoseEstimate, after: PoseEstimate
+    ) -> PoseEstimate:
         """Return the better answer of those before and after mending, with what was found."""
         return choose_camera(
-            before, after, self.calibration(), self.sentence(asked.frames[-1]),
+            before, after, self.calibration(), self.sentence(query.frames[-1]),
             tilt_only=not self.values[: TILT[0]].any(), implausible=self._late,
         )  # fmt: skip
 
@@ -324,14 +326,14 @@ class CameraCorrection:
         image, depth = self.values[[IMAGE, FOCAL]]
         said = []
         if image:
-            fits = lengthen(frame.camera, image)
+            fits = scale_focal(frame.camera, image)
             both = " (depth likewise)" if abs(depth - image) < _ALIKE else ""
             said.append(
                 f"The focal length is {_percent(image)} than the camera says{both}: "
                 f"fx {fits.fx:.1f}, fy {fits.fy:.1f} would fit."
             )
         if depth and abs(depth - image) >= _ALIKE and frame.depth_camera is not None:
-            fits = lengthen(frame.depth_camera, depth)
+            fits = scale_focal(frame.depth_camera, depth)
             said.append(
                 f"The focal length of the depth camera is {_percent(depth)} than it says: fx "
                 f"{fits.fx:.1f}, fy {fits.fy:.1f} would fit."
@@ -344,8 +346,10 @@ class CameraCorrection:
         factor, images = float(np.exp(self.values[SCALE])), frame.images
         how = f"{abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1 else 'long'}"
         unit = images.unit if isinstance(images, LazyImages) else None
-        mend = f"{unit.said} {unit.per_metre / factor:.5g}" if unit else f"{factor:.3f} times them"
-        return [f"Depth readings are {how}: {mend} would fit."]
+        correction = (
+            f"{unit.said} {unit.per_metre / factor:.5g}" if unit else f"{factor:.3f} times them"
+        )
+        return [f"Depth readings are {how}: {correction} would fit."]
 
     def _offset(self) -> list[str]:
         place = self.values[list(PLACE)]
@@ -395,7 +399,7 @@ class CorrectedImages:
         scaled = (depth * np.float32(self.factor)).astype(np.float32)
         if self.mount is None or self.camera is None:
             return scaled
-        return moved_depth(scaled, self.camera, self.mount)
+        return reproject_depth(scaled, self.camera, self.mount)
 
 
 def correct_depth(frame: Frame, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
@@ -403,7 +407,7 @@ def correct_depth(frame: Frame, depth: NDArray[np.float32] | None) -> NDArray[np
     return frame.images.correct_depth(depth) if isinstance(frame.images, CorrectedImages) else depth
 
 
-def moved_depth(
+def reproject_depth(
     depth: NDArray[np.float32], camera: Camera, seen_from_camera: Floats
 ) -> NDArray[np.float32]:
     """Return depth (h, w) [m] as the same camera would read it from elsewhere, NaN where that is not known.
@@ -422,7 +426,7 @@ def moved_depth(
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def lengthen(camera: Camera, logarithm: float) -> Camera:
+def scale_focal(camera: Camera, logarithm: float) -> Camera:
     """Return camera whose focal length is another, by the logarithm of the factor."""
     factor = float(np.exp(logarithm))
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor) if logarithm else camera
@@ -472,7 +476,7 @@ SETTLED = 0.003
 """Rounds end where nothing changes by more."""
 
 
-def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
+def measure_scale_error(refiner: Refiner, trajectory: FittedTrajectory) -> float:
     """Return the logarithm by which the scale or focal length of depth looks off; 0: neither does.
 
     One linear step at the fitted poses, which tells that something is wrong better than by how much. Rows
@@ -480,10 +484,14 @@ def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
     """
     if not refiner.has_depth:
         return 0.0
-    poses = fitted.poses if fitted.lags is None else fitted.lags.of_depth(fitted.poses)
+    poses = (
+        trajectory.poses
+        if trajectory.lags is None
+        else trajectory.lags.depth_poses(trajectory.poses)
+    )
     free = [SCALE, FOCAL]
-    found = calibrate_camera(refiner.scene, refiner.problem(), poses, free, TRIAL[:1])
-    off = [found.values[k] for k in free if abs(found.values[k]) > CLEAR * found.errors[k]]
+    search = calibrate_camera(refiner.scene, refiner.problem(), poses, free, TRIAL[:1])
+    off = [search.values[k] for k in free if abs(search.values[k]) > CLEAR * search.errors[k]]
     return float(max(off, key=abs, default=0.0))
 
 
@@ -491,7 +499,7 @@ def find_camera_correction(
     window: Window, estimate: PoseEstimate, refining: RefineSetup
 ) -> CameraCorrection | None:
     """Find a correction of the camera of a window's frames; None: no clear fault."""
-    if not refining.options.joint or estimate.best is None or not _asked(estimate):
+    if not refining.options.joint or estimate.best is None or not _needs_correction(estimate):
         return None
     # depth tells enough at few places, and lags are told from frame to frame
     rows = np.arange(len(window))[-MOST:]
@@ -499,15 +507,15 @@ def find_camera_correction(
     if not case.refiner(case.window).has_depth:
         return None
     starts = [start[rows] for start in _starts(window, estimate)]
-    return case.found(starts[0] if len(starts) == 1 else case.nearest(starts))
+    return case.search(starts[0] if len(starts) == 1 else case.nearest(starts))
 
 
-def _asked(estimate: PoseEstimate) -> bool:
+def _needs_correction(estimate: PoseEstimate) -> bool:
     told = estimate.refinement
     if estimate.status is not Status.OK or told is None or not told.accepted:
         return True
-    found = diagnostics_of(estimate).refinement
-    return found is not None and bool(found.camera)
+    search = diagnostics_of(estimate).refinement
+    return search is not None and bool(search.camera)
 
 
 def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:
@@ -520,7 +528,7 @@ def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:
 
 
 def _part(window: Window, rows: NDArray[np.int64]) -> Window:
-    return Window(window.query, window.scorer, [window.sightings[i] for i in rows])
+    return Window(window.query, window.scorer, [window.observations[i] for i in rows])
 
 
 @dataclass(eq=False)
@@ -529,14 +537,14 @@ class _CameraSearch:
 
     window: Window
     refining: RefineSetup
-    mend: CameraCorrection = field(default_factory=CameraCorrection.nothing)
+    correction: CameraCorrection = field(default_factory=CameraCorrection.identity)
 
     def refiner(self, window: Window, readings: int | None = None) -> Refiner:
         """Of frames as they are mended so far."""
-        frames = self.mend.frames([s.frame for s in window.sightings])
+        frames = self.correction.frames([s.frame for s in window.observations])
         seen = [
             replace(s, frame=f, depth=correct_depth(f, s.depth))
-            for s, f in zip(window.sightings, frames, strict=True)
+            for s, f in zip(window.observations, frames, strict=True)
         ]
         mended = Window(window.query, window.scorer, seen)
         options = self.refining.options
@@ -555,63 +563,65 @@ class _CameraSearch:
                 best, cost = fit.poses[-1] @ np.linalg.inv(start[rows[-1]]) @ start, fit.cost
         return best
 
-    def found(self, poses: Floats) -> CameraCorrection | None:
+    def search(self, poses: Floats) -> CameraCorrection | None:
         """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""
-        coloured = self.window.scene.has_colours and self.window.sightings[0].rgb is not None
+        coloured = self.window.scene.has_colours and self.window.observations[0].rgb is not None
         for number in range(ROUNDS):
-            refiner, sights = self.refiner(self.window), None
+            refiner, matches = self.refiner(self.window), None
             free = [SCALE, FOCAL, *TILT]
             if coloured and number:
-                sights = refiner.matched(matching_stages(None, near=True)[0], poses)
-                free += [IMAGE] if sum(map(len, sights)) >= ENOUGH else []
-            poses, moved = self._settled(refiner, refiner.problem(sights), poses, free)
+                matches = refiner.match(matching_stages(None, near=True)[0], poses)
+                free += [IMAGE] if sum(map(len, matches)) >= ENOUGH else []
+            poses, moved = self._select_unknowns(refiner, refiner.problem(matches), poses, free)
             if number and moved < SETTLED:
                 break
-        values = np.abs(self.mend.values[[SCALE, FOCAL, IMAGE, *TILT]])
-        return self.mend if self.mend.values.any() and values.max() < PLAUSIBLE else None
+        values = np.abs(self.correction.values[[SCALE, FOCAL, IMAGE, *TILT]])
+        return (
+            self.correction if self.correction.values.any() and values.max() < PLAUSIBLE else None
+        )
 
-    def _settled(
+    def _select_unknowns(
         self, refiner: Refiner, problem: Problem, poses: Floats, free: list[int]
     ) -> tuple[Floats, float]:
         """Return poses fitted with what is clearly off, which is taken over; and how much that changed."""
-        before, kept, least = self.mend.values, list(free), np.full(COUNT, OFF)
+        before, unknowns, least = self.correction.values, list(free), np.full(COUNT, OFF)
         tilt = list(TILT)
         least[tilt] = TILTED
         while True:
-            fit = calibrate_camera(refiner.scene, problem, poses, kept)
+            fit = calibrate_camera(refiner.scene, problem, poses, unknowns)
             off, errors = np.abs(before + fit.values), fit.errors.copy()
             off[tilt], errors[tilt] = np.linalg.norm(off[tilt]), errors[tilt].max()
             sure = off / np.maximum(least, CLEAR * errors)
-            weak = min((sure[k] for k in kept), default=1.0)
+            weak = min((sure[k] for k in unknowns), default=1.0)
             if weak >= 1.0:
                 break
-            kept = [k for k in kept if sure[k] > weak]  # the three of a tilt go together
-        usual = [k for k in kept if before[k] or k in TILT]  # poses lean without a cost, too
-        if usual != kept:
+            unknowns = [k for k in unknowns if sure[k] > weak]  # the three of a tilt go together
+        usual = [k for k in unknowns if before[k] or k in TILT]  # poses lean without a cost, too
+        if usual != unknowns:
             plain = calibrate_camera(refiner.scene, problem, poses, usual)
             if fit.cost > (1.0 - GAIN) * plain.cost:
-                fit, kept = plain, usual
+                fit, unknowns = plain, usual
         if IMAGE in free and not before[list(PLACE)].any():
-            fit, kept = self._offset(refiner, problem, fit, kept)
-        values, errors = before.copy(), self.mend.errors.copy()
-        out = [k for k in free if k not in kept]
-        values[kept] += fit.values[kept]
-        errors[kept] = fit.errors[kept]
+            fit, unknowns = self._offset(refiner, problem, fit, unknowns)
+        values, errors = before.copy(), self.correction.errors.copy()
+        out = [k for k in free if k not in unknowns]
+        values[unknowns] += fit.values[unknowns]
+        errors[unknowns] = fit.errors[unknowns]
         values[out] = errors[out] = 0.0
-        frame = self.window.sightings[0].frame
+        frame = self.window.observations[0].frame
         if IMAGE not in free and share_view(frame.camera, frame.depth_camera):
             values[IMAGE], errors[IMAGE] = values[FOCAL], errors[FOCAL]
-        self.mend = CameraCorrection(values, errors)
+        self.correction = CameraCorrection(values, errors)
         return fit.poses, float(np.abs(values - before).max())
 
     def _offset(
-        self, refiner: Refiner, problem: Problem, fit: CalibratedPoses, kept: list[int]
+        self, refiner: Refiner, problem: Problem, fit: CalibratedPoses, unknowns: list[int]
     ) -> tuple[CalibratedPoses, list[int]]:
         """Return the fit with depth of another place than the images, where that is clear."""
-        apart = calibrate_camera(refiner.scene, problem, fit.poses, [*kept, *PLACE])
+        apart = calibrate_camera(refiner.scene, problem, fit.poses, [*unknowns, *PLACE])
         place, errors = apart.values[list(PLACE)], apart.errors[list(PLACE)]
         away = np.linalg.norm(place[:3]) > APART[0] or np.linalg.norm(place[3:]) > APART[1]
         clear = (np.abs(place) > CLEAR * errors).any()
         if away and clear and apart.cost < (1.0 - GAIN) * fit.cost:
-            return apart, [*kept, *PLACE]
-        return fit, kept
+            return apart, [*unknowns, *PLACE]
+        return fit, unknowns

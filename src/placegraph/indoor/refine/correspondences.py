@@ -120,7 +120,9 @@ class Kernel(NamedTuple):
     """Residual, in standard deviations, at which a reading has a quarter of its say left."""
 
 
-def distances(surfaces: Surfaces, seen: Sequence[Readings | None], poses: Floats) -> list[Floats]:
+def distances(
+    surfaces: Surfaces, readings: Sequence[Readings | None], poses: Floats
+) -> list[Floats]:
     """Return distances (R,) [m] of the readings of each frame from the map's surface at poses (T, 4, 4).
 
     NaN where there is no reading, infinite where the map shows nothing.
@@ -135,7 +137,7 @@ def distances(surfaces: Surfaces, seen: Sequence[Readings | None], poses: Floats
             one.directions,
             one.depth,
         )
-        for one, pose in zip(seen, poses, strict=True)
+        for one, pose in zip(readings, poses, strict=True)
     ]
 
 
@@ -322,13 +324,13 @@ class Consensus:
         return int(sum(i.sum() for i in self.inliers))
 
 
-def solve_frame(sights: PointMatches, options: RefineOptions) -> Consensus | None:
+def solve_frame(matches: PointMatches, options: RefineOptions) -> Consensus | None:
     """Return PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
-    return solve_rig([sights], [np.eye(4)], options)
+    return solve_rig([matches], [np.eye(4)], options)
 
 
 def solve_rig(
-    sights: Sequence[PointMatches], reference_from_camera: Sequence[Floats], options: RefineOptions
+    matches: Sequence[PointMatches], reference_from_camera: Sequence[Floats], options: RefineOptions
 ) -> Consensus | None:
     """Return PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
 
@@ -336,13 +338,13 @@ def solve_rig(
     on a pose where no frame alone would: its wrong matches agree on nothing in common.
     """
     poselib = _poselib()
-    used = [t for t, seen in enumerate(sights) if len(seen)]
-    if sum(len(sights[t]) for t in used) < options.least:
+    used = [t for t, seen in enumerate(matches) if len(seen)]
+    if sum(len(matches[t]) for t in used) < options.least:
         return None
-    pixels = [sights[t].rays * sights[t].focal for t in used]
-    points = [sights[t].points for t in used]
-    cameras = [_pinhole(sights[t].focal) for t in used]
-    limit = options.inlier * max(sights[t].unit for t in used)
+    pixels = [matches[t].rays * matches[t].focal for t in used]
+    points = [matches[t].points for t in used]
+    cameras = [_pinhole(matches[t].focal) for t in used]
+    limit = options.inlier * max(matches[t].unit for t in used)
     ransac = {"max_reproj_error": limit, "max_iterations": 5000, "seed": 0}
     if len(used) == 1 and np.allclose(reference_from_camera[used[0]], np.eye(4)):
         pose, info = poselib.estimate_absolute_pose(pixels[0], points[0], cameras[0], ransac, {})
@@ -354,7 +356,7 @@ def solve_rig(
             pixels, points, mounts, cameras, ransac, {}
         )
         inliers = info["inliers"]
-    agreed = [np.zeros(len(seen), bool) for seen in sights]
+    agreed = [np.zeros(len(seen), bool) for seen in matches]
     for t, inlier in zip(used, inliers, strict=True):
         agreed[t] = np.asarray(inlier, bool)
     matrix = np.eye(4)
@@ -454,7 +456,7 @@ def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> Point
     """Return landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
     if not len(found) or not len(landmarks):
         return PointMatches.none()
-    cosine, ranked = _likeliest(found.vectors, landmarks.unit_vectors)
+    cosine, ranked = _rank_landmarks(found.vectors, landmarks.unit_vectors)
     sure, best = cosine[:, 0], ranked[:, 0]
     back = found.vectors @ landmarks.unit_vectors[best].T
     mutual = back.argmax(axis=0) == np.arange(len(found))
@@ -468,8 +470,8 @@ def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> Point
     return PointMatches.of(points, found.points[clear], frame.camera, SIGMA)
 
 
-def _likeliest(
-    vectors: NDArray[np.float32], known: NDArray[np.float32]
+def _rank_landmarks(
+    vectors: NDArray[np.float32], landmark_vectors: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return cosines (N, 1 + _RIVALS) and rows of the likeliest of L landmarks, likeliest first.
 
@@ -479,8 +481,8 @@ def _likeliest(
     count = 1 + _RIVALS
     best = np.full((len(vectors), count), -1.0, np.float32)
     rows, every = np.zeros((len(vectors), count), np.int64), np.arange(len(vectors))
-    for first in range(0, len(known), _BLOCK):
-        cosine = vectors @ known[first : first + _BLOCK].T
+    for first in range(0, len(landmark_vectors), _BLOCK):
+        cosine = vectors @ landmark_vectors[first : first + _BLOCK].T
         for _ in range(min(count, cosine.shape[1])):
             column = cosine.argmax(axis=1)
             # the last of those kept so far gives way, and moves up to its place
@@ -510,7 +512,7 @@ def match_window(window: Window) -> list[PointMatches]:
     except MissingExtraError:
         return out
     for t in spread(len(window), LOOKS):
-        frame, rgb = window.sightings[t].frame, window.sightings[t].rgb
+        frame, rgb = window.observations[t].frame, window.observations[t].rgb
         if rgb is not None:
             look = partial(_seen, landmarks, sift, frame, rgb)
             out[t] = window.derived(("landmarks", frame.index), look)
@@ -524,14 +526,14 @@ def _seen(
 
 
 def agree_on_pose(
-    sights: Sequence[PointMatches], mounts: Floats, options: RefineOptions
+    matches: Sequence[PointMatches], mounts: Floats, options: RefineOptions
 ) -> Consensus | None:
     """Return pose of the last of T frames that landmarks agree on; None where they do so by chance.
 
     `mounts`: (T, 4, 4) last_from_camera.
     """
-    consensus = solve_rig(sights, list(mounts), options)
-    by_chance = consensus is None or consensus.count < SHARE * sum(map(len, sights))
+    consensus = solve_rig(matches, list(mounts), options)
+    by_chance = consensus is None or consensus.count < SHARE * sum(map(len, matches))
     return None if by_chance else consensus
 
 
@@ -550,24 +552,24 @@ def is_near(one: Floats, other: Floats) -> bool:
     return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
 
 
-def has_plenty(sights: Sequence[PointMatches]) -> bool:
+def has_plenty(matches: Sequence[PointMatches]) -> bool:
     """Return whether frames show so many landmarks that renderings have nothing to add."""
-    return sum(map(len, sights)) >= PLENTY * sum(len(s) > 0 for s in sights)
+    return sum(map(len, matches)) >= PLENTY * sum(len(s) > 0 for s in matches)
 
 
-def has_plenty_everywhere(sights: Sequence[PointMatches]) -> bool:
+def has_plenty_everywhere(matches: Sequence[PointMatches]) -> bool:
     """Return whether each frame that was looked at, and not some alone, shows so many."""
-    return all(len(sights[t]) >= PLENTY for t in spread(len(sights), LOOKS))
+    return all(len(matches[t]) >= PLENTY for t in spread(len(matches), LOOKS))
 
 
 def locate_by_landmarks(window: Window) -> Floats:
     """Return pose (K, 4) of the last frame that landmarks tell: one, or none."""
     with timed(window.seconds, "landmarks"):
-        odometry = np.stack([s.frame.odometry for s in window.sightings])
+        odometry = np.stack([s.frame.odometry for s in window.observations])
         mounts = np.linalg.inv(odometry[-1]) @ odometry
-        sights = match_window(window)
+        matches = match_window(window)
         try:
-            consensus = agree_on_pose(sights, mounts, RefineOptions())
+            consensus = agree_on_pose(matches, mounts, RefineOptions())
         except MissingExtraError:
             consensus = None
     return np.zeros((0, 4)) if consensus is None else split_pose(consensus.pose)[0][None]

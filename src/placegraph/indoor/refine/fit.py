@@ -36,7 +36,7 @@ MOST = 4.0
 CLEAR = 4.0
 """A lag is told that is so many of its standard deviations ..."""
 TOLD = 0.2
-"""... and no less than this share of `usual_lag`."""
+"""... and no less than this share of `lag_deviation`."""
 
 
 DEPTH, IMAGES = range(2)
@@ -53,14 +53,14 @@ class Lags:
     """(2,)"""
     twist: Floats
     """(T, 6) as of `twists`"""
-    usual: float
-    """As of `usual_lag`."""
+    deviation: float
+    """As of `lag_deviation`."""
 
-    def of_depth(self, poses: Floats) -> Floats:
+    def depth_poses(self, poses: Floats) -> Floats:
         """Return the poses (T, 4, 4) of the depth images, from poses at the stamps."""
         return shift_in_time(poses, self.twist, float(self.values[DEPTH]))
 
-    def of_images(self, poses: Floats) -> Floats:
+    def image_poses(self, poses: Floats) -> Floats:
         """Return the poses (T, 4, 4) of the colour images, from poses at the stamps."""
         return shift_in_time(poses, self.twist, float(self.values[IMAGES]))
 
@@ -74,11 +74,11 @@ def find_clear_lags(lags: Lags | None) -> NDArray[np.bool_]:
     """Return which of depth and images (2,) clearly lag."""
     if lags is None:
         return np.zeros(2, bool)
-    least = np.maximum(CLEAR * lags.deviations, TOLD * lags.usual)
+    least = np.maximum(CLEAR * lags.deviations, TOLD * lags.deviation)
     return np.asarray(np.abs(lags.values) > least)
 
 
-def usual_lag(stamps: Floats) -> float:
+def lag_deviation(stamps: Floats) -> float:
     """Return standard deviation of lags of frames with these stamps (T,), in their unit."""
     between = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     return max(USUAL[0], USUAL[1] * between)
@@ -134,15 +134,15 @@ class NormalEquations(NamedTuple):
     gradient: Floats
     """(T, 6)"""
 
-    def allowed(self, astray: Floats) -> NormalEquations:
+    def marginalize(self, frame_errors: Floats) -> NormalEquations:
         """Return the equations if each frame as a whole may be off by deviations (2,) [m], [rad]."""
-        sure = np.repeat(1.0 / np.square(astray), 3)
+        sure = np.repeat(1.0 / np.square(frame_errors), 3)
         kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
         return NormalEquations(
             kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient)
         )
 
-    def astray(self, before: Floats, step: Floats) -> Floats:
+    def frame_errors(self, before: Floats, step: Floats) -> Floats:
         """Return deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
         told = self.information.any(axis=(1, 2))
         left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
@@ -151,11 +151,11 @@ class NormalEquations(NamedTuple):
         return root_mean_squares(off, ASTRAY, WITNESSES)
 
 
-def root_mean_squares(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
+def root_mean_squares(errors: Floats, before: tuple[float, float], prior_count: int) -> Floats:
     """Return root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
     squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
-    count = witnesses + 3 * len(errors)
-    return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
+    count = prior_count + 3 * len(errors)
+    return np.asarray(np.sqrt((prior_count * np.square(before) + squares) / count))
 
 
 def depth_equations(
@@ -183,8 +183,8 @@ def depth_equations(
             kernel,
         )
         # few readings are not worth more than they are
-        worth = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
-        h[t], g[t] = worth * block, worth * slope
+        scale = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
+        h[t], g[t] = scale * block, scale * slope
         told += of_objects
         total += sums
     return NormalEquations(h, g), told, float(total[1] / total[0]) if total[0] else np.nan
@@ -193,7 +193,7 @@ def depth_equations(
 def match_equations(problem: Problem, poses: Floats, width: float) -> NormalEquations:
     """Return the normal equations of matches at poses (T, 4, 4), by a kernel's width in deviations."""
     h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
-    for t, seen in enumerate(problem.sights):
+    for t, seen in enumerate(problem.matches):
         if not len(seen):
             continue
         block, slope, total = pixel_system(
@@ -205,8 +205,8 @@ def match_equations(problem: Problem, poses: Floats, width: float) -> NormalEqua
             seen.focal,
             width,
         )
-        worth = min(1.0, POINTS / max(total, 1.0))
-        h[t], g[t] = worth * block, worth * slope
+        scale = min(1.0, POINTS / max(total, 1.0))
+        h[t], g[t] = scale * block, scale * slope
     return NormalEquations(h, g)
 
 
@@ -229,7 +229,7 @@ class Problem:
     surfaces: Surfaces
     readings: Sequence[Readings | None]
     """(T,)"""
-    sights: Sequence[PointMatches]
+    matches: Sequence[PointMatches]
     """(T,)"""
     odometry: Floats
     """(T, 4, 4) odometry_from_camera"""
@@ -242,7 +242,7 @@ class Problem:
     options: RefineOptions
     drift: tuple[float, float] = (1.0, 1.0)
     """Errors of odometry's ways and of its turns, in units of `RefineOptions.motion`."""
-    known: tuple[Floats, Floats] | None = None
+    prior: tuple[Floats, Floats] | None = None
     """Poses (T, 4, 4) that were known before, and their standard deviations (6,) [m], [rad] in map
     axes, common to all frames; None: `LOOSE` about the start."""
 
@@ -283,9 +283,9 @@ def solve(
     """
     poses, count = start.copy(), len(start)
     shares, cost, taken = np.ones(problem.objects), np.nan, 0
-    twist, usual = twists(problem.odometry, problem.stamps), usual_lag(problem.stamps)
+    twist, deviation = twists(problem.odometry, problem.stamps), lag_deviation(problem.stamps)
     lags, held, late = np.zeros(2), slice(0, 6 * count), None
-    astray = [np.array(ASTRAY)] * 2
+    frame_errors = [np.array(ASTRAY)] * 2
     for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
         # in the last round stamps are believed of which no doubt was found
         free = np.ones(2, bool) if left else find_clear_lags(late)
@@ -294,14 +294,14 @@ def solve(
             h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
             seen = [shift_in_time(poses, twist, lag) for lag in lags]
             by_depth, told, cost = depth_equations(problem, seen[0], shares, depth_width)
-            says = [by_depth, match_equations(problem, seen[1], pixel_width)]
+            equations = [by_depth, match_equations(problem, seen[1], pixel_width)]
             ways = [in_map_axes(at, twist) for at in seen]
-            for k, one in enumerate(says):
-                _add(one.allowed(astray[k]), ways[k], 6 * count + k, h, g)
-            known = np.where(free, usual, _LEAST * usual) ** -2.0
-            h[-2:, -2:] += np.diag(known)
-            g[-2:] += lags * known
-            add_beliefs(problem, poses, start, h[held, held], g[held])
+            for k, one in enumerate(equations):
+                _add(one.marginalize(frame_errors[k]), ways[k], 6 * count + k, h, g)
+            prior = np.where(free, deviation, _LEAST * deviation) ** -2.0
+            h[-2:, -2:] += np.diag(prior)
+            g[-2:] += lags * prior
+            add_priors(problem, poses, start, h[held, held], g[held])
             whole = -np.linalg.solve(h, g)
             step = whole[held].reshape(count, 6)
             if not np.isfinite(whole).all():  # a ray that is no number would never come back
@@ -310,10 +310,13 @@ def solve(
                     "matches hold numbers that are not finite or absurdly large."
                 )
             moves = [step + late * way for late, way in zip(whole[-2:], ways, strict=True)]
-            astray = [one.astray(*at) for one, *at in zip(says, astray, moves, strict=True)]
+            frame_errors = [
+                one.frame_errors(*at)
+                for one, *at in zip(equations, frame_errors, moves, strict=True)
+            ]
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = rotation_from_vector(step[:, 3:]) @ poses[:, :3, :3]
-            lags = np.clip(lags + whole[-2:], -MOST * usual, MOST * usual)
+            lags = np.clip(lags + whole[-2:], -MOST * deviation, MOST * deviation)
             taken += 1
             if number:  # not before the poses have had one step to come near
                 # weight (N,) of each object: what less than half fits is likely to have moved
@@ -321,26 +324,26 @@ def solve(
                 shares = np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
             if np.abs(step).max() < _STILL:
                 break
-        late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
+        late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, deviation)
     across = h[held, -2:]
     information = h[held, held] - across @ np.linalg.solve(h[-2:, -2:], across.T)
     return Solution(poses, information, shares, cost, taken, late)
 
 
-def _add(says: NormalEquations, way: Floats, row: int, h: Floats, g: Floats) -> None:
+def _add(equations: NormalEquations, way: Floats, row: int, h: Floats, g: Floats) -> None:
     """Add what one sense tells of T poses and of its lag.
 
     `way`: (T, 6) that the poses go in a unit of the lag, whose place in h and g is `row`.
     """
-    moved = np.einsum("tij,tj->ti", says.information, way)
-    for t, block in enumerate(says.information):
+    moved = np.einsum("tij,tj->ti", equations.information, way)
+    for t, block in enumerate(equations.information):
         h[6 * t : 6 * t + 6, 6 * t : 6 * t + 6] += block
     held = slice(0, moved.size)
     h[held, row] += moved.ravel()
     h[row, held] += moved.ravel()
     h[row, row] += np.sum(way * moved)
-    g[held] += says.gradient.ravel()
-    g[row] += np.sum(way * says.gradient)
+    g[held] += equations.gradient.ravel()
+    g[row] += np.sum(way * equations.gradient)
 
 
 def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
@@ -386,11 +389,11 @@ def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None
         g[rows] += weighted @ errors[t]
 
 
-def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
+def add_priors(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
     """Add what is believed of poses (T, 4, 4) without looking to normal equations (6 T)."""
     _add_odometry(problem, poses, h, g)
     # the known tilt is a prior, not a cage: it gives way where frames are seen to lean far
-    up, variance = lean(problem, poses)
+    up, variance = measure_lean(problem, poses)
     for t, j in enumerate(-cross_matrix(up)[:, :2]):
         rows = slice(6 * t + 3, 6 * t + 6)
         h[rows, rows] += j.T @ j / variance
@@ -398,19 +401,19 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
     _add_known(problem, poses, start, h, g)
 
 
-def lean(problem: Problem, poses: Floats) -> tuple[Floats, float]:
+def measure_lean(problem: Problem, poses: Floats) -> tuple[Floats, float]:
     """Return up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
     return up, problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
 
 
 def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
-    known, deviations = start, np.repeat(LOOSE, 3)
-    if problem.known is not None:
+    prior, deviations = start, np.repeat(LOOSE, 3)
+    if problem.prior is not None:
         # one and the same knowledge, not one of each frame
-        known, deviations = problem.known[0], problem.known[1] * np.sqrt(len(poses))
-    shift = poses[:, :3, 3] - known[:, :3, 3]
-    turn = vector_from_rotation(poses[:, :3, :3] @ np.swapaxes(known[:, :3, :3], 1, 2))
+        prior, deviations = problem.prior[0], problem.prior[1] * np.sqrt(len(poses))
+    shift = poses[:, :3, 3] - prior[:, :3, 3]
+    turn = vector_from_rotation(poses[:, :3, :3] @ np.swapaxes(prior[:, :3, :3], 1, 2))
     weights = 1.0 / np.square(deviations)
     g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))
@@ -452,17 +455,17 @@ def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
     depths = [r.depth[r.depth > 0] for r in problem.readings if r is not None]
     if any(map(len, depths)):
         away.append(float(np.median(np.concatenate(depths))))
-    if any(map(len, problem.sights)):
-        missed, far = _missed(problem.sights, solution.poses)
+    if any(map(len, problem.matches)):
+        missed, far = _missed(problem.matches, solution.poses)
         found.append(MISS * missed)
         away.append(far)
     return max(found), float(np.mean(away)) if away else 1.0
 
 
-def _missed(sights: Sequence[PointMatches], poses: Floats) -> tuple[float, float]:
+def _missed(matches: Sequence[PointMatches], poses: Floats) -> tuple[float, float]:
     """By how much matches miss, at their distance [m], and that distance [m]."""
     angles, far = [], []
-    for seen, pose in zip(sights, poses, strict=True):
+    for seen, pose in zip(matches, poses, strict=True):
         if len(seen):
             angles.append(seen.errors(pose) / seen.focal)
             far.append(np.linalg.norm(seen.points - pose[:3, 3], axis=1))

@@ -19,11 +19,11 @@ from placegraph.indoor.rays.trace_kernels import (
 
 
 @kernel(error_model="numpy")
-def depth_system(surfaces, shares, rotation, position, directions, depth, seen, kernel):
+def depth_system(surfaces, shares, rotation, position, directions, depth, seen_normals, kernel):
     """Return normal equations of the depth readings of one frame at one pose.
 
     Parameters: `shares` (N,) weight of each object; `rotation` (3, 3) and `position` (3,) of
-    map_from_camera; readings `directions` (R, 3), `depth` (R,), and `seen`, their normals (R, 3).
+    map_from_camera; readings `directions` (R, 3), `depth` (R,), and `seen_normals`, their normals (R, 3).
 
     Returns the matrix (6, 6) and the gradient (6,) for a shift [m] and a turn [rad] in map axes, for
     each object the sum of weights and the number of readings (N, 2), and three sums over readings:
@@ -56,7 +56,11 @@ def depth_system(surfaces, shares, rotation, position, directions, depth, seen, 
             dz = packet[DIRECTION + 2, lane]
             for k in range(3):  # the map's normal in camera axes
                 toward[k] = rotation[0, k] * nx + rotation[1, k] * ny + rotation[2, k] * nz
-            facing = abs(toward[0] * seen[r, 0] + toward[1] * seen[r, 1] + toward[2] * seen[r, 2])
+            facing = abs(
+                toward[0] * seen_normals[r, 0]
+                + toward[1] * seen_normals[r, 1]
+                + toward[2] * seen_normals[r, 2]
+            )
             low, high = kernel.facing
             share = min(1.0, max(0.0, (facing - low) / (high - low)))
             slant = nx * dx + ny * dy + nz * dz
@@ -234,7 +238,7 @@ def plane_distances(surfaces, rotation, position, directions, depth):
 
 
 @kernel(error_model="numpy")
-def correlations(query, drawn, seen, at, half):
+def correlations(query, drawn, mask, at, half):
     """Return zero-mean normalised correlations (N,) of windows, not below 0; NaN where the query is flat."""
     side = 2 * half + 1
     out = np.empty(len(at))
@@ -246,7 +250,7 @@ def correlations(query, drawn, seen, at, half):
                 q = query[y, x]
                 qs += q
                 qq += q * q
-                if seen[y, x]:
+                if mask[y, x]:
                     n += 1.0
         spread = qq - qs * qs / (side * side)
         if spread < side * side * 4e-4:
@@ -258,7 +262,7 @@ def correlations(query, drawn, seen, at, half):
         qs = qq = 0.0
         for y in range(row - half, row + half + 1):
             for x in range(column - half, column + half + 1):
-                if seen[y, x]:
+                if mask[y, x]:
                     q, d = query[y, x], drawn[y, x]
                     qs += q
                     ds += d
@@ -280,11 +284,11 @@ _LEAST = 1e-4  # least eigenvalue of the structure tensor of a corner
 
 
 @kernel(fastmath=True, error_model="numpy")
-def corners(image, seen, margin, cell):
+def corners(image, mask, margin, cell):
     """Return best corner (K, 2) row, column of each cell of an image (H, W) float32 in [0, 1].
 
     A corner is where the lesser eigenvalue of the structure tensor is largest (Shi and Tomasi
-    1994). Only pixels in `seen` (H, W), at least `margin` from the border.
+    1994). Only pixels in `mask` (H, W), at least `margin` from the border.
     """
     h, w = image.shape
     xx, xy, yy = np.zeros((h, w)), np.zeros((h, w)), np.zeros((h, w))
@@ -292,7 +296,7 @@ def corners(image, seen, margin, cell):
         for x in range(1, w - 1):
             gx = image[y, x + 1] - image[y, x - 1]
             gy = image[y + 1, x] - image[y - 1, x]
-            if not (seen[y, x + 1] and seen[y, x - 1] and seen[y + 1, x] and seen[y - 1, x]):
+            if not (mask[y, x + 1] and mask[y, x - 1] and mask[y + 1, x] and mask[y - 1, x]):
                 gx = gy = np.float32(0.0)  # where the map ends is no corner of anything
             xx[y, x], xy[y, x], yy[y, x] = gx * gx, gx * gy, gy * gy
     margin = max(margin, _TENSOR + 1)
@@ -303,7 +307,7 @@ def corners(image, seen, margin, cell):
             best, row, column = _LEAST, -1, -1
             for y in range(top, min(top + cell, h - margin)):
                 for x in range(left, min(left + cell, w - margin)):
-                    if not seen[y, x]:
+                    if not mask[y, x]:
                         continue
                     a = b = c = 0.0
                     for j in range(-_TENSOR, _TENSOR + 1):
@@ -321,10 +325,10 @@ def corners(image, seen, margin, cell):
 
 
 @kernel(fastmath=True, error_model="numpy")
-def search(view, seen, query, at, half, radius, peak):
+def search(view, mask, query, at, half, radius, peak):
     """Return places in a query (H, W) of patches of a view (H, W) around `at` (K, 2) row, column.
 
-    Only pixels of a patch in `seen` (H, W) count; a patch of which less than half is seen is none.
+    Only pixels of a patch in `mask` (H, W) count; a patch of which less than half is seen is none.
 
     Returns (K, 4): row, column (to a fraction of a pixel), zero-mean normalised correlation there,
     and the best one farther than `peak` from it; correlation -1 where nothing was found. A best place
@@ -333,21 +337,23 @@ def search(view, seen, query, at, half, radius, peak):
     h, w = query.shape
     side, reach = 2 * half + 1, 2 * radius + 1
     patch = np.empty((side, side), np.float32)
-    shown = np.empty((side, side), np.float32)
+    patch_mask = np.empty((side, side), np.float32)
     scores = np.empty((reach, reach), np.float32)
     rows = np.empty((3, reach), np.float32)
     out = np.empty((len(at), 4))
     for k in range(len(at)):
         row, column = int(at[k, 0]), int(at[k, 1])
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = row, column, -1.0, -1.0
-        area, energy = _template(view, seen, row, column, half, patch, shown)
+        area, energy = _template(view, mask, row, column, half, patch, patch_mask)
         if 2.0 * area < side * side or energy < area * _FLAT:
             continue
         scores[:] = -1.0
         left = max(-radius, half - column)
         width = min(radius, w - 1 - half - column) + 1 - left
         for j in range(max(-radius, half - row), min(radius, h - 1 - half - row) + 1):
-            _slide(query, row + j - half, column + left - half, patch, shown, area, rows, width)
+            _correlate_row(
+                query, row + j - half, column + left - half, patch, patch_mask, area, rows, width
+            )
             for i in range(width):
                 spread = rows[1, i] - rows[0, i] * rows[0, i] / area
                 if spread > area * _FLAT:
@@ -362,7 +368,7 @@ def search(view, seen, query, at, half, radius, peak):
 
 
 @kernel(inline="always", fastmath=True)
-def _slide(query, top, left, patch, shown, area, rows, width):
+def _correlate_row(query, top, left, patch, patch_mask, area, rows, width):
     """Return sums, sums of squares and products with a patch (3, width) at `width` places in a row.
 
     The innermost loop runs along the row of places, which is what processors are quick at.
@@ -372,7 +378,7 @@ def _slide(query, top, left, patch, shown, area, rows, width):
     whole = area == side * side
     for y in range(side):
         for x in range(side):
-            p, m = patch[y, x], shown[y, x]
+            p, m = patch[y, x], patch_mask[y, x]
             if whole or m > 0.0:
                 for i in range(width):
                     q = query[top + y, left + x + i]
@@ -397,21 +403,21 @@ def _peaks(scores, peak):
 
 
 @kernel(inline="always", fastmath=True)
-def _template(view, seen, row, column, half, patch, shown):
+def _template(view, mask, row, column, half, patch, patch_mask):
     """Copy a patch less its mean, and which of it is seen; its number of pixels, and its energy."""
     side = 2 * half + 1
     total = area = energy = np.float32(0.0)
     for y in range(side):
         for x in range(side):
             j, i = row - half + y, column - half + x
-            shown[y, x] = np.float32(1.0) if seen[j, i] else np.float32(0.0)
-            patch[y, x] = view[j, i] * shown[y, x]
+            patch_mask[y, x] = np.float32(1.0) if mask[j, i] else np.float32(0.0)
+            patch[y, x] = view[j, i] * patch_mask[y, x]
             total += patch[y, x]
-            area += shown[y, x]
+            area += patch_mask[y, x]
     mean = total / max(area, np.float32(1.0))
     for y in range(side):
         for x in range(side):
-            patch[y, x] -= mean * shown[y, x]
+            patch[y, x] -= mean * patch_mask[y, x]
             energy += patch[y, x] * patch[y, x]
     return area, energy
 

@@ -79,7 +79,7 @@ _STEP = 2 * TILE  # a window lies in four packets of rays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class HeldOutEvidence:
     """Log-likelihoods of C trajectories by the held-out samples of one sense."""
 
     blocks: Floats
@@ -93,7 +93,7 @@ class Evidence:
         return self.scores.shape[1]
 
     @classmethod
-    def of(cls, scores: Sequence[Sequence[Floats]]) -> Evidence:
+    def of(cls, scores: Sequence[Sequence[Floats]]) -> HeldOutEvidence:
         """Return scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: it tells nothing.
 
         Neighbours err together: blocks vary more than sums of as many independent samples would, and
@@ -132,22 +132,22 @@ def cauchy_log_likelihood(ratio: Floats) -> Floats:
 
 
 def depth_evidence(
-    surfaces: Surfaces, held: Sequence[Readings | None], trajectories: Sequence[Floats]
-) -> Evidence:
+    surfaces: Surfaces, held_out: Sequence[Readings | None], trajectories: Sequence[Floats]
+) -> HeldOutEvidence:
     """Return evidence of held-back readings of T frames on trajectories (T, 4, 4); tiles are the samples.
 
     Distances are spread as Cauchy's density is, as wide as those of the trajectory that fits best.
     """
     found = [
-        [np.abs(d).reshape(-1, LANES) for d in distances(surfaces, held, poses)]
+        [np.abs(d).reshape(-1, LANES) for d in distances(surfaces, held_out, poses)]
         for poses in trajectories
     ]
-    usual = [_usual(np.concatenate(of_one)) for of_one in found]
+    usual = [_median_distance(np.concatenate(of_one)) for of_one in found]
     width = max(FINEST, min(usual, default=NEAR))
-    return Evidence.of([[_of_tiles(d / width) for d in of_one] for of_one in found])
+    return HeldOutEvidence.of([[_of_tiles(d / width) for d in of_one] for of_one in found])
 
 
-def _usual(distance: Floats) -> float:
+def _median_distance(distance: Floats) -> float:
     """Return median of distances [m] from the surface, of readings that it explains at all."""
     near = distance[distance < NEAR]
     return float(np.median(near)) if len(near) else NEAR
@@ -166,7 +166,7 @@ def image_evidence(
     frames: Sequence[Frame],
     queries: Sequence[NDArray[np.uint8] | None],
     trajectories: Sequence[Floats],
-) -> Evidence:
+) -> HeldOutEvidence:
     """Return evidence of held-back windows of T images, where there are any, on trajectories (T, 4, 4).
 
     By the correlation rho of a window with the rendering at the same place, -log(1 - rho^2) / 2: the
@@ -189,7 +189,7 @@ def image_evidence(
             drawn = renderer.render(poses[t], small, samples=1, wanted=wanted)
             alike = correlations(seen, lightness(drawn.colour), drawn.mask, at, _HALF)
             out.append(-0.5 * np.log1p(-np.square(np.minimum(alike, _SAME))))
-    return Evidence.of(scores)
+    return HeldOutEvidence.of(scores)
 
 
 def _windows(camera: Camera) -> NDArray[np.int64]:
@@ -229,16 +229,16 @@ FELT = (0.005, float(np.radians(0.2)))
 
 
 @dataclass(frozen=True, slots=True)
-class Confirmation:
+class FitCheck:
     """Decision whether a refined trajectory is believed, with its reason."""
 
     accepted: bool
     reason: str
     """One sentence."""
-    fitted: FittedTrajectory
+    candidate: FittedTrajectory
     """What was judged: where images took part, maybe what depth alone says."""
     stats: dict[str, Any]
-    doubt: str = ""
+    objection: str = ""
     """What speaks against the coarse pose too, as half a sentence."""
     shift: float = 0.0
     """Way from the coarse pose [m] ..."""
@@ -252,66 +252,70 @@ class Confirmation:
     """Hint that the camera is wrong; empty: none."""
 
 
-def confirm_fit(refiner: Refiner, coarse: Floats, fitted: FittedTrajectory) -> Confirmation:
+def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
     """Compare a refined trajectory, and what depth alone makes of it, with the coarse one (T, 4, 4)."""
-    judgement = _looked_at(refiner, coarse, fitted)
-    ways = [judgement]
-    if fitted.by_depth is not None:
-        alone = _looked_at(refiner, coarse, fitted.by_depth)
-        ways = [way for way in (alone, judgement) if way.accepted]
-        judgement = ways[-1] if ways else alone
-    if not judgement.accepted:
-        return judgement
+    check = _check_plausibility(refiner, coarse, candidate)
+    ways = [check]
+    if candidate.by_depth is not None:
+        alone = _check_plausibility(refiner, coarse, candidate.by_depth)
+        ways = [way for way in (alone, check) if way.accepted]
+        check = ways[-1] if ways else alone
+    if not check.accepted:
+        return check
     if not refiner.options.check:
-        by = judgement.reason.removesuffix(".")
-        return replace(judgement, reason=f"{by}, unchecked.")
+        by = check.reason.removesuffix(".")
+        return replace(check, reason=f"{by}, unchecked.")
     with timed(refiner.seconds, "check"):
-        way, against = _confirmed(refiner, coarse, ways)
-        doubt, camera = _suspect_camera(refiner, way)
+        way, against = _choose_candidate(refiner, coarse, ways)
+        objection, camera = _diagnose_camera(refiner, way)
         way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
-    against = doubt or against
+    against = objection or against
     if against:
-        return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
-    reason = f"{way.reason}{_late(refiner, way.fitted)}"
-    return replace(way, reason=reason, fitted=refiner.completed(way.fitted))
+        return replace(way, accepted=False, reason=f"Not refined: {against}.", objection=objection)
+    reason = f"{way.reason}{_describe_lags(refiner, way.candidate)}"
+    return replace(way, reason=reason, candidate=refiner.add_held_back(way.candidate))
 
 
-def _looked_at(refiner: Refiner, coarse: Floats, fitted: FittedTrajectory) -> Confirmation:
+def _check_plausibility(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
     """A trajectory by itself: whether anything holds it, and it is near and like the odometry."""
-    inliers = sum(map(len, fitted.sights))
-    shift, turn = measure_move(coarse[-1], fitted.poses[-1])
+    inliers = sum(map(len, candidate.matches))
+    shift, turn = measure_move(coarse[-1], candidate.poses[-1])
     stats: dict[str, Any] = {
         "inliers": inliers,
         "shift_m": round(shift, 4),
         "turn_deg": round(float(np.degrees(turn)), 3),
     }
-    against, doubt, motion = _unfounded(refiner, fitted, inliers), "", 0.0
+    against, objection, motion = _check_support(refiner, candidate, inliers), "", 0.0
     if not against and refiner.options.joint:
-        doubt = against = _elsewhere(refiner, shift, turn)
+        objection = against = _check_move(refiner, shift, turn)
         if not against:
-            motion = stats["motion"] = _motion_error(refiner, fitted.poses)
+            motion = stats["motion"] = _motion_error(refiner, candidate.poses)
             against = "it contradicts the odometry" if motion > BENT else ""
     # what depth backs, images alone do not shake
-    doubt = "" if refiner.has_depth else doubt
-    by = f"Not refined: {against}." if against else f"Refined by {_by(refiner, inliers)}."
-    return Confirmation(
-        not against, by, fitted, stats, doubt,
+    objection = "" if refiner.has_depth else objection
+    by = (
+        f"Not refined: {against}."
+        if against
+        else f"Refined by {_describe_senses(refiner, inliers)}."
+    )
+    return FitCheck(
+        not against, by, candidate, stats, objection,
         shift=stats["shift_m"], turn_deg=stats["turn_deg"], motion=motion,
     )  # fmt: skip
 
 
-def _late(refiner: Refiner, fitted: FittedTrajectory) -> str:
+def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
     """Describe lags of sensors that move a pose enough to matter."""
-    if fitted.lags is None:
+    if candidate.lags is None:
         return ""
     stamps = np.array([f.stamp for f in refiner.frames], np.float64)
     steps = np.diff(stamps)
     counted = bool(((steps >= 1.0) & (steps == np.rint(steps))).all())
     told = ""
-    for what, lag in fitted.lags.find_clear().items():
+    for what, lag in candidate.lags.find_clear().items():
         way, turn = (
             abs(lag) * np.linalg.norm(part, axis=1).max()
-            for part in (fitted.lags.twist[:, :3], fitted.lags.twist[:, 3:])
+            for part in (candidate.lags.twist[:, :3], candidate.lags.twist[:, 3:])
         )
         if way > FELT[0] or turn > FELT[1]:
             taken = "images were" if what == "images" else "depth was"
@@ -322,14 +326,14 @@ def _late(refiner: Refiner, fitted: FittedTrajectory) -> str:
     return told
 
 
-def _unfounded(refiner: Refiner, fitted: FittedTrajectory, inliers: int) -> str:
+def _check_support(refiner: Refiner, candidate: FittedTrajectory, inliers: int) -> str:
     """Return whether there was nothing to go by."""
-    if fitted.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
+    if candidate.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
         return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     return ""
 
 
-def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
+def _check_move(refiner: Refiner, shift: float, turn: float) -> str:
     """Return whether the fit ended at another place."""
     way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
     if shift <= way and turn <= angle:
@@ -340,14 +344,14 @@ def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
 NOTHING = "the frames show nothing that could be matched with the map"
 
 
-def _confirmed(
-    refiner: Refiner, coarse: Floats, ways: Sequence[Confirmation]
-) -> tuple[Confirmation, str]:
+def _choose_candidate(
+    refiner: Refiner, coarse: Floats, ways: Sequence[FitCheck]
+) -> tuple[FitCheck, str]:
     """Return the way that held-back samples make likeliest, and what speaks against it all the same.
 
     The log-likelihoods of the senses add up: none has a veto, and what says little weighs little.
     """
-    senses = _evidence(refiner, coarse, [way.fitted for way in ways])
+    senses = _evidence(refiner, coarse, [way.candidate for way in ways])
     if not any(e.samples for e in senses.values()):
         return ways[-1], "no held-back pixel tells whether it helped"
     gains = [np.sum([e.gain(k + 1) for e in senses.values()], axis=0) for k in range(len(ways))]
@@ -373,19 +377,19 @@ def _confirmed(
 
 
 def _evidence(
-    refiner: Refiner, coarse: Floats, fits: Sequence[FittedTrajectory]
-) -> dict[str, Evidence]:
+    refiner: Refiner, coarse: Floats, candidates: Sequence[FittedTrajectory]
+) -> dict[str, HeldOutEvidence]:
     """Return each sense's evidence for the coarse trajectory and the fits, in that order."""
-    found, looked = {}, set(refiner.looked().tolist())
+    found, looked = {}, set(refiner.image_rows().tolist())
     measured, pictured = [coarse], [coarse]
-    for fit in fits:
+    for fit in candidates:
         lags = fit.lags
-        measured.append(fit.poses if lags is None else lags.of_depth(fit.poses))
-        pictured.append(fit.poses if lags is None else lags.of_images(fit.poses))
+        measured.append(fit.poses if lags is None else lags.depth_poses(fit.poses))
+        pictured.append(fit.poses if lags is None else lags.image_poses(fit.poses))
     if refiner.has_depth:
-        held = [r if t in looked else None for t, r in enumerate(refiner.readings(1))]
-        found["depth"] = depth_evidence(refiner.surfaces, held, measured)
-    landmarks = Evidence.of(landmark_scores(refiner, pictured))
+        held_out = [r if t in looked else None for t, r in enumerate(refiner.readings(1))]
+        found["depth"] = depth_evidence(refiner.surfaces, held_out, measured)
+    landmarks = HeldOutEvidence.of(landmark_scores(refiner, pictured))
     if landmarks.samples >= refiner.options.least:
         found["landmarks"] = landmarks
     queries = [q if t in looked else None for t, q in enumerate(refiner.queries)]
@@ -394,9 +398,9 @@ def _evidence(
     return found
 
 
-def _suspect_camera(refiner: Refiner, way: Confirmation) -> tuple[str, str]:
+def _diagnose_camera(refiner: Refiner, way: FitCheck) -> tuple[str, str]:
     """Return what is wrong with the camera, and a hint where `find_camera_correction` should look closer."""
-    factor, hint = measure_scale_error(refiner, way.fitted), ""
+    factor, hint = measure_scale_error(refiner, way.candidate), ""
     if abs(factor) > SUSPECT:
         hint = f"a scale looks {factor:+.1%} off"
     elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
@@ -424,7 +428,7 @@ def _motion_error(refiner: Refiner, poses: Floats) -> float:
     return round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
 
 
-def _by(refiner: Refiner, inliers: int) -> str:
+def _describe_senses(refiner: Refiner, inliers: int) -> str:
     parts = ["depth"] if refiner.has_depth else []
     if inliers:
         parts.append(f"{inliers} matches of images")
@@ -501,19 +505,19 @@ def refine_from(
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
     try:
-        judgement = confirm_fit(refiner, coarse, refiner.fitted(start, progress))
+        check = confirm_fit(refiner, coarse, refiner.fit_trajectory(start, progress))
     except MissingExtraError as error:
         if refiner.matcher is not None:
             raise
         if refiner.has_depth:
             refiner.options = replace(refiner.options, images=False)
-            judgement = confirm_fit(refiner, coarse, refiner.fitted(start, progress))
+            check = confirm_fit(refiner, coarse, refiner.fit_trajectory(start, progress))
         else:
             nothing = FittedTrajectory(start, None, [], np.full((6, 6), np.nan))
-            judgement = Confirmation(False, f"Not refined: {error}", nothing, {})
-    told = _told(estimate, refiner, judgement)
+            check = FitCheck(False, f"Not refined: {error}", nothing, {})
+    told = _apply_check(estimate, refiner, check)
     best = told.best
-    if explained and judgement.accepted and best is not None:
+    if explained and check.accepted and best is not None:
         best = replace(
             best, explain=evidence_at(window, split_pose(told.trajectory[-len(window) :])[0])
         )
@@ -521,37 +525,37 @@ def refine_from(
     return told
 
 
-def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> PoseEstimate:
+def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> PoseEstimate:
     """Return the estimate with what became of its best mode."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
-    best, fitted = coarse, judgement.fitted
-    if judgement.accepted:
-        before = trajectory[: len(trajectory) - len(fitted.poses)]
-        trajectory = np.concatenate([before, fitted.poses])
+    best, candidate = coarse, check.candidate
+    if check.accepted:
+        before = trajectory[: len(trajectory) - len(candidate.poses)]
+        trajectory = np.concatenate([before, candidate.poses])
         # a mode at its refined pose
-        matrix = fitted.poses[-1]
+        matrix = candidate.poses[-1]
         into_scene = coarse.scene_from_camera @ np.linalg.inv(coarse.map_from_camera)
         best = replace(
             coarse,
             map_from_camera=matrix,
             pose=split_pose(matrix)[0],
-            covariance=fitted.covariance,
+            covariance=candidate.covariance,
             scene_from_camera=into_scene @ matrix,
         )
     matcher = refiner.matcher.name if refiner.matcher else "guided"
     seconds = {stage: round(value, 4) for stage, value in refiner.seconds.items()}
-    stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
-    if fitted.solution is not None and not judgement.accepted:
-        stats["candidate"] = fitted.poses[-1].tolist()  # what was refused
+    stats = {**check.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
+    if candidate.solution is not None and not check.accepted:
+        stats["candidate"] = candidate.poses[-1].tolist()  # what was refused
     found = RefinementDiagnostics(
-        accepted=judgement.accepted,
-        doubt=judgement.doubt,
-        motion=judgement.motion,
+        accepted=check.accepted,
+        objection=check.objection,
+        motion=check.motion,
         has_depth=refiner.has_depth,
         landmarks=refiner.landmark_matches,
-        shift=judgement.shift,
-        turn_deg=judgement.turn_deg,
-        camera=judgement.camera,
+        shift=check.shift,
+        turn_deg=check.turn_deg,
+        camera=check.camera,
     )
     status, reason = decide_refined(estimate, found)
     return replace(
@@ -560,9 +564,7 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> 
         reason=reason,
         modes=(best, *estimate.modes[1:]),
         trajectory=trajectory,
-        refinement=Refinement(
-            judgement.accepted, judgement.reason, coarse, estimate.trajectory, stats
-        ),
+        refinement=Refinement(check.accepted, check.reason, coarse, estimate.trajectory, stats),
         diagnostics=replace(diagnostics_of(estimate), refinement=found),
     )
 
@@ -578,11 +580,11 @@ def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstima
     """
     query = replace(query, frames=query.frames[-MOST:])
     window, estimate = _refined(query, given, refining)
-    mend = find_camera_correction(window, estimate, refining)
-    if mend is None:
+    correction = find_camera_correction(window, estimate, refining)
+    if correction is None:
         return estimate
-    mended = replace(query, frames=mend.frames(query.frames))
-    return mend.chosen(query, estimate, _refined(mended, given, refining)[1])
+    mended = replace(query, frames=correction.frames(query.frames))
+    return correction.choose_answer(query, estimate, _refined(mended, given, refining)[1])
 
 
 def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Window, PoseEstimate]:
@@ -591,12 +593,16 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
     odometry = np.stack([f.odometry for f in query.frames])
     coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
     start = coarse
-    if any(s.depth is not None for s in window.sightings):
+    if any(s.depth is not None for s in window.observations):
         start = _searched(window, given, refining.options)
     refiner = Refiner.of(window, refining.options, refining.matcher)
-    refiner.known = coarse, np.maximum(_reach(refining.options), _SHARPEST)
+    refiner.prior = coarse, np.maximum(_reach(refining.options), _SHARPEST)
     told = refine_from(
-        window, _given(window, coarse, refining.options), refiner, start, explained=True
+        window,
+        _estimate_given_pose(window, coarse, refining.options),
+        refiner,
+        start,
+        explained=True,
     )
     assert told.best is not None  # noqa: S101  it was given
     # the status that the window has at this pose, were it the only one
@@ -629,7 +635,7 @@ def _reach(options: RefineOptions) -> Floats:
     return np.array([way, way, 0.3 * way, turn, turn, turn])
 
 
-def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
+def _estimate_given_pose(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
     """Return an estimate of a given pose, before any frame is used."""
     matrix, scene = coarse[-1], window.scene
     row = scene.scene_at(matrix[:2, 3])

@@ -104,7 +104,7 @@ class FittedTrajectory:
     """(T, 4, 4) map_from_camera"""
     solution: Solution | None
     """None: nothing was there to go by."""
-    sights: list[PointMatches]
+    matches: list[PointMatches]
     """(T,) matches used."""
     covariance: Floats
     """(6, 6) of the last frame, as `PoseMode.covariance`."""
@@ -130,8 +130,8 @@ class Refiner:
     options: RefineOptions
     matcher: Matcher | None
     """None: the guided matcher."""
-    known: tuple[Floats, Floats] | None = None
-    """As `Problem.known`."""
+    prior: tuple[Floats, Floats] | None = None
+    """As `Problem.prior`."""
     landmarks: Sequence[PointMatches] = ()
     """(T,) landmarks of the map that frames show; empty: nobody looked."""
     stats: dict[str, Any] = field(default_factory=dict)
@@ -143,9 +143,9 @@ class Refiner:
         """Return refiner of the frames of a window."""
         return cls(
             scene=window.scene,
-            frames=[s.frame for s in window.sightings],
-            depths=[s.depth for s in window.sightings],
-            queries=[s.rgb for s in window.sightings],
+            frames=[s.frame for s in window.observations],
+            depths=[s.depth for s in window.observations],
+            queries=[s.rgb for s in window.observations],
             options=options,
             matcher=matcher,
             landmarks=match_window(window) if options.images else (),
@@ -175,63 +175,63 @@ class Refiner:
             ]
         return self._readings[phase]
 
-    def problem(self, sights: Sequence[PointMatches] | None = None) -> Problem:
+    def problem(self, matches: Sequence[PointMatches] | None = None) -> Problem:
         """Return the fitting problem of the frames, with matches or without."""
         return Problem(
             self.surfaces,
             self.readings(),
-            sights or [PointMatches.none()] * len(self.frames),
+            matches or [PointMatches.none()] * len(self.frames),
             np.stack([f.odometry for f in self.frames]),
             np.stack([f.gravity for f in self.frames]),
             np.array([f.stamp for f in self.frames], np.float64),
             len(self.scene),
             self.options,
             self.drift,
-            self.known,
+            self.prior,
         )
 
-    def fitted(self, start: Floats, progress: Progress | None = None) -> FittedTrajectory:
+    def fit_trajectory(self, start: Floats, progress: Progress | None = None) -> FittedTrajectory:
         """Return best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
         tell = progress or (lambda *_: None)
         if self.has_depth:
             tell("aligning depth", 0, 1)
         self.drift = (1.0, 1.0)
         self.drift = drift_of(self.problem(), start)
-        solution = self._aligned(start)
+        solution = self._align_depth(start)
         poses = start if solution is None else solution.poses
-        sights: list[PointMatches] = [PointMatches.none()] * len(self.frames)
+        matches: list[PointMatches] = [PointMatches.none()] * len(self.frames)
         stages = self._stages(solution)
-        by_depth = self._finished(poses, solution, sights) if solution and stages else None
+        by_depth = self._conclude(poses, solution, matches) if solution and stages else None
         for number, stage in enumerate(stages):
             tell("matching images", number, len(stages))
-            found = self.matched(stage, poses)
+            found = self.match(stage, poses)
             if not self.options.joint:
                 return self._best_frame(found, poses)
-            sights, led = self._agreed(stage, found, poses)
-            if stage.matcher is None and not any(map(len, sights)):
+            matches, led = self._find_consensus(stage, found, poses)
+            if stage.matcher is None and not any(map(len, matches)):
                 continue
             with timed(self.seconds, "solving"):
-                solution = solve(self.problem(sights), led, FINE_WIDTHS)
+                solution = solve(self.problem(matches), led, FINE_WIDTHS)
             poses = solution.poses
-            if stage.matcher is None and has_plenty(sights):
-                if has_plenty_everywhere(sights):
-                    self.landmark_matches = self.stats["landmarks"] = sum(map(len, sights))
+            if stage.matcher is None and has_plenty(matches):
+                if has_plenty_everywhere(matches):
+                    self.landmark_matches = self.stats["landmarks"] = sum(map(len, matches))
                 break
         tell("checking", 0, 1)
-        return replace(self._finished(poses, solution, sights), by_depth=by_depth)
+        return replace(self._conclude(poses, solution, matches), by_depth=by_depth)
 
-    def completed(self, fitted: FittedTrajectory) -> FittedTrajectory:
+    def add_held_back(self, fit_trajectory: FittedTrajectory) -> FittedTrajectory:
         """Return an accepted fit, with those landmarks too that were kept for its check."""
-        if self.landmark_matches is None or not any(map(len, fitted.sights)):
-            return fitted
+        if self.landmark_matches is None or not any(map(len, fit_trajectory.matches)):
+            return fit_trajectory
         with timed(self.seconds, "solving"):
-            sights = self._inliers(list(self.landmarks), fitted.poses)
-            solution = solve(self.problem(sights), fitted.poses, FINE_WIDTHS[-1:])
-        return self._finished(solution.poses, solution, sights)
+            matches = self._inliers(list(self.landmarks), fit_trajectory.poses)
+            solution = solve(self.problem(matches), fit_trajectory.poses, FINE_WIDTHS[-1:])
+        return self._conclude(solution.poses, solution, matches)
 
     # ------------------------------------------------------------------------------- stages
 
-    def _aligned(self, start: Floats) -> Solution | None:
+    def _align_depth(self, start: Floats) -> Solution | None:
         """Return poses by depth alone; None where there is none."""
         if not self.has_depth:
             return None
@@ -246,19 +246,19 @@ class Refiner:
         if solution is not None and wanted == "auto":
             wanted = not solution.cost <= UNSURE
         coloured = self.scene.has_colours and any(q is not None for q in self.queries)
-        known = [LANDMARKS] if any(map(len, self.landmarks)) and self.options.joint else []
+        prior = [LANDMARKS] if any(map(len, self.landmarks)) and self.options.joint else []
         if not wanted or not coloured:
-            return known
-        return known + matching_stages(
+            return prior
+        return prior + matching_stages(
             self.matcher, near=solution is not None and solution.cost <= LOST
         )
 
-    def matched(self, stage: Stage, poses: Floats) -> list[PointMatches]:
+    def match(self, stage: Stage, poses: Floats) -> list[PointMatches]:
         """Return matches of the frames that are looked at, those in held-back blocks left out."""
         if stage.matcher is None:
             return drop_held_back(self.landmarks, self.frames, self.options)
-        rows = [t for t in self.looked() if self.queries[t] is not None]
-        matcher, sights = stage.matcher, [PointMatches.none()] * len(self.frames)
+        rows = [t for t in self.image_rows() if self.queries[t] is not None]
+        matcher, matches = stage.matcher, [PointMatches.none()] * len(self.frames)
         views = {
             t: turn_views(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
             for t in rows
@@ -275,68 +275,70 @@ class Refiner:
 
         with timed(self.seconds, "matching"), ThreadPoolExecutor(_threads(matcher)) as pool:
             for t, seen in zip(rows, pool.map(one, rows), strict=True):
-                sights[t] = seen
-        self.stats["matches"] = sum(map(len, sights))
-        return sights
+                matches[t] = seen
+        self.stats["matches"] = sum(map(len, matches))
+        return matches
 
-    def looked(self) -> NDArray[np.int64]:
+    def image_rows(self) -> NDArray[np.int64]:
         """Return rows of the frames whose images are used."""
-        usual = MANY if self.matcher is None else FEW
-        return spread(len(self.frames), self.options.frames or usual)
+        deviation = MANY if self.matcher is None else FEW
+        return spread(len(self.frames), self.options.frames or deviation)
 
-    def _agreed(
-        self, stage: Stage, sights: list[PointMatches], poses: Floats
+    def _find_consensus(
+        self, stage: Stage, matches: list[PointMatches], poses: Floats
     ) -> tuple[list[PointMatches], Floats]:
         """Return matches that agree on one pose of the rig, and the trajectory that follows from it."""
         if not stage.rigid:
-            return sights, poses
+            return matches, poses
         with timed(self.seconds, "ransac"):
             mounts = np.linalg.inv(poses[-1]) @ poses
-            consensus = solve_rig(sights, list(mounts), self.options)
-        if consensus is None or consensus.count < stage.share * sum(map(len, sights)):
-            return [PointMatches.none()] * len(sights), poses
+            consensus = solve_rig(matches, list(mounts), self.options)
+        if consensus is None or consensus.count < stage.share * sum(map(len, matches)):
+            return [PointMatches.none()] * len(matches), poses
         if stage.matcher is None and not is_near(consensus.pose, poses[-1]):
-            return [PointMatches.none()] * len(sights), poses
-        kept = [seen[inlier] for seen, inlier in zip(sights, consensus.inliers, strict=True)]
+            return [PointMatches.none()] * len(matches), poses
+        kept = [seen[inlier] for seen, inlier in zip(matches, consensus.inliers, strict=True)]
         # depth has said where the poses are; without it, or by many landmarks, the consensus does
         leads = not self.has_depth or (stage.matcher is None and has_plenty(kept))
         led = consensus.pose @ mounts if leads else poses
         return kept, led
 
-    def _inliers(self, sights: list[PointMatches], poses: Floats) -> list[PointMatches]:
+    def _inliers(self, matches: list[PointMatches], poses: Floats) -> list[PointMatches]:
         """Return matches (T,) that the poses explain."""
         limit = self.options.inlier
-        return [s[s.errors(p) < limit * s.unit] for s, p in zip(sights, poses, strict=True)]
+        return [s[s.errors(p) < limit * s.unit] for s, p in zip(matches, poses, strict=True)]
 
-    def _best_frame(self, sights: list[PointMatches], poses: Floats) -> FittedTrajectory:
+    def _best_frame(self, matches: list[PointMatches], poses: Floats) -> FittedTrajectory:
         """Sec. 3.6: PnP frame by frame, the one with most inliers decides."""
         best: tuple[int, Floats, int] | None = None
         with timed(self.seconds, "ransac"):
-            for t, seen in enumerate(sights):
+            for t, seen in enumerate(matches):
                 found = solve_frame(seen, self.options)
                 if found is not None and (best is None or found.count > best[0]):
                     best = found.count, found.pose, t
         if best is None:
-            return self._finished(poses, None, [PointMatches.none()] * len(sights))
+            return self._conclude(poses, None, [PointMatches.none()] * len(matches))
         _, pose, t = best
         odometry = np.stack([f.odometry for f in self.frames])
         led = pose @ np.linalg.inv(odometry[t]) @ odometry
-        kept = [PointMatches.none()] * len(sights)
-        kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier * sights[t].unit]
+        kept = [PointMatches.none()] * len(matches)
+        kept[t] = matches[t][matches[t].errors(pose) < self.options.inlier * matches[t].unit]
         self.stats["decided_by"] = self.frames[t].index
         solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)
-        return self._finished(led, solution, kept)
+        return self._conclude(led, solution, kept)
 
-    def _finished(
-        self, poses: Floats, solution: Solution | None, sights: list[PointMatches]
+    def _conclude(
+        self, poses: Floats, solution: Solution | None, matches: list[PointMatches]
     ) -> FittedTrajectory:
         if solution is None:
-            agreed = self._inliers(sights, poses)
+            agreed = self._inliers(matches, poses)
             return FittedTrajectory(poses, None, agreed, np.full((6, 6), np.nan))
         lags = solution.lags
-        agreed = self._inliers(sights, poses if lags is None else lags.of_images(poses))
+        agreed = self._inliers(matches, poses if lags is None else lags.image_poses(poses))
         self.stats["lag"] = {} if lags is None else lags.find_clear()
-        return FittedTrajectory(poses, solution, agreed, covariance(self.problem(sights), solution))
+        return FittedTrajectory(
+            poses, solution, agreed, covariance(self.problem(matches), solution)
+        )
 
 
 def _threads(matcher: Matcher) -> int:

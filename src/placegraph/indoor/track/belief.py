@@ -396,21 +396,26 @@ class Belief:
             return None, f"An image is {ahead:.3g} s ahead of odometry; are their clocks the same?"
         return sample, ""
 
-    def hear(self, said: FrameResult) -> None:
+    def update(self, result: FrameResult) -> None:
         """What an image told counts from its own time on."""
         status, estimate = self._last.status, self._last.estimate
-        if said.estimate is not None:
-            status, estimate = said.estimate.status, said.estimate
+        if result.estimate is not None:
+            status, estimate = result.estimate.status, result.estimate
         newest = self.odometry.newest
-        if said.told and newest is not None and estimate is not None and estimate.best is not None:
-            at = self.odometry.at(said.frame.stamp) or newest
+        if (
+            result.has_pose
+            and newest is not None
+            and estimate is not None
+            and estimate.best is not None
+        ):
+            at = self.odometry.at(result.frame.stamp) or newest
             # odometry as it was when the image was looked at
-            at = at._replace(stamp=said.frame.stamp, pose=said.frame.odometry)
+            at = at._replace(stamp=result.frame.stamp, pose=result.frame.odometry)
             best = estimate.best
-            self.anchor = Anchor.of(at, best.map_from_camera, best.covariance, said.scene)
-        elif said.over:
+            self.anchor = Anchor.of(at, best.map_from_camera, best.covariance, result.scene)
+        elif result.is_lost:
             self.anchor = None
-        self._last = LiveState(status, said.reason, estimate)
+        self._last = LiveState(status, result.reason, estimate)
 
     def pose(self, stamp: float | None) -> LivePose:
         """The pose at a time, or at that of the newest odometry."""

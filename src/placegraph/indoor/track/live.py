@@ -58,7 +58,7 @@ class Worker:
         self, follower: Follower, belief: Belief, changed: Condition, background: bool | Executor
     ) -> None:
         self.dropped = 0
-        self.told: Counter[str] = Counter()
+        self.status_counts: Counter[str] = Counter()
         self._follower, self._belief, self._changed = follower, belief, changed
         self._own = not isinstance(background, Executor)
         self._executor = background if isinstance(background, Executor) else Inline()
@@ -71,7 +71,7 @@ class Worker:
         self._busy = self._searching = False
         self._failed: BaseException | None = None
 
-    def begin(self) -> None:
+    def discard_image(self) -> None:
         """Images of before odometry began anew are of no use; lock held."""
         self.dropped += self._inbox is not None
         self._inbox, self._seen = None, -np.inf
@@ -120,7 +120,7 @@ class Worker:
                     epoch, frame, found = self._belief.epoch, self._next(), self._answer
                     self._answer = None
                     if looked and (frame is not None or found is None):  # it has told what it does
-                        self.told[self._belief.status.name] += 1
+                        self.status_counts[self._belief.status.name] += 1
                         looked = False
                     if frame is None and found is None:
                         self._busy = False
@@ -128,11 +128,11 @@ class Worker:
                         return
                     if epoch != self._heard:
                         self._heard, found = epoch, None
-                        self._follower.begin(self._belief.near)
+                        self._follower.reset(self._belief.near)
                 if found is not None:
-                    self._publish(epoch, self._follower.hear(found))
+                    self._publish(epoch, self._follower.take_answer(found))
                 if frame is not None:
-                    self._publish(epoch, self._follower.look(frame))
+                    self._publish(epoch, self._follower.follow(frame))
                     self._ask(epoch)
                     looked = True
         except BaseException as error:  # noqa: BLE001  # told to who calls next
@@ -150,11 +150,11 @@ class Worker:
         self._belief.carried(why)
         return None
 
-    def _publish(self, epoch: int, said: FrameResult | None) -> None:
+    def _publish(self, epoch: int, result: FrameResult | None) -> None:
         """Tell the belief what an image said, unless all was begun anew meanwhile."""
         with self._changed:
-            if said is not None and epoch == self._belief.epoch:
-                self._belief.hear(said)
+            if result is not None and epoch == self._belief.epoch:
+                self._belief.update(result)
 
     def _ask(self, epoch: int) -> None:
         """Have frames looked up, where the pose is not known."""
@@ -169,7 +169,7 @@ class Worker:
             with limit_threads(
                 max(1, count_processors() - 1)
             ):  # a core is left to those that follow
-                found = question.asked(self._follower.finder)
+                found = question.search(self._follower.relocalizer)
         except BaseException as error:  # noqa: BLE001  # told to who calls next
             self._fail(error)
             return
@@ -314,10 +314,10 @@ class LiveTracker:
         return self._belief.late
 
     @property
-    def told(self) -> Counter[str]:
+    def status_counts(self) -> Counter[str]:
         """Images that were looked at, by the status after each."""
         with self._changed:
-            return self._worker.told.copy()
+            return self._worker.status_counts.copy()
 
     def move(
         self, stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None = None
@@ -345,7 +345,7 @@ class LiveTracker:
         with self._changed:
             self._worker.check()
             if self._belief.tell(*sample, own=True):
-                self._worker.begin()
+                self._worker.discard_image()
             return self._belief.pose(None)
 
     def see(self, frame: Frame) -> None:
@@ -371,7 +371,7 @@ class LiveTracker:
                 self._worker.dropped += 1
                 return
             if not self._belief.moved and self._belief.tell(*sample, own=False):
-                self._worker.begin()
+                self._worker.discard_image()
             idle = self._worker.take(frame)
         if idle:
             self._worker.send()

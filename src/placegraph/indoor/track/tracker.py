@@ -23,7 +23,13 @@ from placegraph.core.geometry import (
     wrap_angle,
 )
 from placegraph.errors import OptionError, PlacegraphError
-from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, check_unit, sight
+from placegraph.indoor.likelihood.observe import (
+    FINE,
+    Observation,
+    ViewCache,
+    check_unit,
+    observe_frame,
+)
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
@@ -43,9 +49,9 @@ from placegraph.indoor.pose.window import (
     PoseQuery,
     Window,
     deviations,
-    leveled,
-    own_encoder,
-    shows_something,
+    is_comparable,
+    level_frames,
+    make_label_encoder,
 )
 from placegraph.indoor.status import await_confirmation, decide_followed, diagnostics_of, give_up
 from placegraph.io.capture.frame import Frame
@@ -63,7 +69,7 @@ class Confirmation:
     def __init__(self) -> None:
         self._before: tuple[str, Floats] | None = None
 
-    def judged(self, scene: str, frame: Frame, estimate: PoseEstimate) -> PoseEstimate:
+    def confirm(self, scene: str, frame: Frame, estimate: PoseEstimate) -> PoseEstimate:
         """The estimate of a frame's pose in a scene; where it was found first, `AMBIGUOUS`."""
         best = estimate.best
         if estimate.status is not Status.OK or best is None:
@@ -144,8 +150,8 @@ class Tracker:
         self.camera = camera
         self.rng = np.random.default_rng(query.seed)
         self.scorer = Scorer(query.scene, query.options.likelihood)
-        self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
-        self._cut: Cut = {}
+        self.keyframes: deque[Observation] = deque(maxlen=KEPT)
+        self._cut: ViewCache = {}
         self._again = Confirmation()
         self._since = np.zeros(4)
         self._fit: Fit | None = None
@@ -164,11 +170,11 @@ class Tracker:
 
         Raises `OptionError` and `InputError` as `update` does.
         """
-        sightings = [self._sighted(frame) for frame in frames[-NEWEST:]]
+        observations = [self._sighted(frame) for frame in frames[-NEWEST:]]
         self.reset()
-        self.keyframes.extend(sightings)
-        chain = Chain.of(leveled(frames[-1:]), self.query.options.motion)
-        self._settle(Fit.at(chain, split_pose(map_from_camera)[0]))
+        self.keyframes.extend(observations)
+        chain = Chain.of(level_frames(frames[-1:]), self.query.options.motion)
+        self._accept_fit(Fit.at(chain, split_pose(map_from_camera)[0]))
         self._last = frames[-1]
 
     def update(self, frame: Frame) -> PoseEstimate:
@@ -182,15 +188,15 @@ class Tracker:
             Its images are broken; the tracker is as it was before.
 
         """
-        sighting = self._sighted(frame)
+        observation = self._sighted(frame)
         keyframe = self._is_keyframe(frame)
-        estimate = self._follow(sighting) if self.following else None
+        estimate = self._follow(observation) if self.following else None
         if keyframe:
-            self.keyframes.append(sighting)
+            self.keyframes.append(observation)
         if estimate is None:
             self._waited += 1
             due = keyframe or self._waited >= WAIT or self._answer is None
-            estimate = self._search(sighting) if due else self._carried(frame)
+            estimate = self._search(observation) if due else self._carried(frame)
         self._last, self._answer = frame, add_earth_poses(self.query.scene, estimate)
         return self._answer
 
@@ -202,23 +208,23 @@ class Tracker:
         self._doubts = self._waited = 0
         self._again = Confirmation()
 
-    def _sighted(self, frame: Frame) -> Sighting:
+    def _sighted(self, frame: Frame) -> Observation:
         if self.camera is not None and frame.camera != self.camera:
             raise OptionError("frame: taken by another camera than the tracker was made for.")
         if self.query.encoder is None:
-            self.query = replace(self.query, encoder=own_encoder(self.query.scene, frame))
-        sighting = sight(frame, self.query.encoder, self.query.options)
-        if not shows_something(sighting):
+            self.query = replace(self.query, encoder=make_label_encoder(self.query.scene, frame))
+        observation = observe_frame(frame, self.query.encoder, self.query.options)
+        if not is_comparable(observation):
             raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
-        return sighting
+        return observation
 
     # ------------------------------------------------------------------------------ following
 
-    def _follow(self, sighting: Sighting) -> PoseEstimate:
+    def _follow(self, observation: Observation) -> PoseEstimate:
         """Carry the pose on and fit it; it is given up where frames have contradicted it for a while."""
         assert self._fit is not None and self._last is not None  # noqa: S101, PT018  following
-        frame = sighting.frame
-        recent = [*list(self.keyframes)[-NEWEST + 1 :], sighting]
+        frame = observation.frame
+        recent = [*list(self.keyframes)[-NEWEST + 1 :], observation]
         window = self._window(recent)
         step = _steps([self._last, frame])[1]
         erred = DOUBT * deviations(step, self.query.options.motion)
@@ -233,7 +239,7 @@ class Tracker:
             self._fit, self._doubts = None, 0
             self.keyframes.clear()  # they led to a wrong belief
             return give_up(estimate)
-        self._settle(fit)
+        self._accept_fit(fit)
         return estimate
 
     def _believed(self, estimate: PoseEstimate, erred: Floats) -> PoseEstimate:
@@ -253,28 +259,28 @@ class Tracker:
         covariance[FITTED, FITTED] += self._since
         return decide_followed(estimate, replace(best, covariance=covariance))
 
-    def _settle(self, fit: Fit) -> None:
+    def _accept_fit(self, fit: Fit) -> None:
         """Follow a fit; what was said was of where the stream began."""
         self.query = replace(self.query, description=None, shares=None)
         self._fit = fit
 
-    def _window(self, sightings: list[Sighting]) -> Window:
+    def _window(self, observations: list[Observation]) -> Window:
         """A window of the stream; of frames that were in the last one, views are not cut anew."""
-        self._cut = {key: view for key, view in self._cut.items() if key[0] in sightings}
-        return Window(self.query, self.scorer, sightings, cut=self._cut)
+        self._cut = {key: view for key, view in self._cut.items() if key[0] in observations}
+        return Window(self.query, self.scorer, observations, cut=self._cut)
 
     # ------------------------------------------------------------------------------ searching
 
-    def _search(self, newest: Sighting) -> PoseEstimate:
+    def _search(self, newest: Observation) -> PoseEstimate:
         """Look the keyframes, and the newest frame, up in the whole map."""
         self._waited = 0
         known = [s for s in self.keyframes if s is not newest]
         window = self._window([*known[-KEPT + 1 :], newest])
         estimate, fit = look_up(window, self.rng)
-        estimate = self._again.judged("", newest.frame, estimate)
+        estimate = self._again.confirm("", newest.frame, estimate)
         if estimate.status is Status.OK:
             self._doubts, self._since = 0, np.zeros(4)
-            self._settle(fit)
+            self._accept_fit(fit)
         return estimate
 
     def _carried(self, frame: Frame) -> PoseEstimate:
@@ -311,7 +317,7 @@ def apart(frame: Frame, later: Frame) -> bool:
 
 def _steps(frames: Sequence[Frame]) -> Floats:
     """(T, 4), step t from frame t - 1 to frame t; the first is none."""
-    poses = leveled(frames)
+    poses = level_frames(frames)
     steps = np.zeros_like(poses)
     steps[1:] = between(poses[:-1], poses[1:])
     return steps
@@ -349,7 +355,7 @@ def _fill_by_odometry(
     known: list[Floats | None], rows: list[int], frames: Sequence[Frame]
 ) -> Floats:
     """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
-    poses = leveled(frames)
+    poses = level_frames(frames)
     out = np.empty((len(frames), 4, 4))
     for i, matrix in enumerate(known):
         if matrix is not None:
@@ -435,11 +441,11 @@ class Relocalizer:
     ) -> tuple[str, PoseEstimate]:
         """Where in one map, around a prior of the first frame if there is one; errors as `anywhere`."""
         query = replace(self.query(name, 0), prior=prior)
-        encoder = query.encoder or own_encoder(query.scene, frames[-1])
-        seen = [sight(frame, encoder, query.options) for frame in frames]
-        if not shows_something(seen[-1]):
+        encoder = query.encoder or make_label_encoder(query.scene, frames[-1])
+        seen = [observe_frame(frame, encoder, query.options) for frame in frames]
+        if not is_comparable(seen[-1]):
             raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
-        shown = [s for s in seen if shows_something(s)]
+        shown = [s for s in seen if is_comparable(s)]
         check_unit(float(np.linalg.norm(np.ptp(query.scene.bounds, axis=0))), shown)
         window = Window(query, Scorer(query.scene, query.options.likelihood), shown)
         estimate, _ = look_up(window, rng)
@@ -477,15 +483,15 @@ class Relocalization:
     near: GivenPose | None
     rng: Generator
 
-    def asked(self, finder: Relocalizer) -> Relocalized:
+    def search(self, relocalizer: Relocalizer) -> Relocalized:
         """Look them up; what is wrong with frames or maps is part of the answer."""
         try:
             if self.near is None:
-                name, estimate = finder.anywhere(self.frames, self.rng)
+                name, estimate = relocalizer.anywhere(self.frames, self.rng)
             else:
                 first = self.near.map_from_odom @ self.frames[0].odometry
                 prior = prior_of(first, self.near.covariance)
-                name, estimate = finder.near(self.frames, self.near.scene, prior, self.rng)
+                name, estimate = relocalizer.near(self.frames, self.near.scene, prior, self.rng)
         except PlacegraphError as error:
             return Relocalized(self.frames, "", None, str(error))
         return Relocalized(self.frames, name, estimate, estimate.reason)
@@ -516,23 +522,23 @@ class FrameResult:
     scene: str = ""
     estimate: PoseEstimate | None = None
     """None: it showed nothing, and what was known is carried on."""
-    told: bool = False
+    has_pose: bool = False
     """Whether the estimate's best mode is the pose from here on."""
-    over: bool = False
+    is_lost: bool = False
     """Whether what was known before is not believed any more."""
 
 
 class Follower:
     """Follows frames in one map, and knows when to ask in which map, and where, the camera is."""
 
-    def __init__(self, finder: Relocalizer, camera: Camera | None, seed: int) -> None:
-        self.finder, self.camera, self.seed = finder, camera, seed
+    def __init__(self, relocalizer: Relocalizer, camera: Camera | None, seed: int) -> None:
+        self.relocalizer, self.camera, self.seed = relocalizer, camera, seed
         self._rng = np.random.default_rng(seed)
-        self.begin(None)
+        self.reset(None)
 
-    def begin(self, placed: GivenPose | None) -> None:
+    def reset(self, given: GivenPose | None) -> None:
         """Forget all, but for what somebody told."""
-        self._placed = placed
+        self._placed = given
         self._scene, self._tracker = "", None
         self._recent: deque[Frame] = deque(maxlen=KEPT)
         self._clear()
@@ -548,7 +554,7 @@ class Follower:
         """Whether a pose is followed, be it in doubt."""
         return self._tracker is not None and self._tracker.following
 
-    def look(self, frame: Frame) -> FrameResult | None:
+    def follow(self, frame: Frame) -> FrameResult | None:
         """Follow a frame; None where there is nothing to follow yet."""
         if self._tracker is None or not self._tracker.following:
             self._remember(frame)
@@ -563,9 +569,11 @@ class Follower:
             self._clear()  # what was before fits where the pose was known
         self._strayed += 1
         self._remember(frame)
-        over = not self._tracker.following
-        fits = not over and diagnostics_of(estimate).consistent
-        return FrameResult(frame, estimate.reason, self._scene, estimate, told=fits, over=over)
+        is_lost = not self._tracker.following
+        fits = not is_lost and diagnostics_of(estimate).consistent
+        return FrameResult(
+            frame, estimate.reason, self._scene, estimate, has_pose=fits, is_lost=is_lost
+        )
 
     def question(self) -> Relocalization | None:
         """What is to be looked up now, where a pose is not known for sure and a frame is new enough."""
@@ -577,11 +585,11 @@ class Follower:
         before = [frame for frame in self._recent if frame is not self._newest][1 - KEPT :]
         return Relocalization((*before, self._newest), self._placed, self._rng.spawn(1)[0])
 
-    def hear(self, found: Relocalized) -> FrameResult | None:
+    def take_answer(self, found: Relocalized) -> FrameResult | None:
         """Take an answer over; where a pose is still followed, only one that is sure to be elsewhere."""
         last, estimate = found.frames[-1], found.estimate
         if estimate is not None and self._placed is None:  # else a person and an image say the same
-            estimate = self._again.judged(found.scene, last, estimate)
+            estimate = self._again.confirm(found.scene, last, estimate)
         sure = estimate is not None and estimate.status is Status.OK
         if self.following and not (sure and self._strayed >= STRAYED):
             return None
@@ -589,7 +597,7 @@ class Follower:
             self._clear()
             return FrameResult(last, found.reason)
         if sure:
-            self._tracker, self._scene = self._taken(found), found.scene
+            self._tracker, self._scene = self._start_tracker(found), found.scene
             return self._sure(last, estimate)
         lost = estimate.status is Status.LOST
         if self._placed is not None:
@@ -598,8 +606,10 @@ class Follower:
                 return FrameResult(last, found.reason, found.scene, found.estimate)
             self._placed, self._fresh = None, True
         # of several places none is the pose
-        told = found.sure or (not lost and len(estimate.modes) == 1)
-        return FrameResult(last, estimate.reason, found.scene, estimate, told=told, over=True)
+        has_pose = found.sure or (not lost and len(estimate.modes) == 1)
+        return FrameResult(
+            last, estimate.reason, found.scene, estimate, has_pose=has_pose, is_lost=True
+        )
 
     def _clear(self) -> None:
         """Forget the frames that were to be looked up."""
@@ -610,12 +620,12 @@ class Follower:
         self._clear()
         self._placed = None
         self._strayed = self._denied = 0
-        return FrameResult(frame, estimate.reason, self._scene, estimate, told=True)
+        return FrameResult(frame, estimate.reason, self._scene, estimate, has_pose=True)
 
-    def _taken(self, found: Relocalized) -> Tracker:
+    def _start_tracker(self, found: Relocalized) -> Tracker:
         """A tracker that follows from what was found."""
         assert found.estimate is not None and found.estimate.best is not None  # noqa: S101, PT018  sure
-        tracker = Tracker(self.finder.query(found.scene, self.seed), self.camera)
+        tracker = Tracker(self.relocalizer.query(found.scene, self.seed), self.camera)
         tracker.start(found.frames, found.estimate.best.map_from_camera)
         return tracker
 

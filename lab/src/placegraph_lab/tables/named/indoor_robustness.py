@@ -204,8 +204,8 @@ def _logistic(columns: Floats, right: Floats, odds: Floats | float = 0.0) -> Flo
 
 def _features(numbers: dict[str, float | None]) -> list[float]:
     known = {k: np.nan if v is None else v for k, v in numbers.items()}
-    names = ("depth", "colour", "tone", "semantic", "held")
-    agreed = SimpleNamespace(**{name: known[name] for name in names})
+    senses = {name: known[name] for name in ("depth", "colour", "tone", "semantic")}
+    agreed = SimpleNamespace(**senses, constraint=known["held"])
     return features(agreed)  # type: ignore[arg-type]  # what it looks at
 
 
