@@ -414,7 +414,7 @@ def test_ranks_add_up_what_frames_say(table, room, rng):
     for _ in range(200):
         k, a = int(rng.integers(len(table))), int(rng.integers(HEADINGS))
         # where cameras seldom are comes later among equals
-        expected = 0.0 if table.usual[k] else -4.0 * TEMPERATURE * math.sqrt(3)
+        expected = 0.0 if table.is_common[k] else -4.0 * TEMPERATURE * math.sqrt(3)
         for scan, step in zip(scans, steps, strict=True):
             pose = compose(np.append(table.positions[k], 2 * np.pi * a / HEADINGS), step)
             i, j = np.floor((pose[:2] - table.origin) / table.spacing).astype(int)
@@ -425,7 +425,7 @@ def test_ranks_add_up_what_frames_say(table, room, rng):
             off_table += row < 0
         assert ranks[k, a] == pytest.approx(expected, abs=1e-3)
     assert 0 < off_table < 400
-    assert 0.2 < table.usual.mean() < 0.6
+    assert 0.2 < table.is_common.mean() < 0.6
 
 
 def test_views_are_turned_before_they_are_put_in_bins(table, room, rng):

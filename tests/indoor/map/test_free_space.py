@@ -108,11 +108,11 @@ def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     seen = np.array([[3.0, 3.0, 0.61], [3.5, 3.0, 0.63]]) + np.array([0, 0, room.floors[0]])
     scene = replace(room, viewpoints=seen)
     table = scene.visibility(FilterOptions())
-    own = table.positions[table.usual]
+    own = table.positions[table.is_common]
     assert 0 < len(own) < 40
     assert (np.abs(own[:, :2] - seen[0, :2]).max(axis=1) < 1.5).all()
     np.testing.assert_allclose(own[:, 2] - room.floors[0], 0.62, atol=0.011)
-    assert (table.layer[table.usual] == 0).all()
+    assert (table.layer[table.is_common] == 0).all()
     save_scene(scene, tmp_path / "it.scene")
     np.testing.assert_allclose(SceneMap.open(tmp_path / "it.scene").viewpoints, seen, atol=0.0051)
     assert "viewpoints" not in pack_scene(room)[1], "a mesh has none; nor have older files"
@@ -127,10 +127,10 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     table = both.visibility(FilterOptions())
     within = find_nearest_scene(both, table.positions[:, :2])[0]
     above = table.positions[:, 2] - table.ground
-    assert (table.layer[table.usual & (within == 1)] == 0).all()
+    assert (table.layer[table.is_common & (within == 1)] == 0).all()
     mesh = within == 0
-    assert (table.usual & mesh).any()
-    assert (table.usual[mesh] == ((above > 1.05) & (above < 1.85))[mesh]).all()
+    assert (table.is_common & mesh).any()
+    assert (table.is_common[mesh] == ((above > 1.05) & (above < 1.85))[mesh]).all()
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_where_the_camera_is_everything_agrees(hall, kind):
     assert got.weights[EAST] > 5
     assert got.weights[EAST_WALL] > 5
     assert (got.weights >= 0).all()
-    assert got.told[[WEST, WEST_WALL]].tolist() == [0, 0]
+    assert got.counts[[WEST, WEST_WALL]].tolist() == [0, 0]
 
 
 def test_what_fills_many_patches_tells_only_in_part(hall):
@@ -88,10 +88,10 @@ def test_what_fills_many_patches_tells_only_in_part(hall):
     frame = rendered(hall, EASTWARD, "instances")
     whole = judged(hall, frame, EASTWARD, "instances", semantic=True)
     part = judged(hall, frame, EASTWARD, "instances", Likelihood(object_patches=1.0), semantic=True)
-    patches = whole.told[EAST]
+    patches = whole.counts[EAST]
     assert patches > 5
     assert part.weights[EAST] == pytest.approx(whole.weights[EAST] / math.sqrt(patches), rel=0.05)
-    np.testing.assert_array_equal(part.told, whole.told)
+    np.testing.assert_array_equal(part.counts, whole.counts)
 
 
 def test_labels_speak_for_the_object_seen_not_for_its_like(hall):
@@ -99,7 +99,7 @@ def test_labels_speak_for_the_object_seen_not_for_its_like(hall):
     for pose, seen, unseen in ((EASTWARD, EAST, WEST), (WESTWARD, WEST, EAST)):
         got = judged(hall, rendered(hall, pose, "labels"), pose, "labels", semantic=True)
         assert got.weights[seen] > 3
-        assert got.told[unseen] == 0
+        assert got.counts[unseen] == 0
         first = next(e for e in explain(hall, got) if e.statement.startswith("chair"))
         assert (first.verdict, first.objects[0].id) == ("for", hall.graph.ids[seen])
 
@@ -111,7 +111,7 @@ def test_instances_in_the_wrong_place_speak_against_themselves(hall):
     assert got.semantic < 0.4
     assert got.weights[EAST] < -3
     assert got.weights[EAST_WALL] < -3
-    assert got.told[WEST] == 0
+    assert got.counts[WEST] == 0
     spoken = {e.objects[0].id: e for e in explain(hall, got) if e.objects}
     chair = spoken[hall.graph.ids[EAST]]
     assert chair.verdict == "against"
@@ -125,7 +125,7 @@ def test_labels_in_the_wrong_place_speak_against_what_stands_there(hall):
     got = judged(hall, frame, EASTWARD, "labels", semantic=True)
     assert got.weights[EAST] > 1
     assert got.weights[EAST_WALL] < -3
-    assert got.told[WEST] == got.told[WEST_WALL] == 0
+    assert got.counts[WEST] == got.counts[WEST_WALL] == 0
 
 
 def test_depth_counts_readings_within_a_deviation(hall):
@@ -158,7 +158,7 @@ def test_a_camera_that_sees_nothing_of_the_map(hall):
     assert got.covered == 0
     assert math.isnan(got.semantic)
     assert math.isnan(got.depth)
-    assert not got.told.any()
+    assert not got.counts.any()
     (note,) = explain(hall, got)
     assert (note.statement, note.verdict) == ("coverage", "silent")
     assert "100%" in note.note
@@ -239,14 +239,14 @@ def test_eq_2_can_be_explained_too(room, walk, truth):
 def told(hall, **change):
     fields = {
         "covered": 1.0, "semantic": math.nan, "depth": math.nan, "colour": math.nan,
-        "weights": np.zeros(5), "told": np.zeros(5),
+        "weights": np.zeros(5), "counts": np.zeros(5),
     }  # fmt: skip
     return explain(hall, Agreement(**fields | change))
 
 
 def test_objects_in_the_order_of_what_they_told(hall):
     weights, patches = np.array([2.0, -9.0, 0.3, 5.0, 7.0]), np.array([4.0, 3, 2, 1, 0])
-    got = told(hall, weights=weights, told=patches)
+    got = told(hall, weights=weights, counts=patches)
     assert [e.objects[0].id for e in got] == [hall.graph.ids[i] for i in (1, 3, 0, 2)]
     assert [e.verdict for e in got] == ["against", "for", "for", "silent"]
     assert [e.weight for e in got] == [-9.0, 5.0, 2.0, 0.3]

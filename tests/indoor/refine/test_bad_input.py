@@ -197,7 +197,7 @@ def test_odometry_that_is_no_number_is_refused(walk, in_memory, value):
 def test_what_contradicts_the_odometry_is_not_ok(room, walk, located, monkeypatch):
     """The filter may still say so: the frames, each where it fits, part from their way."""
     assert located.status is Status.OK
-    for module in ("refine.confidence", "status"):
+    for module in ("refine.refinement", "status"):
         monkeypatch.setattr(f"placegraph.indoor.{module}.BENT", 1e-6)
     after = room.localize(walk, frames=FIVE)
     assert after.status is Status.AMBIGUOUS

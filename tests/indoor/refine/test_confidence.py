@@ -196,14 +196,14 @@ def test_where_images_mislead_depth_alone_is_believed(refiner, exact, kit):
     start = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 2.0))
     found = confirm_fit(refiner(), start, pulled)
     assert found.accepted
-    assert found.fitted is pulled.by_depth
+    assert found.candidate is pulled.by_depth
     assert found.reason == "Refined by depth."
     better = replace(fitted(exact.poses, 40), by_depth=fitted(off))
-    assert confirm_fit(refiner(), start, better).fitted is better
+    assert confirm_fit(refiner(), start, better).candidate is better
     astray = replace(fitted(kit.moved(exact.poses, (3.0, 0, 0)), 40), by_depth=fitted(exact.poses))
     found = confirm_fit(refiner(), start, astray)
     assert found.accepted
-    assert found.fitted is astray.by_depth
+    assert found.candidate is astray.by_depth
 
 
 @pytest.mark.parametrize(

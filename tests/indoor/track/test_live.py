@@ -323,7 +323,7 @@ def test_what_is_refused(live, room, film):
 def test_what_breaks_in_the_background_is_told(room, film, monkeypatch):
     held = Held()
     live = room.live(film.camera, background=held)
-    monkeypatch.setattr(live._follower, "look", lambda _: 1 / 0)
+    monkeypatch.setattr(live._follower, "follow", lambda _: 1 / 0)
     live.see(film[0])
     held.run_all()
     with pytest.raises(ZeroDivisionError):
@@ -436,7 +436,7 @@ def test_slow_frames_are_looked_up_with_those_before(room, film):
     """Each is too near the last to be a keyframe beside it; together they are a way."""
     search = []
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
-    live._follower.hear = lambda found: search.append(found.frames)
+    live._follower.take_answer = lambda found: search.append(found.frames)
     for i in range(30):
         odometry = film[0].odometry.copy()
         odometry[:3, 3] += (0.04 * i, 0.0, 0.0)

@@ -140,9 +140,10 @@ class Agreement:
     """(T, 3) how far each frame by itself agrees: semantic, depth, colour."""
 
     def numbers(self) -> dict[str, float | None]:
-        """What a verdict is made of, ready for `json.dumps`; None: there is no such sense."""
-        names = ("covered", "semantic", "depth", "colour", "tone", "ratio", "held")
+        """Return the numbers that decide the status, ready for `json.dumps`; None: no such sense."""
+        names = ("covered", "semantic", "depth", "colour", "tone", "ratio")
         values = {name: float(getattr(self, name)) for name in names}
+        values["held"] = self.constraint
         values["witnesses"] = float((self.weights > TELLING).sum())
         values["odds"] = CONFIDENCE.odds(self)
         return {name: value if np.isfinite(value) else None for name, value in values.items()}

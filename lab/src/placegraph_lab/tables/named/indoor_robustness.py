@@ -250,7 +250,7 @@ def indoor_robustness(
     device: lab.Device = "auto",
     *,
     fit: Annotated[
-        bool, lab.option("Fit the coefficients of pose/trust.py, and print only them.")
+        bool, lab.option("Fit the coefficients of pose/agreement.py, and print only them.")
     ] = False,
     quick: lab.Quick = False,
     fresh: lab.Fresh = False,
