@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from placegraph_lab.tables.indoor.robustness import Case, Told, all_cases, quick
+from placegraph_lab.tables.indoor.robustness import Case, Outcome, all_cases, quick
 from placegraph_lab.tables.named import indoor_robustness as script
 from placegraph_lab.tables.named.indoor_robustness import Row
 from placegraph_lab.tables.runner import plain
@@ -16,10 +16,12 @@ def asked(monkeypatch, shared):  # noqa: ARG001  # the table's data
     """The script, its maps replaced by names and its answers by one that is nearly right."""
     seen = []
 
-    def ask(scene, asked, shot, case, *, seed, device):  # noqa: ARG001
+    def ask(scene, asked, clip, case, *, seed, device):  # noqa: ARG001
         seen.append((case.name, scene, asked.number))
         off = math.inf if case.map else 0.07
-        return Told(shot.name, asked.number, off, 1.0, "OK", "One place fits.", 5.0, {"depth": 0.9})
+        return Outcome(
+            clip.name, asked.number, off, 1.0, "OK", "One place fits.", 5.0, {"depth": 0.9}
+        )
 
     monkeypatch.setattr(script, "ask", ask)
     monkeypatch.setattr(script.Places, "scene", lambda _, name: name)
@@ -60,10 +62,10 @@ def test_names_are_distinct_and_a_quick_run_has_every_family():
 
 
 def test_no_answer_to_bad_input_may_be_sure():
-    right = Told("w", 0, 0.01, 0.1, "OK", "", 5.0)
+    right = Outcome("w", 0, 0.01, 0.1, "OK", "", 5.0)
     assert Row(Case("house", "as recorded"), (right,)).false_ok == 0.0
     assert Row(Case("house", "frozen image", part="bad"), (right,)).false_ok == 1.0
-    refused = Told("w", 1, math.inf, math.inf, "OptionError", "stamps", math.nan)
+    refused = Outcome("w", 1, math.inf, math.inf, "OptionError", "stamps", math.nan)
     row = Row(Case("house", "time backwards", part="bad"), (refused, refused))
     assert row.false_ok == 0.0
     assert plain(row.record())["milliseconds"] is None

@@ -12,8 +12,8 @@ from placegraph_lab.tables.indoor.perturb import Recording
 from placegraph_lab.tables.named.robot_live import (
     PERIOD,
     Clock,
+    FrameResult,
     Row,
-    Seen,
     longest,
     looped,
     play,
@@ -86,7 +86,9 @@ def seen(text):
             continue
         sure = letter in "omF"
         out.append(
-            Seen("OK" if sure else "LOST", letter == "o", True, letter == "F", 5.0, kidnapped)
+            FrameResult(
+                "OK" if sure else "LOST", letter == "o", True, letter == "F", 5.0, kidnapped
+            )
         )
         kidnapped = False
     return out

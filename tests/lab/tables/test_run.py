@@ -69,8 +69,8 @@ def test_a_drawn_town(measure, tmp_path):
 
 @pytest.mark.all
 def test_drawn_homes(measure, tmp_path, monkeypatch):
-    described = told.told()[:20]  # of few homes
-    monkeypatch.setattr(told, "told", lambda: described)
+    described = told.read_texts()[:20]  # of few homes
+    monkeypatch.setattr(told, "read_texts", lambda: described)
     monkeypatch.setattr(told, "OTHERS", 2)
     options = ("--quick", "--data", tmp_path, "--out", tmp_path / "rows.json")
     result = measure("scene_sentences", *options)

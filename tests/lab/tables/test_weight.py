@@ -1,6 +1,6 @@
 """The weight of the house: what is counted, and that it is counted right."""
 
-from placegraph_lab.tables.named.weight import functions, shape, weigh, weights
+from placegraph_lab.tables.named.weight import count_lines, functions, shape, weights
 from placegraph_lab.tables.runner import LAB
 
 CODE = '''"""A room."""
@@ -21,7 +21,7 @@ class Room:
 def test_lines_and_functions_are_counted(tmp_path):
     file = tmp_path / "room.py"
     file.write_text(CODE)
-    found = weigh("lab", [file])
+    found = count_lines("lab", [file])
     assert (found.files, found.lines, found.budget, found.before) == (1, 12, 26_000, 41_142)
     kinds = (found.code, found.imports, found.docstrings, found.comments, found.blank)
     assert kinds == (6, 1, 3, 1, 2)

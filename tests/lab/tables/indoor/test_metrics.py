@@ -46,7 +46,7 @@ def estimate(status, *modes, particles=None):
 def answer(position=0.05, rotation=1.0, status="OK", **more):
     fields = {
         "window": "seq01 5:10", "place": "seq01", "changed": False, "coverage": None,
-        "probability": 0.9, "held": position <= NEAR[0] and rotation <= NEAR[1],
+        "probability": 0.9, "among_modes": position <= NEAR[0] and rotation <= NEAR[1],
         "whitened": (0.5, -0.5, 0.5, -0.5, 0.5, -0.5), "frames": 5, "seconds": 1.0,
     }  # fmt: skip
     return Answer(position=position, rotation=rotation, status=status, **(fields | more))
@@ -73,27 +73,32 @@ def test_an_estimate_is_measured():
     )
     got = measure(two, at(), seconds=0.5, frames=5, window="w", place="p")
     assert (got.position, got.rotation) == pytest.approx((5.0, 0.0), abs=1e-6)
-    assert (got.status, got.probability, got.held) == ("AMBIGUOUS", 0.6, True)
+    assert (got.status, got.probability, got.among_modes) == ("AMBIGUOUS", 0.6, True)
     assert got.whitened == pytest.approx((-50.0, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-6)
     assert got.particles == 20.0
     none = measure(estimate("LOST"), at(), seconds=0.5, frames=5)
-    assert not none.answered
-    assert (none.rotation, none.probability, none.held, none.whitened) == (180.0, 0.0, False, ())
+    assert not none.has_pose
+    assert (none.rotation, none.probability, none.among_modes, none.whitened) == (
+        180.0,
+        0.0,
+        False,
+        (),
+    )
     assert math.isnan(none.particles)
     assert math.isnan(mean_particles({"particles": [[]]}))
 
 
 def test_status_is_weighed_against_the_truth():
-    false = answer(14.0, 179.0, held=False)
-    torn = answer(14.0, 179.0, status="AMBIGUOUS", held=True)
-    blind = answer(14.0, 179.0, status="AMBIGUOUS", held=False)
+    false = answer(14.0, 179.0, among_modes=False)
+    torn = answer(14.0, 179.0, status="AMBIGUOUS", among_modes=True)
+    blind = answer(14.0, 179.0, status="AMBIGUOUS", among_modes=False)
     shy = answer(0.05, 1.0, status="LOST")
     lost = answer(**LOST)
     honest = [is_honest(a) for a in (answer(), false, torn, blind, shy, lost)]
     assert honest == [True, False, True, False, False, True]
     s = score([answer(), false, torn, blind, shy, lost])
     assert (s.right, s.false_ok, s.honest) == pytest.approx((1 / 2, 1 / 6, 1 / 2))
-    assert s.held == pytest.approx(3 / 6)
+    assert s.among_modes == pytest.approx(3 / 6)
     assert s.worst == (
         "seq01 5:10 OK 14.00 m 179 deg",
         "seq01 5:10 AMBIGUOUS 14.00 m 179 deg",

@@ -18,7 +18,7 @@ def answer(window="seq00 0:5", position=0.05, rotation=1.0, status="OK", **more)
         **{
             "window": window, "place": window.split()[0], "changed": window >= "seq01",
             "coverage": None, "position": position, "rotation": rotation, "status": status,
-            "probability": 0.9, "held": near, "whitened": (1.0,) * 6, "frames": 5,
+            "probability": 0.9, "among_modes": near, "whitened": (1.0,) * 6, "frames": 5,
             "seconds": 0.5, "particles": 120.0,
         }
         | more

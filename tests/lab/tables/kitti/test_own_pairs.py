@@ -46,7 +46,7 @@ def write(folder, told):
 
 def test_recall_and_calibration(folder):
     found = evaluate_folder(folder)
-    by_id = dict(zip([t.id for t in found.told], found.answers, strict=True))
+    by_id = dict(zip([t.id for t in found.descriptions], found.answers, strict=True))
     assert by_id["clear"].distance[0] <= HIT
     assert by_id["clear"].own_cell is not None
     assert by_id["wrong"].distance[0] > 3 * HIT, "the truth never reaches the map"

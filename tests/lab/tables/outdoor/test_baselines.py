@@ -6,13 +6,13 @@ import pytest
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.places import read_raw
-from placegraph_lab.tables.outdoor.queries import Query, Said, load, make_queries
+from placegraph_lab.tables.outdoor.queries import Query, SpokenStatement, load, make_queries
 
 TREE, BENCH, FOUNTAIN = {"natural": "tree"}, {"amenity": "bench"}, {"amenity": "fountain"}
 
 
 def query(*statements):
-    return Query("", 0.0, 0.0, tuple(Said(*s, "", "") for s in statements))
+    return Query("", 0.0, 0.0, tuple(SpokenStatement(*s, "", "") for s in statements))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from placegraph_lab.tables.outdoor.ceiling import Contest, ceiling, oracle
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.places import read_raw
-from placegraph_lab.tables.outdoor.queries import Query, Said
+from placegraph_lab.tables.outdoor.queries import Query, SpokenStatement
 
 TREE, BENCH, FOUNTAIN = {"natural": "tree"}, {"amenity": "bench"}, {"amenity": "fountain"}
 PLACE = [(0.0, 0.0, TREE), (0.0, 10.0, BENCH)]
@@ -18,7 +18,7 @@ def at(east, place=PLACE):
 def ask(bins, *statements, osm="node/1"):
     """A query whose truth is at an object."""
     here = bins.city.plane.to_lonlat(bins.city.center[bins.city.rows[osm]]).tolist()
-    return Query("", *here, tuple(Said(*s, "", "") for s in statements))
+    return Query("", *here, tuple(SpokenStatement(*s, "", "") for s in statements))
 
 
 def test_three_places_alike_share_the_first_rank(write_world):

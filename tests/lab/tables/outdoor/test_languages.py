@@ -19,6 +19,6 @@ def test_what_is_said_in_a_language_is_read(texts, code):
     for text, query in texts[code]:
         description = describe(text)
         assert description.language == code, text
-        asked += len(query.said)
+        asked += len(query.statements)
         read += sum(s.relation == "direction" for s in description.statements)
     assert read >= 0.9 * asked

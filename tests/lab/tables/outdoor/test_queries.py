@@ -39,8 +39,8 @@ def test_every_statement_without_noise_is_true(town, setting):
     label = city.named if setting == "names" else city.label
     for query in make_queries(town, setting=setting, n=N):
         viewpoint = city.plane.to_plane((query.longitude, query.latitude))
-        assert len(query.said) == 6
-        for said in query.said:
+        assert len(query.statements) == 6
+        for said in query.statements:
             a, b = city.rows[said.source_osm], city.rows[said.target_osm]
             p, q = stands(city, a, viewpoint), stands(city, b, viewpoint)
             assert p is not None
@@ -57,7 +57,7 @@ def test_statements_about_the_speaker_are_true(town):
     for query in make_queries(town, setting="speaker", n=N):
         viewpoint = city.plane.to_plane((query.longitude, query.latitude))
         assert query.text.count("There ") == 6
-        for said in query.said:
+        for said in query.statements:
             point = stands(city, city.rows[said.source_osm], viewpoint)
             assert point is not None
             assert direction(point - viewpoint) == said.direction
@@ -71,7 +71,7 @@ def test_noise_changes_a_fifth_of_the_same_statements(town):
         pairs = [
             (a, b)
             for p, q in zip(true, noisy, strict=True)
-            for a, b in zip(p.said, q.said, strict=True)
+            for a, b in zip(p.statements, q.statements, strict=True)
         ]
         assert {(q.longitude, q.latitude) for q in noisy} == {
             (q.longitude, q.latitude) for q in true
@@ -94,7 +94,7 @@ def test_absent_things_are_not_there(town):
         viewpoint = bins.city.plane.to_plane((query.longitude, query.latitude))
         around = bins.around(viewpoint[None], 60.0)
         near = {bins.city.labels[i] for i in bins.city.label[around.objects]}
-        for said in query.said:
+        for said in query.statements:
             ends = ((said.source, said.source_osm), (said.target, said.target_osm))
             absent = [label for label, osm in ends if not osm]
             assert len(absent) == said.noisy

@@ -57,7 +57,7 @@ def test_stages_are_timed_and_rank_candidates(encoded, city, asked):
 
 def test_a_network_is_evaluated_on_given_cells_and_its_own(city, network, town, asked):
     task = Task.of(city, load(town), asked)
-    for truth, others, query in zip(task.truth, task.others, task.queries, strict=True):
+    for truth, others, query in zip(task.truth, task.distractors, task.queries, strict=True):
         assert city.cells.id_of(truth) == city.cells.at(query.longitude, query.latitude)
         assert truth not in others
         assert len(set(others.tolist())) == len(others) >= max(GIVEN) - 1

@@ -28,7 +28,7 @@ def test_places_lie_as_far_apart_as_they_should(walks, town):
     for k, walk in enumerate(walks):
         for way, step in zip(true_ways(walk, plane), walk.steps[1:], strict=True):
             assert NEAREST - 1e-6 <= np.hypot(*way) <= FARTHEST + 1e-6
-            assert len(step.query.said) == 2
+            assert len(step.query.statements) == 2
             errors.append((np.subtract(step.measured, way)) / np.hypot(*way))
         angles = bearing(true_ways(walk, plane))
         turns.append((k % 2, np.max(angle_between(angles[1:], angles[:-1]))))

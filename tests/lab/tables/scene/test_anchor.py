@@ -13,9 +13,9 @@ from placegraph_lab.tables.named.scene_anchor import (
     ask,
     extract,
     house,
-    judged,
     report,
     right,
+    score_candidates,
 )
 
 
@@ -49,12 +49,12 @@ def test_the_truth_is_right_and_a_turn_is_not(home):
         home.stands.shift_origin((3.0, 0, 0)), covariance=np.eye(4) * 0.01, probability=0.5
     )
     true = replace(home.stands, covariance=np.eye(4) * 0.01)
-    (found,) = judged(home, AnchorFit((true,), ()))["candidates"]
+    (found,) = score_candidates(home, AnchorFit((true,), ()))["candidates"]
     assert right(found)
     assert found["chi2"] < 1e-6
     for wrong in (turned, far):
         anchor = replace(wrong, covariance=np.eye(4) * 0.01)
-        (found,) = judged(home, AnchorFit((anchor,), ()))["candidates"]
+        (found,) = score_candidates(home, AnchorFit((anchor,), ()))["candidates"]
         assert not right(found)
     assert found["metres"] == pytest.approx(3.0, abs=1e-3)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from placegraph.indoor.build import build_scene
-from placegraph_lab.tables.named.scene_changes import Told, ask, figures, report
+from placegraph_lab.tables.named.scene_changes import WindowChanges, ask, figures, report
 
 
 def told(**columns):
@@ -13,7 +13,7 @@ def told(**columns):
         "removed_found": 1, "errors": ((0.02, 1.0),), "right": (0.9, 0.8), "wrong": (0.3,),
         "new_right": 1, "new_wrong": 1, "seconds": 2.0,
     }  # fmt: skip
-    return Told(**(plain | columns))
+    return WindowChanges(**(plain | columns))
 
 
 def test_sums_and_rates():

@@ -106,7 +106,7 @@ def test_smaller_maps_lie_near_the_full_one(maps):
 def answer(name, position, rotation=1.0, place="seq00"):
     return Answer(
         window=name, place=place, changed=False, coverage=None, position=position,
-        rotation=rotation, status="OK", probability=0.9, held=True,
+        rotation=rotation, status="OK", probability=0.9, among_modes=True,
         whitened=(0.0,) * 6, frames=5, seconds=0.1,
     )  # fmt: skip
 

@@ -53,7 +53,7 @@ def test_rays_say_what_patches_show(place):
 
 def test_who_knows_everything(place):
     told = accuracy(Knowing(place, 1.0), place.scene, place.frames[:3], place.map_from_camera[:3])
-    assert (told.best, told.auc, told.telling) == (1.0, 1.0, 1.0)
+    assert (told.best, told.auc, told.encoded) == (1.0, 1.0, 1.0)
     background = place.scene.visibility(PoseSearchOptions()).background.objects
     true = np.concatenate(
         [

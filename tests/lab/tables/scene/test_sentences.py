@@ -15,7 +15,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.scene import sentences as spoken_poses
 from placegraph_lab.tables.scene.sentences import (
-    Asked,
+    RankedSentence,
     Scene,
     ask,
     describe_pose,
@@ -53,7 +53,11 @@ def test_ranks_are_counted():
     assert {a.among for a in asked} == {10}
     assert asked[-1].rank == 1
     assert asked[0].rank in (5, 6)  # of equals, the middle
-    assert recall([Asked("", "", 1, 0.0, 10, r) for r in (1, 2, 4, 9)]) == [0.25, 0.5, 0.75]
+    assert recall([RankedSentence("", "", 1, 0.0, 10, r) for r in (1, 2, 4, 9)]) == [
+        0.25,
+        0.5,
+        0.75,
+    ]
     assert ".10/" in report(asked)
     (row,) = figures(asked)
     assert (row["recall_1"], row["sentences"]) == (0.1, 10)

@@ -9,8 +9,8 @@ from placegraph_lab.tables.named.scene_sentences import (
     hits,
     office,
     part_of,
+    read_texts,
     reader,
-    told,
 )
 from placegraph_lab.tables.named.scene_sentences import report_people as report
 
@@ -19,7 +19,7 @@ def test_first_places_are_counted():
     room = office()
     own = [part_of(room, np.array([i])) for i in (0, room.graph.labels.index("plant"))]
     names = [f"{i}/room" for i in range(2)]
-    texts = [type(told()[0])("1/room", "lots of plants")]
+    texts = [type(read_texts()[0])("1/room", "lots of plants")]
     found = hits(
         texts, names, {"ours": reader(own), "bag": bag(own)}, np.random.default_rng(0),
         draws=2, alike=True,

@@ -146,7 +146,7 @@ def with_mesh(scene: SceneMap, mesh: Mesh) -> SceneMap:
 
 
 def place(cache: Path, name: str) -> Path:
-    """Where a map belongs; those that older code made are deleted."""
+    """Return the path of a map, and delete the maps that older code made."""
     cache.mkdir(parents=True, exist_ok=True)
     path = cache / f"{name}_{code_key(INDOOR)}.scene"
     for old in cache.glob(f"{name}_{'[0-9a-f]' * 16}.scene"):

@@ -1,4 +1,4 @@
-"""What an indoor answer is worth: errors of the pose, recall, status, calibration and time."""
+"""Measures of indoor answers: errors of the pose, recall, status, calibration and time."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def near(map_from_camera: Floats, truth: Floats, limits: tuple[float, float] = N
 
 
 def pose_error(map_from_camera: Floats, truth: Floats) -> Floats:
-    """What leads from a pose (4, 4) to the truth (4, 4): (6,) shift [m], turn [rad], map axes.
+    """Return the error (6,) of a pose (4, 4) to the truth (4, 4): shift [m], turn [rad], map axes.
 
     The shift is added to the position; the turn is the vector of the rotation that comes after the
     pose's own: log(R_true R^T), as `PoseMode.covariance` has it.
@@ -93,7 +93,7 @@ class Answer:
     rotation: float  # error of the best pose [deg]; 180 where there is none
     status: str
     probability: float  # of the best mode; 0 where there is none
-    held: bool  # whether the truth is near one of the modes
+    among_modes: bool  # whether the truth is near one of the modes
     whitened: tuple[
         float, ...
     ]  # (6,) `normalised_error` of the best mode; empty where there is none
@@ -102,7 +102,7 @@ class Answer:
     particles: float = math.nan  # mean number of particles over frames and passes
 
     @property
-    def answered(self) -> bool:
+    def has_pose(self) -> bool:
         return math.isfinite(self.position)
 
     def within(self, metres: float, degrees: float) -> bool:
@@ -129,7 +129,7 @@ def measure(
         rotation=180.0 if pose is None else rotation_error(pose, truth),
         status=estimate.status.name,
         probability=float(best.probability) if best else 0.0,
-        held=any(near(m.map_from_camera, truth) for m in estimate.modes),
+        among_modes=any(near(m.map_from_camera, truth) for m in estimate.modes),
         whitened=tuple(normalised_error(best.covariance, best.map_from_camera, truth).tolist())
         if best
         else (),
@@ -158,7 +158,7 @@ class Score:
     status: dict[str, float]  # share of every status
     right: float  # share of `OK` answers that are near the truth; NaN where none is `OK`
     false_ok: float  # share of all answers that are `OK` and not near the truth
-    held: float  # share of answers with the truth among their modes
+    among_modes: float  # share of answers with the truth among their modes
     honest: float
     """Share of answers that are right and `OK`, `AMBIGUOUS` with the truth among the modes, or
     `LOST` where the best pose, if any, is wrong."""
@@ -179,7 +179,7 @@ def score(answers: Sequence[Answer]) -> Score:
         raise OptionError("There are no answers to score.")
     n = len(answers)
     errors = np.array([(a.position, a.rotation) for a in answers])
-    posed = errors[[a.answered for a in answers]]
+    posed = errors[[a.has_pose for a in answers]]
     right = np.array([a.within(*NEAR) for a in answers])
     statuses = [a.status for a in answers]
     ok = np.array([s == "OK" for s in statuses])
@@ -193,7 +193,7 @@ def score(answers: Sequence[Answer]) -> Score:
         status={s: statuses.count(s) / n for s in sorted(set(statuses))},
         right=float(right[ok].mean()) if ok.any() else math.nan,
         false_ok=float((ok & ~right).mean()),
-        held=sum(a.held for a in answers) / n,
+        among_modes=sum(a.among_modes for a in answers) / n,
         honest=sum(map(is_honest, answers)) / n,
         calibration=reliability([a.probability for a in answers], right, bins=min(5, n)),
         spread=root_mean_square(white),
@@ -208,11 +208,11 @@ def is_honest(answer: Answer) -> bool:
     right = answer.within(*NEAR)
     if answer.status == "OK":
         return right
-    return answer.held if answer.status == "AMBIGUOUS" else not right
+    return answer.among_modes if answer.status == "AMBIGUOUS" else not right
 
 
 def wrong_ones(answers: Iterable[Answer]) -> list[str]:
-    wrong = [a for a in answers if a.answered and not a.within(*NEAR)]
+    wrong = [a for a in answers if a.has_pose and not a.within(*NEAR)]
     return [
         f"{a.window} {a.status} {a.position:.2f} m {a.rotation:.0f} deg"
         for a in sorted(wrong, key=lambda a: -a.position)

@@ -1,4 +1,4 @@
-"""What goes wrong with captures: windows of recordings, spoiled in one way, by a strength.
+"""Perturbations of captures: clips of recordings, changed in one way, by a strength.
 
 A perturbation changes what a localizer is told, never what is true: of the truth only turned images
 and moved cameras have another. Rates of odometry are those of a frame of the window.
@@ -44,7 +44,7 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class Clip:
     """Frames of one window, and where they were truly taken."""
 
     frames: tuple[Frame, ...]
@@ -65,11 +65,11 @@ class Shot:
         return f"{self.recording.name} {self.rows[0]}:{self.rows[-1] + 1}{whole}"
 
     def each(self, change: Callable[[Frame], Frame]) -> Self:
-        """The shot with each frame changed."""
+        """The clip with each frame changed."""
         return replace(self, frames=tuple(change(frame) for frame in self.frames))
 
 
-def seen(
+def with_images(
     frame: Frame,
     *,
     rgb: NDArray[Any] | None = None,
@@ -85,15 +85,15 @@ def seen(
 # ------------------------------------------------------------------------------------- the place
 
 
-def height(shot: Shot, metres: float, rng: Generator) -> Shot:
+def height(clip: Clip, metres: float, rng: Generator) -> Clip:
     """From the same places at another height above the floor, rendered, with sensors' noise."""
-    assert shot.recording.world is not None  # noqa: S101  sets say what can be rendered
-    world = shot.recording.world()
-    truth = shot.truth.copy()
+    assert clip.recording.world is not None  # noqa: S101  sets say what can be rendered
+    world = clip.recording.world()
+    truth = clip.truth.copy()
     truth[:, 2, 3] += float(world.floors[0]) + metres - float(np.median(truth[:, 2, 3]))
-    pairs = zip(shot.frames, truth, strict=True)
+    pairs = zip(clip.frames, truth, strict=True)
     return replace(
-        shot, truth=truth, frames=tuple(_rendered(world, f, pose, rng) for f, pose in pairs)
+        clip, truth=truth, frames=tuple(_rendered(world, f, pose, rng) for f, pose in pairs)
     )
 
 
@@ -110,25 +110,25 @@ def _rendered(world: SceneMap, frame: Frame, pose: Floats, rng: Generator) -> Fr
     sd = 0.0012 + 0.0019 * np.maximum(depth - 0.4, 0.0) ** 2
     depth = depth + sd * rng.normal(size=depth.shape)
     depth[(rng.random(depth.shape) < 0.1) | (depth > 9.0)] = np.nan
-    return seen(frame, rgb=rgb, depth=depth)
+    return with_images(frame, rgb=rgb, depth=depth)
 
 
 # ------------------------------------------------------------------------------------ the motion
 
 
-def drift(shot: Shot, degrees: float, rng: Generator) -> Shot:
+def drift(clip: Clip, degrees: float, rng: Generator) -> Clip:
     """Odometry that wanders: degrees of yaw a frame, and twice as many % of the way, at random."""
-    noise = rng.standard_normal((len(shot.frames) - 1, 4))
-    return _bent(shot, degrees, noise)
+    noise = rng.standard_normal((len(clip.frames) - 1, 4))
+    return _bent(clip, degrees, noise)
 
 
-def steady_drift(shot: Shot, degrees: float, rng: Generator) -> Shot:  # noqa: ARG001
+def steady_drift(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: ARG001
     """The same, all one way, and every step too long: a wheel that slips."""
-    return _bent(shot, degrees, np.ones((len(shot.frames) - 1, 4)), along=True)
+    return _bent(clip, degrees, np.ones((len(clip.frames) - 1, 4)), along=True)
 
 
-def _bent(shot: Shot, degrees: float, noise: Floats, *, along: bool = False) -> Shot:
-    poses, level = split_pose(np.stack([f.odometry for f in shot.frames]))
+def _bent(clip: Clip, degrees: float, noise: Floats, *, along: bool = False) -> Clip:
+    poses, level = split_pose(np.stack([f.odometry for f in clip.frames]))
     steps = between(poses[:-1], poses[1:])
     lengths = np.linalg.norm(steps[:, :3], axis=1, keepdims=True)
     errors = steps[:, :3] if along else lengths * noise[:, :3]
@@ -138,47 +138,47 @@ def _bent(shot: Shot, degrees: float, noise: Floats, *, along: bool = False) -> 
     for step in steps:
         found.append(compose(found[-1], step))
     bent = pose_matrix(np.array(found), level)
-    pairs = zip(shot.frames, bent, strict=True)
-    return replace(shot, frames=tuple(replace(f, odometry=pose) for f, pose in pairs))
+    pairs = zip(clip.frames, bent, strict=True)
+    return replace(clip, frames=tuple(replace(f, odometry=pose) for f, pose in pairs))
 
 
-def tilt(shot: Shot, degrees: float, rng: Generator) -> Shot:
+def tilt(clip: Clip, degrees: float, rng: Generator) -> Clip:
     """Gravity that errs by one angle in all frames: the sensor is mounted aslant."""
-    down = shot.frames[0].gravity
+    down = clip.frames[0].gravity
     axis = rng.standard_normal(3)
     axis -= axis @ down * down
     turn = rotation_from_vector(np.radians(degrees) * axis / np.linalg.norm(axis))
-    return shot.each(lambda f: replace(f, gravity=turn @ f.gravity))
+    return clip.each(lambda f: replace(f, gravity=turn @ f.gravity))
 
 
-def shaken(shot: Shot, degrees: float, rng: Generator) -> Shot:
+def shaken(clip: Clip, degrees: float, rng: Generator) -> Clip:
     """Gravity that errs anew in each frame, by an angle of this deviation about each axis."""
 
     def change(frame: Frame) -> Frame:
         turn = rotation_from_vector(np.radians(degrees) * rng.standard_normal(3))
         return replace(frame, gravity=turn @ frame.gravity)
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def dropped(shot: Shot, percent: float, rng: Generator) -> Shot:
+def dropped(clip: Clip, percent: float, rng: Generator) -> Clip:
     """So many of the frames are missing; the last is there."""
-    last = len(shot.frames) - 1
-    count = last - round(percent / 100.0 * len(shot.frames))
+    last = len(clip.frames) - 1
+    count = last - round(percent / 100.0 * len(clip.frames))
     kept = [*np.sort(rng.choice(last, count, replace=False)).tolist(), last]
     return replace(
-        shot,
-        frames=tuple(shot.frames[i] for i in kept),
-        truth=shot.truth[kept],
-        rows=tuple(shot.rows[i] for i in kept),
+        clip,
+        frames=tuple(clip.frames[i] for i in kept),
+        truth=clip.truth[kept],
+        rows=tuple(clip.rows[i] for i in kept),
     )
 
 
-def rolling(shot: Shot, milliseconds: float, rng: Generator) -> Shot:
+def rolling(clip: Clip, milliseconds: float, rng: Generator) -> Clip:
     """Odometry and gravity of up to so much earlier or later than the image, frame by frame."""
-    all_frames, frames = shot.recording.frames, []
-    for frame, row in zip(shot.frames, shot.rows, strict=True):
-        part = rng.uniform(-1.0, 1.0) * milliseconds / 1000.0 / shot.recording.period
+    all_frames, frames = clip.recording.frames, []
+    for frame, row in zip(clip.frames, clip.rows, strict=True):
+        part = rng.uniform(-1.0, 1.0) * milliseconds / 1000.0 / clip.recording.period
         other = min(max(row + (1 if part > 0 else -1), 0), len(all_frames) - 1)
         here, there = frame.odometry, all_frames[other].odometry
         moved = here.copy()
@@ -187,41 +187,45 @@ def rolling(shot: Shot, milliseconds: float, rng: Generator) -> Shot:
         moved[:3, :3] = rotation_from_vector(abs(part) * turn) @ here[:3, :3]
         gravity = moved[:3, :3].T @ (here[:3, :3] @ frame.gravity)
         frames.append(replace(frame, odometry=moved, gravity=gravity))
-    return replace(shot, frames=tuple(frames))
+    return replace(clip, frames=tuple(frames))
 
 
 # ------------------------------------------------------------------------------------ the camera
 
 
-def focal(shot: Shot, percent: float, rng: Generator) -> Shot:  # noqa: ARG001
+def focal(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Focal lengths told so many % too long."""
 
-    def told(camera: Camera) -> Camera:
+    def lengthened(camera: Camera) -> Camera:
         return replace(
             camera, fx=camera.fx * (1 + percent / 100), fy=camera.fy * (1 + percent / 100)
         )
 
-    return shot.each(
+    return clip.each(
         lambda f: replace(
-            f, camera=told(f.camera), depth_camera=f.depth_camera and told(f.depth_camera)
+            f,
+            camera=lengthened(f.camera),
+            depth_camera=f.depth_camera and lengthened(f.depth_camera),
         )
     )
 
 
-def depth_scale(shot: Shot, percent: float, rng: Generator) -> Shot:  # noqa: ARG001
+def depth_scale(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Readings so many % too long."""
-    return shot.each(lambda f: seen(f, depth=_depth(f) * (1 + percent / 100)))
+    return clip.each(lambda f: with_images(f, depth=_depth(f) * (1 + percent / 100)))
 
 
-def depth_late(shot: Shot, count: float, rng: Generator) -> Shot:  # noqa: ARG001
+def depth_late(clip: Clip, count: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Depth of so many frames of the recording before."""
-    rows = [max(0, row - int(count)) for row in shot.rows]
-    pairs = zip(shot.frames, rows, strict=True)
-    frames = shot.recording.frames
-    return replace(shot, frames=tuple(seen(f, depth=_depth(frames[row])) for f, row in pairs))
+    rows = [max(0, row - int(count)) for row in clip.rows]
+    pairs = zip(clip.frames, rows, strict=True)
+    frames = clip.recording.frames
+    return replace(
+        clip, frames=tuple(with_images(f, depth=_depth(frames[row])) for f, row in pairs)
+    )
 
 
-def depth_aside(shot: Shot, pixels: float, rng: Generator) -> Shot:  # noqa: ARG001
+def depth_aside(clip: Clip, pixels: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Depth shifted to the right, and half as far down, by so many pixels of an image 640 wide."""
 
     def change(frame: Frame) -> Frame:
@@ -229,12 +233,12 @@ def depth_aside(shot: Shot, pixels: float, rng: Generator) -> Shot:  # noqa: ARG
         k = round(pixels * depth.shape[1] / WIDE)
         moved = np.full_like(depth, np.nan)
         moved[k // 2 :, k:] = depth[: depth.shape[0] - k // 2, : depth.shape[1] - k]
-        return seen(frame, depth=moved)
+        return with_images(frame, depth=moved)
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def crop(shot: Shot, shape: float, rng: Generator) -> Shot:  # noqa: ARG001
+def crop(clip: Clip, shape: float, rng: Generator) -> Clip:  # noqa: ARG001
     """The middle of images, of their full height, `shape` times as wide as high."""
 
     def cut(camera: Camera, image: NDArray[Any]) -> tuple[Camera, NDArray[Any]]:
@@ -247,12 +251,12 @@ def crop(shot: Shot, shape: float, rng: Generator) -> Shot:  # noqa: ARG001
         assert frame.depth_camera is not None  # noqa: S101
         camera, rgb = cut(frame.camera, frame.rgb())
         depth_camera, depth = cut(frame.depth_camera, _depth(frame))
-        return seen(frame, rgb=rgb, depth=depth, camera=camera, depth_camera=depth_camera)
+        return with_images(frame, rgb=rgb, depth=depth, camera=camera, depth_camera=depth_camera)
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def turned(shot: Shot, degrees: float, rng: Generator) -> Shot:  # noqa: ARG001
+def turned(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Images turned by quarters, counter-clockwise, camera and gravity with them."""
     turns = round(degrees / 90.0)
     turn = quarter_turn(turns)
@@ -261,7 +265,7 @@ def turned(shot: Shot, degrees: float, rng: Generator) -> Shot:  # noqa: ARG001
         assert frame.depth_camera is not None  # noqa: S101
         odometry = frame.odometry.copy()
         odometry[:3, :3] = odometry[:3, :3] @ turn.T
-        return seen(
+        return with_images(
             frame,
             rgb=np.ascontiguousarray(np.rot90(frame.rgb(), turns)),
             depth=np.ascontiguousarray(np.rot90(_depth(frame), turns)),
@@ -271,9 +275,9 @@ def turned(shot: Shot, degrees: float, rng: Generator) -> Shot:  # noqa: ARG001
             gravity=turn @ frame.gravity,
         )
 
-    truth = shot.truth.copy()
+    truth = clip.truth.copy()
     truth[:, :3, :3] = truth[:, :3, :3] @ turn.T
-    return replace(shot.each(change), truth=truth)
+    return replace(clip.each(change), truth=truth)
 
 
 def _depth(frame: Frame) -> NDArray[np.float32]:
@@ -282,99 +286,99 @@ def _depth(frame: Frame) -> NDArray[np.float32]:
     return depth
 
 
-def dark(shot: Shot, percent: float, rng: Generator) -> Shot:  # noqa: ARG001
+def dark(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Images of so much of the light."""
-    return shot.each(lambda f: seen(f, rgb=(f.rgb() * (percent / 100.0)).astype(np.uint8)))
+    return clip.each(lambda f: with_images(f, rgb=(f.rgb() * (percent / 100.0)).astype(np.uint8)))
 
 
-def noise(shot: Shot, deviation: float, rng: Generator) -> Shot:
+def noise(clip: Clip, deviation: float, rng: Generator) -> Clip:
     """Noise of so many of 255 steps in each pixel and channel."""
 
     def change(frame: Frame) -> Frame:
         rgb = frame.rgb()
         noisy = rgb + deviation * rng.normal(size=rgb.shape)
-        return seen(frame, rgb=np.clip(noisy, 0, 255).astype(np.uint8))
+        return with_images(frame, rgb=np.clip(noisy, 0, 255).astype(np.uint8))
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def blur(shot: Shot, pixels: float, rng: Generator) -> Shot:  # noqa: ARG001
+def blur(clip: Clip, pixels: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Images blurred by a Gaussian of so many pixels."""
     from PIL import Image, ImageFilter
 
     def change(frame: Frame) -> Frame:
         image = Image.fromarray(frame.rgb()).filter(ImageFilter.GaussianBlur(pixels))
-        return seen(frame, rgb=np.asarray(image))
+        return with_images(frame, rgb=np.asarray(image))
 
-    return shot.each(change)
+    return clip.each(change)
 
 
 # ----------------------------------------------------------------------------------- bad input
 
 
-def lens_cap(shot: Shot, _: float, rng: Generator) -> Shot:
+def lens_cap(clip: Clip, _: float, rng: Generator) -> Clip:
     """Black images with a sensor's noise, and no reading of depth."""
 
     def change(frame: Frame) -> Frame:
         black = np.clip(3.0 + 2.0 * rng.normal(size=frame.rgb().shape), 0, 255)
         depth = frame.depth()
         blind = None if depth is None else np.full_like(depth, np.nan)
-        return seen(frame, rgb=black.astype(np.uint8), depth=blind)
+        return with_images(frame, rgb=black.astype(np.uint8), depth=blind)
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def frozen(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
+def frozen(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """All images are the first, while odometry goes on."""
-    first = seen(shot.frames[0])
-    return shot.each(lambda f: seen(f, rgb=first.rgb(), depth=first.depth()))
+    first = with_images(clip.frames[0])
+    return clip.each(lambda f: with_images(f, rgb=first.rgb(), depth=first.depth()))
 
 
-def mirrored(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
+def mirrored(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Left and right changed in images and depth."""
 
     def change(frame: Frame) -> Frame:
         depth = frame.depth()
         flipped = None if depth is None else np.ascontiguousarray(depth[:, ::-1])
-        return seen(frame, rgb=np.ascontiguousarray(frame.rgb()[:, ::-1]), depth=flipped)
+        return with_images(frame, rgb=np.ascontiguousarray(frame.rgb()[:, ::-1]), depth=flipped)
 
-    return shot.each(change)
+    return clip.each(change)
 
 
-def gravity_up(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
+def gravity_up(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Gravity with the wrong sign, as of an accelerometer at rest."""
-    return shot.each(lambda f: replace(f, gravity=-f.gravity))
+    return clip.each(lambda f: replace(f, gravity=-f.gravity))
 
 
-def without_odometry(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
-    """Return the shot with the odometry of its first frame in all frames."""
-    return shot.each(lambda f: replace(f, odometry=shot.frames[0].odometry))
+def without_odometry(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
+    """Return the clip with the odometry of its first frame in all frames."""
+    return clip.each(lambda f: replace(f, odometry=clip.frames[0].odometry))
 
 
-def backwards(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
+def backwards(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Stamps fall from frame to frame."""
-    stamps = [f.stamp for f in shot.frames][::-1]
-    pairs = zip(shot.frames, stamps, strict=True)
-    return replace(shot, frames=tuple(replace(f, stamp=stamp) for f, stamp in pairs))
+    stamps = [f.stamp for f in clip.frames][::-1]
+    pairs = zip(clip.frames, stamps, strict=True)
+    return replace(clip, frames=tuple(replace(f, stamp=stamp) for f, stamp in pairs))
 
 
-def half_elsewhere(shot: Shot, other: Recording) -> Shot:
+def half_elsewhere(clip: Clip, other: Recording) -> Clip:
     """The first half of the images is of another recording."""
-    frames = list(shot.frames)
+    frames = list(clip.frames)
     for i in range(len(frames) // 2):
         theirs = other.frames[i]
-        frames[i] = seen(
+        frames[i] = with_images(
             frames[i],
             rgb=theirs.rgb(),
             depth=theirs.depth(),
             camera=theirs.camera,
             depth_camera=theirs.depth_camera,
         )
-    return replace(shot, frames=tuple(frames))
+    return replace(clip, frames=tuple(frames))
 
 
-def only(shot: Shot, senses: tuple[str, ...]) -> Shot:
-    """The shot with these of `labels`, `depth` and `colour`; who has none of them is refused."""
+def only(clip: Clip, senses: tuple[str, ...]) -> Clip:
+    """The clip with these of `labels`, `depth` and `colour`; who has none of them is refused."""
     if not senses:
         raise OptionError("senses: there is none; give labels, depth or colour.")
     labels, depth = "labels" in senses, "depth" in senses
@@ -391,4 +395,4 @@ def only(shot: Shot, senses: tuple[str, ...]) -> Shot:
             label_kind=frame.label_kind if labels else None,
         )
 
-    return shot.each(change)
+    return clip.each(change)

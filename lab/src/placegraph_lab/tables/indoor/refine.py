@@ -424,7 +424,7 @@ def ask(
         position, rotation = errors_of(pose, window.truth)
         after = Answer(
             **window.fields, position=position, rotation=rotation, status="", probability=0.0,
-            held=False, whitened=(), seconds=took,
+            among_modes=False, whitened=(), seconds=took,
         )  # fmt: skip
         return Refined(errors_of(start, window.truth), after, accepted=None)
     else:

@@ -1,4 +1,4 @@
-"""Sets, cases and answers of `indoor_robustness`: what is asked, in which map, spoiled in which way."""
+"""Sets, cases and answers of `indoor_robustness`: what is window, in which map, spoiled in which way."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error
-from placegraph_lab.tables.indoor.perturb import Recording, Shot, half_elsewhere, only
+from placegraph_lab.tables.indoor.perturb import Clip, Recording, half_elsewhere, only
 from placegraph_lab.tables.indoor.sg2loc import RPY
 from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, TILT, true_poses
 from placegraph_lab.worlds.flat.walks import drifted
@@ -37,17 +37,17 @@ _RPY_SEED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class MapWindow:
     """One window of a set."""
 
     map: str  # name of its own map, of `Places.scene`
-    shot: Shot
+    clip: Clip
     number: int  # among all windows of the set: even ones may be tuned on, odd ones are held out
 
 
 @dataclass(frozen=True)
-class Told:
-    """What became of one window."""
+class Outcome:
+    """Result of one window."""
 
     window: str
     number: int
@@ -56,7 +56,7 @@ class Told:
     status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
     reason: str
     milliseconds: float  # CPU time a frame; NaN of an error
-    trust: dict[str, float | None] = field(default_factory=dict)
+    agreement: dict[str, float | None] = field(default_factory=dict)
     """What the verdict was made of (`PoseEstimate.stats`); None: that sense was not there."""
     rival: dict[str, float | None] = field(default_factory=dict)
     """The same of the second best pose, where that is wrong."""
@@ -137,72 +137,74 @@ class Places:
             found[name] = [Recording(f"rpy, {half}", tuple(told), truth, 7 / 30)]
         return found
 
-    def windows(self, name: str, frames: int) -> list[Asked]:
+    def windows(self, name: str, frames: int) -> list[MapWindow]:
         """All windows of a set."""
         stride = OFFICE_STRIDE if name == "office" else 1
         span = (frames - 1) * stride + 1
         whole = [
-            (where, Shot.of(of, range(start, start + span, stride)))
+            (where, Clip.of(of, range(start, start + span, stride)))
             for where, parts in self.recordings(name).items()
             for of in parts
             for start in range(0, len(of.frames) - span + 1, EVERY[name])
         ]
-        return [Asked(where, shot, i) for i, (where, shot) in enumerate(whole)]
+        return [MapWindow(where, clip, i) for i, (where, clip) in enumerate(whole)]
 
 
 _PLAIN = str.maketrans({" ": "_", ":": "_"})
 
 
-def thinned(asked: list[Asked], count: int, family: str) -> list[Asked]:
+def thinned(window: list[MapWindow], count: int, family: str) -> list[MapWindow]:
     """At most `count` windows, spread over all, as many even as odd ones.
 
     Families begin at windows of their own, so that few windows a row are many of a table; what a row
     is compared with, other strengths of its family, asks the same.
     """
     turn = zlib.crc32(family.encode())
-    return [a for half in (asked[::2], asked[1::2]) for a in _spread(half, -(-count // 2), turn)]
+    return [a for half in (window[::2], window[1::2]) for a in _spread(half, -(-count // 2), turn)]
 
 
-def _spread(asked: list[Asked], most: int, turn: int) -> list[Asked]:
-    if len(asked) <= most:
-        return asked
-    rows = np.linspace(0, len(asked), most, endpoint=False).astype(int) + turn % len(asked)
-    return [asked[i] for i in rows % len(asked)]
+def _spread(window: list[MapWindow], most: int, turn: int) -> list[MapWindow]:
+    if len(window) <= most:
+        return window
+    rows = np.linspace(0, len(window), most, endpoint=False).astype(int) + turn % len(window)
+    return [window[i] for i in rows % len(window)]
 
 
-def spoiled(asked: Asked, case: Case, other: Recording | None, seed: int) -> Shot:
+def spoiled(window: MapWindow, case: Case, other: Recording | None, seed: int) -> Clip:
     """The window as a case has it; the same seed, the same noise."""
-    rng = np.random.default_rng([seed, asked.number])
-    shot = only(asked.shot, case.senses) if "labels" in case.senses else asked.shot
+    rng = np.random.default_rng([seed, window.number])
+    clip = only(window.clip, case.senses) if "labels" in case.senses else window.clip
     if other is not None:
-        shot = half_elsewhere(shot, other)
+        clip = half_elsewhere(clip, other)
     elif case.make is not None:
-        shot = case.make(shot, case.strength, rng)
-    return only(shot, case.senses)
+        clip = case.make(clip, case.strength, rng)
+    return only(clip, case.senses)
 
 
-def ask(scene: SceneMap, asked: Asked, shot: Shot, case: Case, *, seed: int, device: str) -> Told:
+def ask(
+    scene: SceneMap, window: MapWindow, clip: Clip, case: Case, *, seed: int, device: str
+) -> Outcome:
     """Localize as users do, refined, and measure the answer; in a foreign map none is right."""
     options = PoseSearchOptions().only(**{_TERMS[sense]: True for sense in case.senses})
     start = time.process_time()
     try:
-        estimate = scene.localize(shot.frames, options=options, seed=seed, device=device)
+        estimate = scene.localize(clip.frames, options=options, seed=seed, device=device)
     except PlacegraphError as error:
         name = type(error).__name__
-        return Told(shot.name, asked.number, math.inf, math.inf, name, str(error), math.nan)
+        return Outcome(clip.name, window.number, math.inf, math.inf, name, str(error), math.nan)
     took = time.process_time() - start
-    best, truth = estimate.best, shot.truth[-1]
+    best, truth = estimate.best, clip.truth[-1]
     known = best is not None and not case.map
     misses = [_off(mode.map_from_camera, truth) for mode in estimate.modes[1:2]]
-    return Told(
-        window=shot.name,
-        number=asked.number,
+    return Outcome(
+        window=clip.name,
+        number=window.number,
         position=position_error(best.map_from_camera, truth) if best and known else math.inf,
         rotation=rotation_error(best.map_from_camera, truth) if best and known else math.inf,
         status=estimate.status.name,
         reason=estimate.reason,
-        milliseconds=1000.0 * took / len(shot.frames),
-        trust=dict(estimate.stats.get("trust", {})),
+        milliseconds=1000.0 * took / len(clip.frames),
+        agreement=dict(estimate.stats.get("trust", {})),
         rival=dict(estimate.stats.get("rival", {})) if case.map or all(misses) else {},
     )
 
@@ -213,7 +215,7 @@ def _off(pose: Floats, truth: Floats) -> bool:
 
 
 _TERMS = {"labels": "semantic", "depth": "depth", "colour": "colour"}
-Make = Callable[[Shot, float, Generator], Shot]
+Make = Callable[[Clip, float, Generator], Clip]
 FRAMES = 10
 BOTH = ("depth", "colour")
 
@@ -225,17 +227,17 @@ class Case:
     set: str  # one of `SETS`
     family: str
     strength: float = 0.0
-    told: str = ""  # the strength, as it is printed
+    label: str = ""  # the strength, as it is printed
     make: Make | None = None
     frames: int = FRAMES
     senses: tuple[str, ...] = BOTH
-    map: str = ""  # foreign map that is asked; empty: its own
+    map: str = ""  # foreign map that is window; empty: its own
     other: str = ""  # set of which half of the images are
     part: str = "spoiled"  # which of the tables: `spoiled`, `senses`, `bad` or `absent`
 
     @property
     def name(self) -> str:
-        return f"{self.set}: {self.family} {self.told}".rstrip()
+        return f"{self.set}: {self.family} {self.label}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -301,7 +303,7 @@ def all_cases() -> list[Case]:
     plain = [Case(of, "as recorded") for of in SETS]
     spoiled = [case for family in SPOILED for case in family.cases()]
     fewer = [
-        Case(of, _named(senses), told=f"{n} frame{'s' * (n > 1)}", frames=n, senses=senses,
+        Case(of, _named(senses), label=f"{n} frame{'s' * (n > 1)}", frames=n, senses=senses,
              part="senses")
         for senses in SENSES for of in SETS for n in (*LENGTHS, FRAMES)
     ]  # fmt: skip
@@ -313,7 +315,7 @@ def all_cases() -> list[Case]:
         for what, metres in OUTSIDE.items() for of in RENDERED
     ]  # fmt: skip
     absent = [
-        Case(of, f"in {where}", told=f"{_named(senses)}, {n} frames", frames=n, senses=senses,
+        Case(of, f"in {where}", label=f"{_named(senses)}, {n} frames", frames=n, senses=senses,
              map=where, part="absent")
         for of, places in ABSENT.items() for where in places for senses in SENSES for n in (1, FRAMES)
     ]  # fmt: skip

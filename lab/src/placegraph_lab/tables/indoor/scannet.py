@@ -1,4 +1,4 @@
-"""How two axis-aligned scans of a room lie to each other, which ScanNet does not say.
+"""Registration of two axis-aligned scans of a room, which ScanNet does not have.
 
 Both stand along x and y with the floor at 0, so what is unknown is a quarter turn and a shift. Every
 quarter turn is tried from shifts on a grid around the middles of both, the best are refined point to

@@ -1,4 +1,4 @@
-"""Where the tables of SG2Loc are measured: maps, recordings asked about in them, and the truth."""
+"""Sets on which the tables of SG2Loc are measured: maps, recordings in them, and the truth."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ def _drifting(
 
 
 def is_changed(path: Path) -> bool | None:
-    """What a `changes.json` says; None where there is none, `InputError` where it is broken."""
+    """Read `changed` of a `changes.json`; None where there is none, `InputError` where it is broken."""
     if not path.exists():
         return None
     try:

@@ -46,7 +46,7 @@ OSM = {
 
 
 class Names:
-    """What things are called in graphs, on both sides alike.
+    """Names of objects in graphs, on both sides alike.
 
     `coloured`: "gray pole" instead of "pole"; `osm`: tags (`OSM`) instead of the data's labels;
     they have no colours.
@@ -94,7 +94,7 @@ def scene_graph(
 def text_of(data: Kitti360Pose, pose: int) -> str:
     h, span = data.hints, data.poses.hints(pose)
     return " ".join(
-        f"The pose is {DIRECTIONS[h.directions[i]]} of a {_thing(data, i)}."
+        f"The pose is {DIRECTIONS[h.directions[i]]} of a {_name_of_hint(data, i)}."
         for i in range(span.start, span.stop)
     )
 
@@ -114,7 +114,7 @@ def description_of(
     mentions = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
     for node, i in enumerate(rows, 2):
         senses = (Sense(names.of(data.hints, i), 1.0),)
-        mentions.append(Mention(node, f"a {_thing(data, i)}", senses, definite=False))
+        mentions.append(Mention(node, f"a {_name_of_hint(data, i)}", senses, definite=False))
     if reading == "honest":
         told = [_from_speaker(data, i, node) for node, i in enumerate(rows, 2)]
     else:
@@ -122,14 +122,14 @@ def description_of(
     return Description(text_of(data, pose), tuple(mentions), tuple(told))
 
 
-def _thing(data: Kitti360Pose, hint: int) -> str:
+def _name_of_hint(data: Kitti360Pose, hint: int) -> str:
     h = data.hints
     return f"{data.colours[h.colours[hint]]} {data.labels[h.labels[hint]]}".strip()
 
 
 def _from_speaker(data: Kitti360Pose, hint: int, node: int) -> Statement:
     direction = DIRECTIONS[data.hints.directions[hint]]
-    text = f"The pose is {direction} of a {_thing(data, hint)}"
+    text = f"The pose is {direction} of a {_name_of_hint(data, hint)}"
     if direction not in BEARINGS:  # on top of it
         return Statement(Relation.SAME, SPEAKER, node, text=text)
     return Statement(Relation.DIRECTION, SPEAKER, node, bearing=BEARINGS[direction], text=text)
@@ -143,7 +143,9 @@ def _between(data: Kitti360Pose, rows: range, edge_distance: float) -> list[Stat
             delta = data.hints.offsets[j] - data.hints.offsets[i]
             if a < b and 0.0 < np.hypot(*delta) <= edge_distance:
                 wind = WINDS[int(relations(delta))]
-                text = f"The {_thing(data, i)} is on the {wind} of the {_thing(data, j)}"
+                text = (
+                    f"The {_name_of_hint(data, i)} is on the {wind} of the {_name_of_hint(data, j)}"
+                )
                 told.append(
                     Statement(Relation.DIRECTION, a + 2, b + 2, bearing=BEARINGS[wind], text=text)
                 )

@@ -26,7 +26,7 @@ def nearest_owner(points, centers, half):
 
 @kernel
 def sighted(points, owner, object_starts, footprint_starts, footprints, reach):
-    """What is seen from points (V, 2) of cells `owner` (V,): starts (V + 1,), objects, offsets.
+    """Return the objects in sight of points (V, 2) of cells `owner` (V,): starts (V + 1,), objects, offsets.
 
     An object stands where its footprint is nearest to the point, at most `reach` away [m].
     """
@@ -53,10 +53,10 @@ def sighted(points, owner, object_starts, footprint_starts, footprints, reach):
 
 
 @kernel
-def from_speaker(starts, objects, offsets, fits, op, table, bearing, noise, background, crowd):
+def from_speaker(starts, objects, offsets, match, op, table, bearing, noise, background, clutter):
     """Log-likelihood (V,) float64 of S statements about the speaker at each viewpoint.
 
-    `fits` (S, N) says how well each object is called what a statement calls it.
+    `match` (S, N) says how well each object is called what a statement calls it.
     """
     out = np.zeros(len(starts) - 1)
     for v in range(len(starts) - 1):
@@ -64,18 +64,18 @@ def from_speaker(starts, objects, offsets, fits, op, table, bearing, noise, back
         for s in range(len(op)):
             served = 0.0
             for e in range(starts[v], starts[v + 1]):
-                called = fits[s, objects[e]]
+                called = match[s, objects[e]]
                 if called > 0.0:
                     served += called * speaker_fit(
                         op[s], table, bearing[s, 0], bearing[s, 1], 0.0,
                         offsets[e, 0], offsets[e, 1], 2, False, BLUR,
                     )  # fmt: skip
-            out[v] += np.log((1.0 - noise) * served / (seen + crowd) + noise * background[s])
+            out[v] += np.log((1.0 - noise) * served / (seen + clutter) + noise * background[s])
     return out
 
 
 @kernel
-def between(object_starts, centers, source, target, table, bearing, noise, background, crowd):
+def between(object_starts, centers, source, target, table, bearing, noise, background, clutter):
     """Log-likelihood (K,) float64 of S statements about two things in each cell.
 
     `source` and `target` (S, N) say how well each object is called what a statement calls it.
@@ -95,5 +95,5 @@ def between(object_starts, centers, source, target, table, bearing, noise, backg
                             DIRECTION, table, bearing[s, 0], bearing[s, 1], 0.0,
                             centers[a, 0], centers[a, 1], centers[b, 0], centers[b, 1], 0,
                         )  # fmt: skip
-            out[k] += np.log((1.0 - noise) * served / (pairs + crowd) + noise * background[s])
+            out[k] += np.log((1.0 - noise) * served / (pairs + clutter) + noise * background[s])
     return out

@@ -59,7 +59,7 @@ class Relational:
     points: Floats  # (V, 2) viewpoints [m], sorted by their cell
     owner: NDArray[np.int64]  # (V,) the cell, one of K, whose centre is nearest
     starts: NDArray[np.int64]  # (V + 1,)
-    seen: NDArray[np.int64]  # objects in sight of a viewpoint, counted within the split
+    visible: NDArray[np.int64]  # objects in sight of a viewpoint, counted within the split
     offsets: NDArray[np.float32]  # where they are, seen from it [m]
 
     @classmethod
@@ -100,7 +100,7 @@ class Relational:
         return total
 
     def poses(self, description: Description, cells: NDArray[np.int64]) -> Floats:
-        """Where in each of some cells a description fits best (k, 2), east and north [m]."""
+        """Return the point of each cell where a description fits best (k, 2), east and north [m]."""
         here, _ = _split(description)
         found: Floats = self.data.cells.centers[self.cells[cells]]
         if here:
@@ -117,30 +117,32 @@ class Relational:
         """Share (N,) that each object has of what is in sight, averaged over viewpoints."""
         seen = np.diff(self.starts)
         share = np.repeat(1.0 / ((seen + CROWD) * max(1, len(seen))), seen)
-        found: Floats = np.bincount(self.seen, share, minlength=len(self.objects)).astype(
+        found: Floats = np.bincount(self.visible, share, minlength=len(self.objects)).astype(
             np.float64
         )
         return found
 
-    def _from_speaker(self, description: Description, told: Sequence[Statement]) -> Floats:
-        fits = np.stack([self._fits(description.mentions[s.target]) for s in told])
+    def _from_speaker(self, description: Description, statements: Sequence[Statement]) -> Floats:
+        fits = np.stack([self._match_objects(description.mentions[s.target]) for s in statements])
         shares = fits @ self._prominence
         return from_speaker(
             self.starts,
-            self.seen,
+            self.visible,
             self.offsets,
             fits,
-            np.array([DIRECTION if s.bearing is not None else INSIDE for s in told]),
-            direction_table(told[0].bearing_sigma, SLIP),
-            _bearings(told),
+            np.array([DIRECTION if s.bearing is not None else INSIDE for s in statements]),
+            direction_table(statements[0].bearing_sigma, SLIP),
+            _bearings(statements),
             NOISE,
             np.maximum(0.25 * shares, FLOOR),
             CROWD,
         )
 
-    def _between(self, description: Description, told: Sequence[Statement]) -> Floats:
+    def _between(self, description: Description, statements: Sequence[Statement]) -> Floats:
         source, target = (
-            np.stack([self._fits(description.mentions[getattr(s, end)]) for s in told])
+            np.stack(
+                [self._match_objects(description.mentions[getattr(s, end)]) for s in statements]
+            )
             for end in ("source", "target")
         )
         shares = 0.25 * source.mean(axis=1) * target.mean(axis=1)
@@ -149,15 +151,15 @@ class Relational:
             self.data.objects.centers[self.objects, :2],
             source,
             target,
-            direction_table(told[0].bearing_sigma, SLIP),
-            _bearings(told),
+            direction_table(statements[0].bearing_sigma, SLIP),
+            _bearings(statements),
             NOISE,
             np.maximum(shares, FLOOR),
             CROWD**2,
         )
 
-    def _fits(self, mention: Mention) -> Floats:
-        """How well each object (N,) is what a mention says: its kind, and its colour if one is said."""
+    def _match_objects(self, mention: Mention) -> Floats:
+        """Match objects (N,) with a mention: with its kind, and with its colour if it has one."""
         data, o = self.data, self.data.objects
         label, colour = _kind(data, mention)
         kind = o.labels[self.objects] == (data.labels.index(label) if label else -1)
@@ -199,8 +201,8 @@ def _split(description: Description) -> tuple[list[Statement], list[Statement]]:
     return here, others
 
 
-def _bearings(told: Sequence[Statement]) -> Floats:
-    angles = [s.bearing or 0.0 for s in told]
+def _bearings(statements: Sequence[Statement]) -> Floats:
+    angles = [s.bearing or 0.0 for s in statements]
     return np.array([(sin(a), cos(a)) for a in angles])
 
 
@@ -355,11 +357,11 @@ class Transformer:
             cosine = self.embeddings @ self.network.embed_texts(texts)[0]
             rows = np.argsort(-cosine, kind="stable")[: self.candidates]
         total = np.full(len(self.graphs), -np.inf)
-        words = self._fits(texts)
+        words = self._match_words(texts)
         total[rows] = self.network.match(texts, 0, self.places, rows, words, self.vectors).logit
         return total
 
-    def _fits(self, texts: Any) -> Any:
+    def _match_words(self, texts: Any) -> Any:
         from placegraph.outdoor.network.graphs import WordWeights, make_word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}

@@ -70,7 +70,7 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Description, ...]:
     found: dict[str, Description] = {}
     for row, line in enumerate(text.split("\n"), 1):
         if line.strip():
-            told = _Line(path, row).told(line)
+            told = _Line(path, row).description(line)
             if told.id in found:
                 raise InputError(
                     f"{path}, line {row}: the id {told.id!r} is taken; make it unique."
@@ -89,7 +89,7 @@ class _Line:
     path: Path
     number: int
 
-    def told(self, line: str) -> Description:
+    def description(self, line: str) -> Description:
         try:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
@@ -162,7 +162,7 @@ class OwnPairs:
     """Answers to all descriptions of a folder."""
 
     source: str  # name of the map
-    told: tuple[Description, ...]
+    descriptions: tuple[Description, ...]
     answers: tuple[Answer, ...]
     outside: tuple[str, ...]
     """Ids of descriptions whose place the map does not cover: nothing can find them."""
@@ -184,7 +184,7 @@ class OwnPairs:
                     "own_cell": list(answer.own_cell or ()),
                     "seconds": round(answer.seconds, 5),
                 }
-                for told, answer in zip(self.told, self.answers, strict=True)
+                for told, answer in zip(self.descriptions, self.answers, strict=True)
             ]
         return row
 
@@ -256,25 +256,29 @@ def _map(folder: Path, steps: Progress) -> CityMap:
         return CityMap.open(path)
 
 
-def _ask(city: CityMap, told: Description, matcher: Matcher) -> Answer:
+def _ask(city: CityMap, description: Description, matcher: Matcher) -> Answer:
     """Give a text to the map; one that cannot be read at all has no place."""
     start = time.perf_counter()
     try:
         estimate = city.locate(
-            told.text, top=max(RANKS), heading=told.heading, near=told.near, matcher=matcher
+            description.text,
+            top=max(RANKS),
+            heading=description.heading,
+            near=description.near,
+            matcher=matcher,
         )
     except DescriptionError:
         return Answer(np.zeros(0), (), (time.perf_counter() - start), "LOST", 0.0, ())
     return measure(
         estimate,
-        told.longitude,
-        told.latitude,
+        description.longitude,
+        description.latitude,
         seconds=time.perf_counter() - start,
-        cell=city.cells.at(told.longitude, told.latitude),
+        cell=city.cells.at(description.longitude, description.latitude),
     )
 
 
-def _covered(city: CityMap, told: Description) -> bool:
-    at = city.plane.to_plane((told.longitude, told.latitude))
+def _covered(city: CityMap, description: Description) -> bool:
+    at = city.plane.to_plane((description.longitude, description.latitude))
     low, high = city.objects.points.min(axis=0), city.objects.points.max(axis=0)
     return bool(((low <= at) & (at <= high)).all())

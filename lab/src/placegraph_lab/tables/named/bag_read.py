@@ -1,4 +1,4 @@
-"""What does reading a bag cost, beside `rosbags` and `mcap` alone? MB/s of each.
+"""Table `bag_read`: what does reading a bag cost, beside `rosbags` and `mcap` alone? MB/s of each.
 
 A walk through the house, repeated until the bag is large enough, is written in every container and read
 by each reader: colour and depth of all frames, opening included.

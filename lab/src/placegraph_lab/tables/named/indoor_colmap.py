@@ -1,4 +1,4 @@
-"""What localizes by local features of mapped views alone: COLMAP with SIFT, and XFeat lifted by depth.
+"""Localization by local features of mapped views alone: COLMAP with SIFT, XFeat lifted by depth.
 
 Both find candidates among the mapped views by VLAD, match their features one view after the other,
 and leave the pose to COLMAP's PnP. Needs pycolmap, which only this comparison uses.

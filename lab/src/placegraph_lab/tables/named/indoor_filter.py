@@ -46,7 +46,7 @@ SCORES = (
     Col("mean", "1.mean", errors), Col("median", "1.median", errors),
     Col(RECALLS, "1.recall", lab.shares),
     Col("OK", lambda r: r[1].status.get("OK", 0.0), lab.share),
-    Col("OK right", "1.right", lab.share), Col("truth in modes", "1.held", lab.share),
+    Col("OK right", "1.right", lab.share), Col("truth in modes", "1.among_modes", lab.share),
     Col("honest", "1.honest", lab.share), Col("particles", "1.particles", 0),
     Col("s/frame", "1.frame_seconds", 3),
 )  # fmt: skip

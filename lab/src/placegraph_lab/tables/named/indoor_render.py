@@ -1,4 +1,4 @@
-"""What does a picture of the map cost? Milliseconds by map, size, engine, samples and threads.
+"""Table `indoor_render`: time of a picture of the map, by map, size, engine, samples and threads.
 
     placegraph-lab table indoor_render
     placegraph-lab table indoor_render --poses 8 --out render.json

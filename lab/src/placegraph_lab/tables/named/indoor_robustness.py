@@ -1,4 +1,4 @@
-"""What goes wrong, and what becomes of the pose? Every perturbation, bad input, absent scenes.
+"""Table `indoor_robustness`: perturbations, bad input and absent scenes.
 
     placegraph-lab table indoor_robustness --quick
     placegraph-lab table indoor_robustness --only "house: drift*; office: drift*"
@@ -27,10 +27,10 @@ from placegraph_lab.tables.indoor.bench import chosen
 from placegraph_lab.tables.indoor.metrics import NEAR
 from placegraph_lab.tables.indoor.robustness import (
     THRESHOLDS,
-    Asked,
     Case,
+    MapWindow,
+    Outcome,
     Places,
-    Told,
     all_cases,
     ask,
     spoiled,
@@ -54,16 +54,16 @@ class Row:
     """Answers of one case."""
 
     case: Case
-    told: tuple[Told, ...]
+    outcomes: tuple[Outcome, ...]
 
     @property
     def recall(self) -> list[float]:
         """Share of windows within each of `THRESHOLDS`."""
-        return [float(np.mean([t.within(*limits) for t in self.told])) for limits in THRESHOLDS]
+        return [float(np.mean([t.within(*limits) for t in self.outcomes])) for limits in THRESHOLDS]
 
     def status(self, name: str) -> float:
         """Share of windows with a status."""
-        return float(np.mean([t.status == name for t in self.told]))
+        return float(np.mean([t.status == name for t in self.outcomes]))
 
     @property
     def ok(self) -> float:
@@ -73,12 +73,12 @@ class Row:
     def false_ok(self) -> float:
         """Share of windows that are `OK`, and not what it promises (or nothing can be)."""
         bad = self.case.part == "bad"
-        return float(np.mean([t.status == "OK" and (bad or not t.right) for t in self.told]))
+        return float(np.mean([t.status == "OK" and (bad or not t.right) for t in self.outcomes]))
 
     @property
     def milliseconds(self) -> float:
         """Median CPU time a frame; NaN where all were refused."""
-        took = [t.milliseconds for t in self.told if not math.isnan(t.milliseconds)]
+        took = [t.milliseconds for t in self.outcomes if not math.isnan(t.milliseconds)]
         return float(np.median(took)) if took else math.nan
 
     def record(self) -> dict[str, Any]:
@@ -89,7 +89,7 @@ class Row:
 
 OFTEN = Col("`OK`", "ok", lab.share)
 ROWS = (
-    Col("", "case.name"), Col("windows", lambda r: len(r.told)),
+    Col("", "case.name"), Col("windows", lambda r: len(r.outcomes)),
     Col(RECALLS, lambda r: "–" if r.case.map else lab.shares(r.recall)), OFTEN,
     Col("false `OK`", "false_ok", lab.share), Col("`LOST`", lambda r: r.status("LOST"), lab.share),
     Col("ms a frame", "milliseconds", 0),
@@ -97,8 +97,8 @@ ROWS = (
 BAD_ROWS = (
     Col("", "case.name"),
     Col("what is said most",
-        lambda r: Counter(t.reason for t in r.told).most_common(1)[0][0].replace("|", "/")),
-    Col("windows", lambda r: len(r.told)), OFTEN,
+        lambda r: Counter(t.reason for t in r.outcomes).most_common(1)[0][0].replace("|", "/")),
+    Col("windows", lambda r: len(r.outcomes)), OFTEN,
 )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ def honesty(rows: Sequence[Row]) -> str:
     """`OK` and what of it is wrong, of windows that were tuned on, and of those held out."""
     lines = []
     for part, title in TITLES.items():
-        own = [(t, row.case) for row in rows if row.case.part == part for t in row.told]
+        own = [(t, row.case) for row in rows if row.case.part == part for t in row.outcomes]
         for half, parity in HALVES.items():
             pairs = [(t, case) for t, case in own if t.number % 2 == parity]
             if pairs:
@@ -133,27 +133,27 @@ _UNRIVALLED = 0.8
 TUNED = ("house", "office")  # sets that may be tuned on, even windows of them
 
 
-def samples(rows: Sequence[Row]) -> list[tuple[Told, bool]]:
+def samples(rows: Sequence[Row]) -> list[tuple[Outcome, bool]]:
     """Answers that a verdict was given on, and whether the set may be tuned on; no bad input."""
     return [
-        (told, row.case.set in TUNED)
+        (outcomes, row.case.set in TUNED)
         for row in rows
         if row.case.part != "bad"
-        for told in row.told
-        if told.trust and "labels" not in row.case.senses
+        for outcomes in row.outcomes
+        if outcomes.agreement and "labels" not in row.case.senses
     ]
 
 
-def fitted(told: Sequence[Told]) -> ConfidenceModel:
+def fitted(outcomes: Sequence[Outcome]) -> ConfidenceModel:
     """Logistic regression of being right, by Newton's method; no coefficient of a share is negative.
 
     Over answers without a rival: how far others may fit is another factor. Best poses with depth and
     colours are seldom wrong, so that the second best are samples for tones, too.
     """
-    rivals = [t.rival for t in told if t.rival and t.rival["tone"] is not None]
-    told = [t for t in told if _probability(t) >= _UNRIVALLED]
-    columns = np.array([_features(t.trust) for t in told])
-    right = np.array([t.right for t in told], np.float64)
+    rivals = [t.rival for t in outcomes if t.rival and t.rival["tone"] is not None]
+    outcomes = [t for t in outcomes if _probability(t) >= _UNRIVALLED]
+    columns = np.array([_features(t.agreement) for t in outcomes])
+    right = np.array([t.right for t in outcomes], np.float64)
     free = np.arange(columns.shape[1]) < _TONES
     while True:
         weights = np.zeros(len(free))
@@ -168,7 +168,7 @@ def fitted(told: Sequence[Told]) -> ConfidenceModel:
 
 
 def toned(
-    trust: ConfidenceModel,
+    model: ConfidenceModel,
     columns: Floats,
     right: Floats,
     rivals: Sequence[dict[str, float | None]],
@@ -176,10 +176,10 @@ def toned(
     """Coefficients with those of tones, by features (N, 8) of poses and whether (N,) they are right."""
     both = columns[:, _TONES] > 0
     samples = np.concatenate([columns[both], np.array([_features(r) for r in rivals])])
-    told = np.append(right[both], np.zeros(len(rivals)))
-    weights = _logistic(samples[:, _TONES:], told, samples @ np.array(trust.coefficients))
+    outcomes = np.append(right[both], np.zeros(len(rivals)))
+    weights = _logistic(samples[:, _TONES:], outcomes, samples @ np.array(model.coefficients))
     there, tells = weights.round(2).tolist()
-    return replace(trust, tone=(there, max(tells, 0.0)))
+    return replace(model, tone=(there, max(tells, 0.0)))
 
 
 _TONES = 6  # where the features of tones begin
@@ -209,13 +209,13 @@ def _features(numbers: dict[str, float | None]) -> list[float]:
     return features(agreed)  # type: ignore[arg-type]  # what it looks at
 
 
-def _probability(told: Told) -> float:
-    return told.trust["probability"] or 0.0
+def _probability(outcomes: Outcome) -> float:
+    return outcomes.agreement["probability"] or 0.0
 
 
-def honest(trust: ConfidenceModel, found: Sequence[tuple[Told, bool]]) -> str:
-    """What coefficients would call `OK`: of windows that were fitted, that were held out, and others."""
-    weights = np.array(trust.coefficients)
+def honest(model: ConfidenceModel, found: Sequence[tuple[Outcome, bool]]) -> str:
+    """Tabulate the `OK` of coefficients: of windows that were fitted, that were held out, and others."""
+    weights = np.array(model.coefficients)
     lines = []
     for name, parity, tuned in [
         *((f"tuned on, {half}", parity, True) for half, parity in HALVES.items()),
@@ -227,7 +227,7 @@ def honest(trust: ConfidenceModel, found: Sequence[tuple[Told, bool]]) -> str:
         if not some:
             continue
         right = np.array([t.right for t in some])
-        odds = np.array([_features(t.trust) for t in some]) @ weights
+        odds = np.array([_features(t.agreement) for t in some]) @ weights
         best = np.array([_probability(t) for t in some])
         ok = (best >= ALONE) & (best / (1.0 + np.exp(-odds)) >= SURE)
         sure = float(ok[right].mean()) if right.any() else float("nan")
@@ -269,30 +269,30 @@ def indoor_robustness(
             if (case.set, case.frames) not in known:  # windows of the last set and length are kept
                 known = {(case.set, case.frames): places.windows(case.set, case.frames)}
             asked = thinned(known[case.set, case.frames], windows, case.family)
-            keys = [f"{code} {case.name} {a.shot.name} seed {seed} {device}" for a in asked]
+            keys = [f"{code} {case.name} {a.clip.name} seed {seed} {device}" for a in asked]
             once = partial(_ask_window, places, case, asked, seed, device)
             task = bar.add_task(case.name, total=len(journal.missing(keys)))
-            told = journal.filled(
+            outcomes = journal.filled(
                 keys, once, warm=partial(once, 0), tick=partial(bar.advance, task)
             )
             bar.remove_task(task)
-            rows[case.name] = Row(case, tuple(Told(**t) for t in told))
+            rows[case.name] = Row(case, tuple(Outcome(**t) for t in outcomes))
     ordered = [rows[case.name] for case in cases]
     if fit:
         found = samples(ordered)
-        trust = fitted([told for told, may in found if may and told.number % 2 == 0])
-        print(f"{trust}\n\n{honest(trust, found)}")
+        model = fitted([outcomes for outcomes, may in found if may and outcomes.number % 2 == 0])
+        print(f"{model}\n\n{honest(model, found)}")
         return
     print(report(ordered))
     run.save({"rows": [row.record() for row in ordered]}, whole=not names)
 
 
 def _ask_window(
-    places: Places, case: Case, windows: list[Asked], seed: int, device: str, row: int
-) -> Told:
+    places: Places, case: Case, windows: list[MapWindow], seed: int, device: str, row: int
+) -> Outcome:
     asked = windows[row]
     other = next(iter(places.recordings(case.other).values()))[0] if case.other else None
-    shot = spoiled(asked, case, other, seed)
+    clip = spoiled(asked, case, other, seed)
     scene = places.scene(case.map or asked.map)
-    told = ask(scene, asked, shot, case, seed=seed, device=device)
-    return replace(told, window=asked.shot.name)
+    outcomes = ask(scene, asked, clip, case, seed=seed, device=device)
+    return replace(outcomes, window=asked.clip.name)

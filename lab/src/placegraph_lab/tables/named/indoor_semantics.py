@@ -1,4 +1,4 @@
-"""What each encoder is worth to the particle filter: the rows of `placegraph-lab table indoor_semantics`.
+"""Encoders in the particle filter: the rows of `placegraph-lab table indoor_semantics`.
 
 Encoders of labels get the house's instances as labels, by the names that the map gives its objects,
 or through `OTHER_WORDS`: what a segmentation trained elsewhere would say. Their noise is that of

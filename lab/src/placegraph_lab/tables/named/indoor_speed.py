@@ -1,4 +1,4 @@
-"""What does localizing indoors cost? Time by stage and map, of the tracker, memory, cold starts.
+"""Table `indoor_speed`: time by stage and map, of the tracker, memory, cold starts.
 
     placegraph-lab table indoor_speed
     placegraph-lab table indoor_speed --only "localizing,start"

@@ -44,20 +44,22 @@ class Tongue:
         return language(self.code)
 
     @cached_property
-    def things(self) -> dict[str, str]:
+    def words_of_labels(self) -> dict[str, str]:
         found: dict[str, str] = {}
         for meaning, said in self.table.things.items():
             for sense in self.words.senses(meaning)[:1]:
                 found.setdefault(sense.label, said[0])
         return found
 
-    def thing(self, label: str) -> str:
+    def word(self, label: str) -> str:
         """Word for a label: of the table, of the presets, or else the tag itself."""
         if self.code == "en":
             return self.words.spoken(label)
         fallback = self.words.spoken(label)
         key, _, value = label.partition("=")
-        if own := self.things.get(label) or self.things.get(f"{key}=*" if key == value else label):
+        if own := self.words_of_labels.get(label) or self.words_of_labels.get(
+            f"{key}=*" if key == value else label
+        ):
             return own
         for code in (self.code, *VARIANTS.get(self.code, ())):
             word = self.words.spoken(label, language=code)
@@ -74,14 +76,14 @@ class Tongue:
         first = next(p for p in self.table.said_of_compass(int(bearing)))
         return str(listed.get(bearing, first))
 
-    def say(self, query: Query, labels: dict[str, str]) -> str:
+    def translate(self, query: Query, labels: dict[str, str]) -> str:
         """Text of a query whose words are tag values, with their labels."""
         say = self.table.say or ENGLISH
         told = []
-        for s in query.said:
+        for s in query.statements:
             words = {
-                "source": self.thing(labels[s.source]),
-                "target": self.thing(labels[s.target]),
+                "source": self.word(labels[s.source]),
+                "target": self.word(labels[s.target]),
                 "direction": self.direction(s.direction),
             }
 
@@ -112,10 +114,13 @@ def translate_queries(
     queries = make_queries(path, n=n, seed=seed)
     teller = Teller(load(path), "none", 6)
     words = Vocabulary.default()
-    labels = [{k: f"{v}={k}" for k, v in teller.keys(q.said).items()} for q in queries]
+    labels = [{k: f"{v}={k}" for k, v in teller.keys(q.statements).items()} for q in queries]
     for code in spoken():
         tongue = Tongue(code, words)
-        yield code, [(tongue.say(q, named), q) for q, named in zip(queries, labels, strict=True)]
+        yield (
+            code,
+            [(tongue.translate(q, named), q) for q, named in zip(queries, labels, strict=True)],
+        )
 
 
 def name(code: str) -> str:

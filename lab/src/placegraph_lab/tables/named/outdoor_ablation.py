@@ -1,4 +1,4 @@
-"""What a trained network is worth by itself: where candidates are given, and in the paper's pipeline."""
+"""A trained network by itself: where candidates are given, and in the paper's pipeline."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, load
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import paired_interval
-from placegraph_learn.city.train import TrainOptions, train
+from placegraph_learn.city.train import Loss, TrainOptions, train
 
 Hits = dict[str, NDArray[np.bool_]]
 """By what was done (Q, 3): whether the true cell is the best, one of three, one of five."""
@@ -44,7 +44,7 @@ class Task:
     city: CityMap
     queries: tuple[Query, ...]
     truth: NDArray[np.int64]  # (Q,) rows of `city.cells.points`: the cell that covers the viewpoint
-    others: tuple[NDArray[np.int64], ...]
+    distractors: tuple[NDArray[np.int64], ...]
     """For each query (K,) rows of wrong cells, best of the bag first."""
 
     @classmethod
@@ -65,7 +65,7 @@ class Task:
 
 
 def evaluate(task: Task, network: GraphTransformer) -> Hits:
-    """What a network finds, query by query, by how cells are proposed and ranked.
+    """Rank the cells of every query by a network, by how cells are proposed and ranked.
 
     ``N given``: the true cell and the bag's N - 1 best others, by the matching logit (Eq. 17), and
     ``N given, cosine`` by Eq. 15. ``dense``: all cells by their embeddings (Eq. 11-12), ``among
@@ -74,19 +74,21 @@ def evaluate(task: Task, network: GraphTransformer) -> Hits:
     """
     encoded = EncodedCity(task.city, network)
     found: dict[str, list[list[bool]]] = {}
-    for query, truth, others in zip(task.queries, task.truth, task.others, strict=True):
+    for query, truth, others in zip(task.queries, task.truth, task.distractors, strict=True):
         for name, hits in _hits(encoded, query.text, int(truth), others).items():
             found.setdefault(name, []).append(hits)
     return {name: np.array(hits) for name, hits in found.items()}
 
 
 def _hits(
-    encoded: EncodedCity, text: str, truth: int, others: NDArray[np.int64]
+    encoded: EncodedCity, text: str, truth: int, distractors: NDArray[np.int64]
 ) -> dict[str, list[bool]]:
     query = compile_query(parse(encoded.city, text), encoded.city)
     asked = Request(encoded.city, query, matching=Matching(encoded=encoded))
     dense = find_dense_cells(asked, CANDIDATES)
-    given = np.append(others[: max(GIVEN) - 1], truth)  # last: where all are equal, it is not found
+    given = np.append(
+        distractors[: max(GIVEN) - 1], truth
+    )  # last: where all are equal, it is not found
     match, own = (matched(encoded, asked.text, rows) for rows in (given, dense))
     logit, cosine = match.logit, match.cosine
     table = {}
@@ -113,7 +115,7 @@ def recall(tables: Sequence[Hits]) -> dict[str, list[float]]:
 
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
-PAPER = ("eq17", "eq18")
+PAPER: tuple[Loss, ...] = ("eq17", "eq18")
 COMPARED = ("20 given", "20 given, cosine", "10 candidates, cosine")
 
 
@@ -152,7 +154,7 @@ def trained(
 
 @dataclass(frozen=True)
 class Judging:
-    """What networks are asked; answers are written down as they come."""
+    """Queries that networks are evaluated on; answers go to the journal as they come."""
 
     run: lab.Run
     cities: Mapping[str, CityMap]

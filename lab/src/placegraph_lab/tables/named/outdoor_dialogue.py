@@ -1,4 +1,4 @@
-"""How many questions until the place is found? Informative against random questions.
+"""Table `outdoor_dialogue`: questions until the place is found, informative against random ones.
 
     placegraph-lab table outdoor_dialogue --cities vancouver,liechtenstein
 

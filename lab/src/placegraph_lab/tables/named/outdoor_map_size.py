@@ -1,4 +1,4 @@
-"""How large is a map? Table V of the paper: bytes of 110 to 447 cells, and of whole cities.
+"""Table `outdoor_map_size` (Table V): bytes of 110 to 447 cells, and of whole cities.
 
     placegraph-lab table outdoor_map_size
 

@@ -1,4 +1,4 @@
-"""How many pairs of a text and a cell each matcher judges in a second (Table III)."""
+"""Pairs of a text and a cell that each matcher compares in a second (Table III)."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
     return pairs.by_torch(network, "cuda" if kind == "cuda" else "cpu")
 
 
-class Asked(NamedTuple):
+class Question(NamedTuple):
     city: str
     osm: Path
     cache: Path
@@ -228,14 +228,14 @@ class Asked(NamedTuple):
     quick: bool
 
 
-def measure(kind: str, asked: Asked) -> dict[str, Any]:
+def measure(kind: str, question: Question) -> dict[str, Any]:
     """Pairs a second of one row."""
-    city = open_city(asked.city, asked.osm, asked.cache)
-    path = asked.osm / EXTRACTS[asked.city]
-    told = unseen_queries(asked.city, city, path, n=asked.texts, seed=asked.seed)
-    pairs = Pairs.of(city, told, asked.cells, np.random.default_rng(asked.seed))
-    work = work_of(kind, pairs, quick=asked.quick)
-    return {"pairs_per_s": rate(work, seconds=1.0 if asked.quick else 8.0)}
+    city = open_city(question.city, question.osm, question.cache)
+    path = question.osm / EXTRACTS[question.city]
+    told = unseen_queries(question.city, city, path, n=question.texts, seed=question.seed)
+    pairs = Pairs.of(city, told, question.cells, np.random.default_rng(question.seed))
+    work = work_of(kind, pairs, quick=question.quick)
+    return {"pairs_per_s": rate(work, seconds=1.0 if question.quick else 8.0)}
 
 
 def can_run(kind: str) -> bool:
@@ -262,7 +262,7 @@ def outdoor_pairs(
     """How many pairs of a text and a cell are judged in a second? On one core, and on two."""
     if quick:
         texts, cells = 3, 200
-    asked = Asked(city, run.osm, run.cache, texts, cells, seed, quick)
+    asked = Question(city, run.osm, run.cache, texts, cells, seed, quick)
     counts = [n for n in (1, 2) if n <= len(os.sched_getaffinity(0))]
     open_city(city, run.osm, run.cache)  # built once, not in every process
     rows: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""What is a way worth? A few sentences along a walk, against one place at a time.
+"""Table `outdoor_track`: what is a way worth? A few sentences along a walk, against one place at a time.
 
     placegraph-lab table outdoor_track
     placegraph-lab table outdoor_track --cities monaco --walks 20
@@ -53,7 +53,7 @@ class Step:
     """A place of a walk: how it was reached, and what is said there."""
 
     query: Query
-    told: str  # what the speaker says of the way from the place before; empty at the first
+    spoken: str  # what the speaker says of the way from the place before; empty at the first
     measured: tuple[float, float]  # what an odometer says of it, east and north [m]
 
 
@@ -79,10 +79,10 @@ def make_walks(
     statements: int = 2,
     setting: Setting = "none",
     seed: int = 0,
-    fewest: int = 3,
-    most: int = 5,
+    min_places: int = 3,
+    max_places: int = 5,
 ) -> list[Walk]:
-    """Make `n` walks of `fewest` to `most` places with `statements` sentences each.
+    """Make `n` walks of `min_places` to `max_places` places with `statements` sentences each.
 
     Every other walk is bent. The same seed gives the same walks in the settings that say the same
     things.
@@ -90,8 +90,8 @@ def make_walks(
     Raises `OptionError`: where the extract has too few places with that much to say; `InputError`:
     where the extract cannot be read.
     """
-    if not 1 <= fewest <= most:
-        raise OptionError(f"A walk of {fewest} to {most} places is none; give 1 or more.")
+    if not 1 <= min_places <= max_places:
+        raise OptionError(f"A walk of {min_places} to {max_places} places is none; give 1 or more.")
     bins = load(osm_path)
     centers = bins.centers(CELL)
     full = centers[np.diff(bins.around(centers, SIGHT).starts) >= FEWEST]
@@ -101,7 +101,7 @@ def make_walks(
     walks: list[Walk] = []
     for stream in np.random.default_rng(seed).spawn(50 * n):
         path, speech = stream.spawn(2)
-        places = int(path.integers(fewest, most + 1))
+        places = int(path.integers(min_places, max_places + 1))
         shape: Shape = "bent" if len(walks) % 2 else "straight"
         found = _walk(teller, full[path.integers(len(full))], places, shape, (path, speech))
         if found is not None:
@@ -135,12 +135,12 @@ def _walk(
             return None
         at, ahead = at + way, ahead + turn
         east, north = (way + path.normal(0.0, ODOMETRY * distance, 2)).tolist()
-        steps.append(Step(query, told(way, path), (east, north)))
+        steps.append(Step(query, describe_way(way, path), (east, north)))
     return Walk(tuple(steps))
 
 
-def told(way: Floats, rng: Generator) -> str:
-    """What people say of a way (2,) [m]: roughly how far, and in which of the eight winds."""
+def describe_way(way: Floats, rng: Generator) -> str:
+    """Describe a way (2,) [m] as people do: roughly how far, and in which of the eight winds."""
     distance = float(np.hypot(*way)) * max(0.3, 1.0 + rng.normal(0.0, DISTANCE_ERROR))
     angle = float(bearing(way)) + rng.normal(0.0, BEARING_ERROR)
     wind = WINDS[round(angle / (np.pi / 4)) % 8]
@@ -162,7 +162,7 @@ def follow(city: CityMap, walk: Walk, method: Method) -> tuple[CityEstimate, lis
     for k, step in enumerate(walk.steps):
         start = perf_counter()
         if k and method == "track, told":
-            tracker.tell(step.told)
+            tracker.tell(step.spoken)
         elif k:
             tracker.move(*step.measured)
         if k:

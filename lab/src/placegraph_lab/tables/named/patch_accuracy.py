@@ -1,4 +1,4 @@
-"""Where encoders are judged patch by patch: the house, both halves of the office, drawn homes."""
+"""Accuracy of encoders, patch by patch: in the house, both halves of the office, and drawn homes."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ TEMPERATURES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How good an encoder is in one place, over patches of which half or more show one object."""
+    """Accuracy of an encoder in one place, over patches of which half or more show one object."""
 
     patches: int
-    telling: float  # share of patches that say anything
+    encoded: float  # share of patches that say anything
     best: float  # share of patches whose best object is the true one
     auc: float  # share of the other objects that the true one is put before; a half by chance
     nats: float
@@ -157,7 +157,7 @@ def accuracy(
     before = ((own > table).sum(axis=1) + ((own == table).sum(axis=1) - 1) / 2) / others
     return Accuracy(
         patches=told_of + silent,
-        telling=part,
+        encoded=part,
         best=part * float((table.argmax(axis=1) == rows).mean()),
         auc=part * float(before.mean()) + (1.0 - part) / 2,
         nats=part * float(nats(table, rows, background, temperature, wrong).mean()),
@@ -222,7 +222,7 @@ def mean(found: Iterable[Accuracy | None]) -> Accuracy | None:
 
 
 COLUMNS = (
-    Col("place, encoder", "0"), Col("patches", "1.patches", 0), Col("that tell", "1.telling", share),
+    Col("place, encoder", "0"), Col("patches", "1.patches", 0), Col("that tell", "1.encoded", share),
     Col("best is true", "1.best", share), Col("AUC", "1.auc", share), Col("nats a patch", "1.nats", 2),
     Col("softmax alone", "1.bare", 2),
     Col("temperature", "1.temperature", lambda t: f"{t:.2g}" if t else "–"),

@@ -1,4 +1,4 @@
-"""What was done to break placegraph, and what became of it.
+"""Table `reliability`: what was done to break placegraph, and what became of it.
 
     placegraph-lab table reliability --minutes 5
     placegraph-lab table reliability --only fuzz --minutes 240 --seed 7
@@ -116,7 +116,7 @@ def publish(rows: list[Row], root: Path = lab.LAB.parent) -> None:
 
 
 def summed(rows: list[Row]) -> str:
-    """What README says of all rows; answers that were only to wear placegraph out are told apart."""
+    """Write the README's sum of all rows; answers of the soak test stand apart."""
     whole, borne = total(rows), total(row for row in rows if row.part == "soak").tried
     apart = f" ({borne:,} of them to wear it out)" if borne else ""
     return f"{whole.tried:,} trials{apart}, {whole.faults:,} faults found, {whole.open:,} open"

@@ -32,7 +32,7 @@ from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import NEAR, near
-from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
+from placegraph_lab.tables.indoor.perturb import Clip, Recording, drift
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.named.serve_load import Served, served
 from placegraph_lab.tables.runner import Column as Col
@@ -71,7 +71,7 @@ class Walk:
             before = frame.stamp
 
 
-def joined(parts: Sequence[Shot], degrees: float, rng: Generator) -> Walk:
+def joined(parts: Sequence[Clip], degrees: float, rng: Generator) -> Walk:
     """Parts one after the other, with odometry that drifts by so many degrees a frame."""
     frames: list[Frame] = []
     for part in parts:
@@ -93,9 +93,9 @@ def walks(recordings: Sequence[Recording], degrees: float, seed: int) -> list[Wa
     if len(recordings) == 1:
         only = recordings[0]
         ends = np.linspace(0, len(only.frames), 5).astype(int)
-        parts = [Shot.of(only, range(a, b)) for a, b in pairwise(ends.tolist())]
+        parts = [Clip.of(only, range(a, b)) for a, b in pairwise(ends.tolist())]
     else:
-        parts = [Shot.of(r, range(len(r.frames))) for r in recordings]
+        parts = [Clip.of(r, range(len(r.frames))) for r in recordings]
     order = rng.permutation(len(parts))
     fours = [order[i : i + 4] for i in range(0, len(order) - 3, 4)]
     return [joined([parts[i] for i in four], degrees, rng) for four in fours]
@@ -133,7 +133,7 @@ def looped(
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FrameResult:
     status: str
     right: bool  # whether its pose is `RIGHT`
     foretold: bool  # whether the pose that odometry told just before its image was looked at is
@@ -151,7 +151,7 @@ def is_right(pose: LivePose, truth: Floats, limits: tuple[float, float] = RIGHT)
     return pose.map_from_camera is not None and near(pose.map_from_camera, truth, limits)
 
 
-def followed(scene: SceneMap, walk: Walk, seed: int) -> list[Seen]:
+def followed(scene: SceneMap, walk: Walk, seed: int) -> list[FrameResult]:
     """Each frame of a walk, with odometry at 50 Hz before it, in one tracker."""
     live = scene.live(seed=seed, background=False, options=SENSES)
     seen = []
@@ -168,7 +168,7 @@ def looked_at(
     samples: Sequence[tuple[float, Floats]],
     *,
     kidnapped: bool,
-) -> Seen:
+) -> FrameResult:
     """Odometry up to a frame, then the frame."""
     start = process_time()
     for stamp, pose in samples:
@@ -176,12 +176,12 @@ def looked_at(
     told = live.step(frame)
     taken = process_time() - start
     wrong = told.status is Status.OK and not is_right(told, truth, NEAR)
-    return Seen(
+    return FrameResult(
         told.status.name, is_right(told, truth), is_right(foretold, truth), wrong, 1e3 * taken, kidnapped
     )  # fmt: skip
 
 
-def recoveries(seen: Sequence[Seen]) -> list[int | None]:
+def recoveries(seen: Sequence[FrameResult]) -> list[int | None]:
     """Frames after each kidnapping until one is `OK` and right; None: it was not before the next."""
     starts = [i for i, s in enumerate(seen) if s.kidnapped]
     found: list[int | None] = []
@@ -210,13 +210,13 @@ class Row:
     worst: float  # ... and the worst.
 
     @classmethod
-    def of(cls, place: str, degrees: float, walks: Sequence[Sequence[Seen]]) -> Row:
+    def of(cls, place: str, degrees: float, walks: Sequence[Sequence[FrameResult]]) -> Row:
         """Figures of what was seen on each of some walks."""
         every = [seen for walk in walks for seen in walk]
         after = [b for walk in walks for a, b in pairwise(walk) if a.sure and not b.kidnapped]
         milliseconds = [s.milliseconds for s in every]
 
-        def mean(field: str, of: Sequence[Seen] = every) -> float:
+        def mean(field: str, of: Sequence[FrameResult] = every) -> float:
             return float(np.mean([getattr(s, field) for s in of])) if of else float("nan")
 
         return cls(
@@ -238,7 +238,7 @@ class Row:
         return f"{max(self.found)}{f', {lost} never' * bool(lost)}" if self.found else "–"
 
 
-def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
+def longest(seen: Sequence[FrameResult], which: Callable[[FrameResult], bool]) -> int:
     most = run = 0
     for one in seen:
         run = run + 1 if which(one) else 0
@@ -421,7 +421,7 @@ def lived(
 ) -> Life:
     """So many frames to and fro along recordings, kidnapped from one to the next, in one tracker."""
     live = scene.live(seed=seed, background=False, options=SENSES)
-    seen: list[Seen] = []
+    seen: list[FrameResult] = []
     memory, wall = [], []
     endless = looped(recordings, DRIFT, np.random.default_rng(seed))
     for done, (frame, truth, kidnapped) in enumerate(islice(endless, frames)):
@@ -438,7 +438,7 @@ def lived(
 
 
 def resident() -> float:
-    """What this process holds [MB]; NaN where the system does not say."""
+    """Return the resident memory of this process [MB]; NaN where the system has no such figure."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
@@ -517,7 +517,7 @@ def robot_live(
     if "lifelong" in wanted:
         recordings = places.recordings("house")["house"]
         life = lived(house, recordings, lifelong, seed, run.say)
-        print(told(life))
+        print(summarize(life))
         record["lifelong"] = life
     run.save(record, whole=not only)
 
@@ -536,7 +536,7 @@ def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -
     return rows
 
 
-def told(life: Life) -> str:
+def summarize(life: Life) -> str:
     """Summarize a long run in sentences."""
     row, found = life.row, life.row.found
     held = life.memory[len(life.memory) // 4 :]

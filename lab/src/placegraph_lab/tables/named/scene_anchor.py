@@ -207,10 +207,10 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
                 found = fit_building(home.scene, file, "House", prior=found.anchors[0])
     except PlacegraphError as error:
         return {"row": row, "refused": str(error)}
-    return {"row": row, "seconds": process_time() - begun} | judged(home, found)
+    return {"row": row, "seconds": process_time() - begun} | score_candidates(home, found)
 
 
-def judged(home: House, found: AnchorFit) -> dict[str, Any]:
+def score_candidates(home: House, found: AnchorFit) -> dict[str, Any]:
     middle = home.scene.bounds.mean(axis=0) * (1, 1, 0)
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     true, candidates = home.stands.shift_origin(-middle), []

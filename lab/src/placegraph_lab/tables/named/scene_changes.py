@@ -39,8 +39,8 @@ NEAR_NEW = 0.1
 
 
 @dataclass(frozen=True)
-class Told:
-    """What one run said of one window of a sequence, beside the truth."""
+class WindowChanges:
+    """Reported changes of one window of a sequence, beside the truth."""
 
     sequence: str
     first: int
@@ -66,7 +66,7 @@ class Told:
 
 
 def changes_of(folder: Path) -> dict[str, Floats | None]:
-    """What was changed before a sequence was recorded: ids, and motions (4, 4); None: removed."""
+    """Read the true changes of a sequence: ids, and motions (4, 4); None: removed."""
     told = json.loads((folder / "changes.json").read_text(encoding="utf-8"))
     return {
         str(c["id"]): np.array(c["matrix"], np.float64) if c["action"] == "move" else None
@@ -96,7 +96,7 @@ def visible(scene: SceneMap, capture: Capture, truth: Floats, options: DiffOptio
     return {scene.graph.ids[i] for i in np.flatnonzero(enough).tolist()}
 
 
-def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0) -> Told:
+def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0) -> WindowChanges:
     """Localize a window of a sequence, compare it with the map, and hold that against the truth."""
     capture = open_capture(folder, labels=None)[first : first + frames]
     truth = read_tum(folder / "trajectory.tum").poses[first : first + frames]
@@ -114,7 +114,7 @@ def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0
     appeared = [c.box for c in (changes.of("appeared") if changes else []) if c.box is not None]
     boxes = _new_boxes(scene, changed)
     new_right = sum(any(_meet(box, other) for other in boxes) for box in appeared)
-    return Told(
+    return WindowChanges(
         folder.name, first, len(capture), estimate.status.name, changed=bool(changed),
         visible=tuple(visible_ids), found=tuple(found), moves=len(found) - len(removed),
         moves_found=sum(e is not None for e in errors), removed=len(removed),
@@ -155,7 +155,7 @@ def _meet(box: Floats, other: Floats) -> bool:
     return bool(np.all((box[0] <= other[1] + NEAR_NEW) & (other[0] <= box[1] + NEAR_NEW)))
 
 
-def figures(told: Sequence[Told]) -> dict[str, Any]:
+def figures(told: Sequence[WindowChanges]) -> dict[str, Any]:
     """Sums and rates of some windows."""
 
     def total(name: str) -> int:
@@ -206,7 +206,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def report(rows: Iterable[tuple[str, Sequence[Told]]]) -> str:
+def report(rows: Iterable[tuple[str, Sequence[WindowChanges]]]) -> str:
     """Markdown table, one row a way of asking."""
     return lab.render(COLUMNS, [figures(told) | {"name": name} for name, told in rows])
 
@@ -222,7 +222,7 @@ def scene_changes(
     journal, code = run.journal(fresh=fresh), lab.code_key(lab.INDOOR)
     scene = build_scene(run.data / "house/map/house.glb", None)
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
-    rows: list[tuple[str, list[Told]]] = []
+    rows: list[tuple[str, list[WindowChanges]]] = []
     with run.progress() as tick:
         for length in (25,) if quick else STARTS:
             task = tick.add_task(f"{length} frames", total=len(folders) * len(STARTS[length]))
@@ -232,7 +232,7 @@ def scene_changes(
                     key = f"{code} {folder.name} {first} {length} {seed}"
                     if key not in journal:
                         journal.put(key, ask(scene, folder, first, length, seed=seed))
-                    told.append(Told(**journal[key]))
+                    told.append(WindowChanges(**journal[key]))
                     tick.advance(task)
             rows.append((f"{length} frames", told))
     print(report(rows))

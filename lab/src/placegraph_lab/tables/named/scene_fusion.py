@@ -1,4 +1,4 @@
-"""How right fusion is: in the house beside its mesh, in the office beside frames left out."""
+"""Accuracy of fusion: in the house beside its mesh, in the office beside frames left out."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class Office:
     def row(self, way: Way) -> dict[str, Any]:
         mesh = way.fuser([self.frames[i] for i in self.fused], self.poses[self.fused])
         caster = RayCaster(mesh.vertices, mesh.triangles)
-        seen = [told(self.frames[i], self.poses[i], mesh, caster) for i in self.asked]
+        seen = [compare_frame(self.frames[i], self.poses[i], mesh, caster) for i in self.asked]
         gaps, colours, slopes = (np.concatenate(part) for part in zip(*seen, strict=True))
         return {
             "way": way.name,
@@ -162,7 +162,7 @@ class Office:
         }
 
 
-def told(
+def compare_frame(
     frame: Frame, pose: Floats, mesh: Mesh, caster: RayCaster
 ) -> tuple[Floats, Floats, Floats]:
     """Depth off (N,) [m, inf: no mesh], brightness off (M,) [0 to 255], correlation of slopes (1,).

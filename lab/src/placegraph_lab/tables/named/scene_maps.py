@@ -1,4 +1,4 @@
-"""How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes.
+"""Table `scene_maps`: how small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes.
 
     placegraph-lab table scene_maps --every 13 --office-every 9 --sizes full,default,small,tiny
 
@@ -29,7 +29,7 @@ from placegraph_lab.tables.scene.maps import (
     Asking,
     Made,
     Maps,
-    Paired,
+    PairedAnswers,
     Size,
     difference,
     findings,
@@ -72,7 +72,7 @@ REFINED = (
 def report(
     made: Sequence[Made],
     apart: dict[str, Apart],
-    pairs: Sequence[Paired],
+    pairs: Sequence[PairedAnswers],
     refined: Sequence[tuple[str, str, RefineScore]],
 ) -> str:
     """Return all tables that there are rows for; `apart` by the name of the map."""
@@ -94,7 +94,7 @@ def report(
     return "\n\n".join(text)
 
 
-def recall_table(pairs: Sequence[Paired]) -> str:
+def recall_table(pairs: Sequence[PairedAnswers]) -> str:
     """Return recall of every row by size, and the difference to the full map, rows pooled."""
     windows = {p.row: len(p.answers) for p in pairs}
     lines = []

@@ -135,7 +135,7 @@ def split_table(rows: Sequence[Row], parts: Sequence[tuple[str, Callable[[Answer
 
 
 def status_table(rows: Sequence[Row]) -> str:
-    """How often an answer is sure, and whether it then is right; with the right scene and without."""
+    """Tabulate how often an answer is sure, and right if it is; with the right scene and without."""
     head = [
         "encoder", "frames", "OK", "of these right", "ambiguous", "lost", "calibration error",
         "absent: OK", "ambiguous", "lost",

@@ -30,7 +30,7 @@ from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, tab
 from placegraph_lab.tables.scene.sentences import (
     FACTS,
     WRONG,
-    Asked,
+    RankedSentence,
     Scene,
     ask,
     ask_pose,
@@ -54,16 +54,16 @@ _WORD = re.compile(r"[a-z]+")
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class RoomText:
     """A text and the room it describes."""
 
     room: str
     text: str
 
 
-def told() -> list[Told]:
+def read_texts() -> list[RoomText]:
     lines = _data("rooms.tsv")
-    return [Told(*line.split("\t")) for line in lines]
+    return [RoomText(*line.split("\t")) for line in lines]
 
 
 def _data(name: str) -> list[str]:
@@ -77,7 +77,7 @@ def _data(name: str) -> list[str]:
 def rooms_told(house: SceneMap | None = None) -> dict[str, SceneMap]:
     """Scene maps of rooms by name: of the drawn flat, the homes, the office, and the house if given."""
     out = _cut(scene_of(Flat.load("altbau").furnish(np.random.default_rng(0))), "altbau")
-    for name in dict.fromkeys(t.room.partition("/")[0] for t in told()):
+    for name in dict.fromkeys(t.room.partition("/")[0] for t in read_texts()):
         if name.startswith("home "):
             _, seed, style = name.split()
             rng = np.random.default_rng(int(seed))
@@ -204,7 +204,7 @@ def _singular(word: str) -> str:
 
 
 def hits(
-    texts: Sequence[Told],
+    texts: Sequence[RoomText],
     names: Sequence[str],
     rankers: Mapping[str, Ranker],
     rng: Generator,
@@ -212,7 +212,7 @@ def hits(
     draws: int,
     alike: bool,
 ) -> dict[str, NDArray[np.float64]]:
-    """How often (n,) each text's room comes first among ten, by ranker.
+    """Return how often (n,) each text's room comes first among ten, by ranker.
 
     The other nine are drawn at random, the same for all rankers; of k equal scores the room has
     1 / k of the first place. `alike`: rooms of the same kind come before others, kitchens among
@@ -248,7 +248,7 @@ def ask_people(house: SceneMap | None, rng: Generator, *, draws: int) -> list[di
         ("of its kind first", True, whole),
         ("any, a third of the things missing", False, _rankers([thinned(m, rng) for m in maps])),
     )
-    texts = told()
+    texts = read_texts()
     out = []
     for half, name in enumerate(("tuned on", "test")):
         own = [t for t in texts[half::2] if t.room in rooms]
@@ -338,7 +338,7 @@ def scene_sentences(
     print(f"{report_people(described)}\n")
     scenes = _scenes(homes, house, np.random.default_rng(seed))
     rng = np.random.default_rng(seed + 1)
-    asked: list[Asked] = []
+    asked: list[RankedSentence] = []
     for facts in FACTS:
         for wrong in WRONG:
             asked += ask(scenes, rng, facts=facts, wrong=wrong, each=each)

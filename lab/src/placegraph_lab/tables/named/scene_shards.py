@@ -70,20 +70,20 @@ def scene(signatures: Sequence[Signature], stock: Stock, row: int, seed: int) ->
     return stock.variation(signatures[row % len(signatures)], np.random.default_rng((seed, row)))
 
 
-def listed(signatures: Sequence[Signature], count: int, seed: int) -> Iterator[NamedEntry]:
+def draw_scenes(signatures: Sequence[Signature], count: int, seed: int) -> Iterator[NamedEntry]:
     stock = Stock.of(signatures)
     for i in range(count):
         yield NamedEntry(f"home {i}", Entry(scene(signatures, stock, i, seed), None))
 
 
-def seen(
+def frames_query(
     signature: Signature,
     encoders: Sequence[Encoder],
     stock: Stock,
     wrong: float,
     rng: np.random.Generator,
 ) -> Query:
-    """What some panoramas of a scene show, a share of the patches called as other things."""
+    """Make a query of some panoramas of a scene, a share of its patches mislabelled."""
     places = np.sort(
         rng.choice(len(signature.places), min(FRAMES, len(signature.places)), replace=False)
     )
@@ -160,7 +160,9 @@ def ask(folder: Path, signatures: Sequence[Signature], queries: int, seed: int) 
                     find = _text(shards, text)
                 else:
                     used = both if way == "labels and looks" else both[:1]
-                    query = seen(own, used, stock, wrong, np.random.default_rng((seed, row, 3)))
+                    query = frames_query(
+                        own, used, stock, wrong, np.random.default_rng((seed, row, 3))
+                    )
                     find = _frames(shards, query)
                 start, cpu = time.perf_counter(), time.process_time()
                 found = find(LOOKED)
@@ -191,7 +193,7 @@ def ask_read(
 ) -> dict[str, Any]:
     """Ask a library of some of the scenes that is read, in this fresh process: medians [ms]."""
     library, stock = SceneLibrary(), Stock.of(signatures)
-    for name, entry, _ in listed(signatures, count, seed):
+    for name, entry, _ in draw_scenes(signatures, count, seed):
         library.insert(name, entry)
     rng = np.random.default_rng((seed, 2))
     out = {}
@@ -200,7 +202,7 @@ def ask_read(
         for row in [0, *rng.choice(count, queries, replace=False).tolist()]:
             used = library.encoders[: 1 + (way == "labels and looks")]
             own = scene(signatures, stock, row, seed)
-            query = seen(own, used, stock, 0.1, np.random.default_rng((seed, row, 3)))
+            query = frames_query(own, used, stock, 0.1, np.random.default_rng((seed, row, 3)))
             text = spoken(signatures, stock, row, seed, 0.1)
             start = time.perf_counter()
             if way == "text":
@@ -247,7 +249,7 @@ def scene_shards(
     made = None
     if fresh or not (folder / HEAD).exists():
         start, cpu = time.perf_counter(), time.process_time()
-        every = run.track(listed(signatures, scenes, seed), "scenes", total=scenes)
+        every = run.track(draw_scenes(signatures, scenes, seed), "scenes", total=scenes)
         write_shards(folder, every, encoders, size)
         made = {"s": time.perf_counter() - start, "cpu_s": time.process_time() - cpu}
     told = apart(ask, folder, signatures, queries, seed)

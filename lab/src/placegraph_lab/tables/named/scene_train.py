@@ -1,4 +1,4 @@
-"""What the table `scene_train` measures: trained on homes, asked in homes learned and held out."""
+"""Table `scene_train`: a network trained on homes, evaluated in homes learned and held out."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def by_chance(lessons: Sequence[Lesson]) -> Evaluation:
     return Evaluation(float(np.mean(now)), changed, 1 / len(lessons), 1.0)
 
 
-class Alone(torch.nn.Module):
+class FeaturesOnly(torch.nn.Module):
     """No network: features of patches against the mean feature of an object's views."""
 
     def patches(self, features: torch.Tensor) -> torch.Tensor:
@@ -97,7 +97,7 @@ def scene_train(
     lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
     learned, asked = split(lessons, held)
     fresh = Trainer(learned, weights.network.widths, options, "cpu").network
-    networks = {"features alone": Alone(), "untrained": fresh, "trained": weights.network}
+    networks = {"features alone": FeaturesOnly(), "untrained": fresh, "trained": weights.network}
     found: list[tuple[str, Evaluation]] = []
     for where, places in (("learned", learned[: len(asked)]), ("held out", asked)):
         found.append((f"{where}: chance", by_chance(places)))

@@ -36,7 +36,7 @@ STARTING = 300.0  # A server that is not ready after so long is given up [s]
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked."""
+    """HTTP request."""
 
     method: str
     path: str
@@ -72,13 +72,13 @@ class Served:
         return sum(int(x) for stat in stats for x in stat[11:13]) * TICK
 
     def memory(self) -> float:
-        """What its processes hold [MB], resident; shared pages count in each."""
+        """Return the resident memory of its processes [MB]; shared pages count in each."""
         return sum(int(_stat(p)[21]) for p in self.processes) * PAGE * 1e-6
 
     def asked(
         self, requests: Iterable[Request], file: Path, *, at_once: int, seconds: int
     ) -> dict[str, Any]:
-        """What wrk saw of requests in turn, so many at once, and the CPU that each took.
+        """Send requests in turn by wrk, so many at once; its figures, and the CPU time of each.
 
         Raises `OptionError` where wrk is not installed.
         """
@@ -182,7 +182,7 @@ def serve_load(
             print(markdown(HEADER, map(line, rows)))
             sockets = asyncio.run(idle(server, 1000, {"id": 1, "text": texts[0], "map": CITY}))
             memory = watched(server, folder / "asked", texts, requests, seconds)
-    print(f"\n{told(sockets, memory)}")
+    print(f"\n{summarize(sockets, memory)}")
     run.save({"rows": rows, "sockets": sockets, "memory": memory, "busy": os.getloadavg()})
 
 
@@ -251,7 +251,7 @@ def line(row: dict[str, Any]) -> list[str]:
     return [row["asked"], str(row["at_once"]), *numbers, str(row["failed"])]
 
 
-def told(sockets: dict[str, Any], memory: list[dict[str, Any]]) -> str:
+def summarize(sockets: dict[str, Any], memory: list[dict[str, Any]]) -> str:
     some = memory[:2] + memory[2 :: max(1, len(memory) // 5)]
     grown = ", ".join(f"{row['mb']:.0f} after {row['requests']:,}" for row in some)
     return (

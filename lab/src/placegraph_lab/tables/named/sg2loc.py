@@ -1,4 +1,4 @@
-"""What the tables of the SG2Loc paper say, as printed: of its own method, and of HLoc beside it.
+"""Tables of the SG2Loc paper: its figures as printed, of HLoc too, and ours below them.
 
 Errors are in metres and degrees, recalls are shares. Sequence lengths are set off by bars.
 """

@@ -61,7 +61,7 @@ LURED = ("toronto", "monaco", "manhattan")  # maps on which traps with gaps are 
 THINGS = ("bank", "cafe", "pharmacy", "bus stop", "bench", "church", "school", "restaurant")
 STREET = re.compile(r"\b(street|avenue|road|drive|lane|boulevard)\b", re.IGNORECASE)
 RADIUS = {"templates": 50.0, "people": 250.0, "traps": 50.0}
-"""How far off an answer may be and still be right [m]."""
+"""Largest distance of a right answer from the truth [m]."""
 TUNED, HELD_OUT = "tuned on", "held out"
 
 
@@ -87,7 +87,7 @@ class TextSet:
 
     @property
     def radius(self) -> float:
-        """How far off an answer may be and still be right [m]."""
+        """Largest distance of a right answer from the truth [m]."""
         return RADIUS[self.kind]
 
 
@@ -222,7 +222,7 @@ def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calib
 
 
 def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
-    """Of each radius that is claimed: its name, the best place's share, and whether it is right."""
+    """Return name, the best place's share and correctness of each radius that is claimed."""
     try:
         asked = make_request(city, told.text, Hints(listener=told.start), Matching())
         peaks = find_modes(found := search_views(asked), 1, SPACING)

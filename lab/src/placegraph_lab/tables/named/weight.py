@@ -1,4 +1,4 @@
-"""How heavy is the house? Files and lines of every part, functions, prose, starts and sizes.
+"""Table `weight`: how heavy is the house? Files and lines of every part, functions, prose, starts and sizes.
 
     placegraph-lab table weight
     placegraph-lab table weight --no-starts --no-install
@@ -74,7 +74,7 @@ class Figure:
         ]
 
 
-def weigh(name: str, files: Iterable[Path]) -> Weight:
+def count_lines(name: str, files: Iterable[Path]) -> Weight:
     """Count the lines of Python files by kind."""
     counts = [_count(path.read_text("utf-8")) for path in files]
     lines, imports, docstrings, comments, blank = (sum(c) for c in zip(*counts, strict=True))
@@ -108,12 +108,12 @@ def weights(root: Path) -> list[Weight]:
     tests = [*(root / "tests").rglob("*.py"), *root.glob("packages/*/tests/**/*.py")]
     pages = [path.read_text("utf-8").splitlines() for path in (root / "docs").rglob("*.md")]
     blank, lines = (sum(not line.strip() for page in pages for line in page), sum(map(len, pages)))
-    apart = [weigh(name, found) for name, found in files.items() if found]
+    apart = [count_lines(name, found) for name, found in files.items() if found]
     return [
         *apart,
         _together("packages together", apart),
-        weigh("lab", sorted((root / "lab/src").rglob("*.py"))),
-        weigh("tests", tests),
+        count_lines("lab", sorted((root / "lab/src").rglob("*.py"))),
+        count_lines("tests", tests),
         Weight("docs", len(pages), lines, None, None, None, None, blank, before=BEFORE["docs"]),
     ]
 

@@ -1,4 +1,4 @@
-"""What does each witness add: a sentence, three frames, a fix? Recall of building, room and pose.
+"""Table `world_locate`: recall of building, room and pose by a sentence, three frames and a fix.
 
 A quarter of houses with addresses is drawn, and in each a home. Somebody in a room says address, room
 and two things (one number in ten is the next house's), and films three frames with depth.
@@ -87,12 +87,12 @@ def quarter(count: int, folder: Path, seed: int) -> tuple[World, list[Visit]]:
         pose = walk.map_from_camera[-1]
         room = find_room_name(scene, pose[:3, 3])
         fix = PLANE.to_lonlat(np.array(spot) + rng.normal(0.0, GPS, 2))
-        text = _said(scene, room, street, number, rng)
+        text = _describe(scene, room, street, number, rng)
         visits.append(Visit(f"house{i}", room, text, film, pose, (float(fix[0]), float(fix[1]))))
     return World({"quarter": city}, scenes), visits
 
 
-def _said(scene: SceneMap, room: str, street: str, number: int, rng: Generator) -> str:
+def _describe(scene: SceneMap, room: str, street: str, number: int, rng: Generator) -> str:
     labels = np.array(scene.graph.labels)
     here = np.array([a.get("room") == room for a in scene.attributes]) & ~is_structural(
         scene.graph.labels
@@ -134,7 +134,7 @@ def _osm(spots: Sequence[tuple[str, int, tuple[float, float]]], path: Path) -> P
 
 
 def ask(world: World, visit_: Visit, row: str, seed: int) -> dict[str, Any]:
-    """What a world answers to what a row of the table knows of a visit."""
+    """Locate a visit in a world by what a row of the table knows of it."""
     text, frames, fix = ROWS[row]
     start = perf_counter()
     estimate = world.locate(

@@ -118,7 +118,9 @@ def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:
     often = Counter(np.array(city.labels)[city.label].tolist())
 
     def rarest(query: Query) -> int:
-        return min(often[label] for s in query.said for label in (s.source, s.target) if label)
+        return min(
+            often[label] for s in query.statements for label in (s.source, s.target) if label
+        )
 
     common = sorted(make_queries(osm, n=COMMONER * n, seed=seed + 1), key=rarest, reverse=True)
     return {

@@ -1,4 +1,4 @@
-"""Who looks into the shards of a world: one process, workers of a cluster, and workers that are killed."""
+"""Search of a world's shards: by one process, by workers of a cluster, and by workers that are killed."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _killed(world: Path, texts: list[str]) -> dict[str, Any]:
 def together(
     world: Path, texts: list[str], workers: int, *, killed: bool = False
 ) -> dict[str, Any]:
-    """What texts take by workers of a cluster, one of which is killed in between; 0: by this process."""
+    """Time texts with workers of a cluster, one of which is killed in between; 0: in this process."""
     from distributed import LocalCluster
 
     import placegraph as pg

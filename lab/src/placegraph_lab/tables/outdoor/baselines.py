@@ -105,7 +105,7 @@ class Bag:
 def spoken(query: Query, kind: Words, number: dict[str, int]) -> Ints:
     """Distinct words of a query, rising; `number` counts the labels."""
     if kind == "labels":
-        ends = {end for s in query.said for end in (s.source, s.target) if end}
+        ends = {end for s in query.statements for end in (s.source, s.target) if end}
         return np.unique([number[end] for end in ends])
     speaker = labels = len(number)
     return np.unique(
@@ -116,7 +116,7 @@ def spoken(query: Query, kind: Words, number: dict[str, int]) -> Ints:
                 number[s.target] if s.target else speaker,
                 labels + 1,
             )
-            for s in query.said
+            for s in query.statements
         ]
     )
 

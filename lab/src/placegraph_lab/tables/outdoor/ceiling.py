@@ -23,10 +23,10 @@ CHUNK = 50_000  # viewpoints looked at in one go: keeps memory small
 class Contest:
     """Viewpoints V of a grid, and the words W (statements) that the queries Q speak of."""
 
-    asked: Ints
+    words_asked: Ints
     """(A, 4) words of all queries, one query after the other: as said, and in the three other
     directions."""
-    asked_starts: Ints  # (Q + 1,)
+    words_asked_starts: Ints  # (Q + 1,)
     served_starts: Ints  # (W + 1,) viewpoints that serve a word
     served: NDArray[np.int32]
     sayable: NDArray[
@@ -55,18 +55,20 @@ class Contest:
         city = bins.city
         label = city.named if names else city.label
         number = {name: i for i, name in enumerate(city.labels)}
-        kind: Words = "triples" if queries[0].said[0].target else "speaker"
+        kind: Words = "triples" if queries[0].statements[0].target else "speaker"
         wanted = [spoken(q, kind, number) for q in queries]
         words = np.concatenate(wanted)
         labels = len(city.labels) + 1
         head, target = np.divmod(words, labels)
         source, said = np.divmod(head, len(DIRECTIONS))
         turned = (said[:, None] + np.arange(len(DIRECTIONS))) % len(DIRECTIONS)
-        asked = np.asarray((source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None])
-        known = np.unique(asked)
+        words_asked = np.asarray(
+            (source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None]
+        )
+        known = np.unique(words_asked)
         truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
 
-        def look(viewpoints: Floats) -> tuple[Ints, Ints, Ints]:
+        def find_words(viewpoints: Floats) -> tuple[Ints, Ints, Ints]:
             """Viewpoint and word of what a query asks for; number of different words."""
             around = bins.around(viewpoints, SIGHT)
             at, word = words_around(
@@ -78,18 +80,18 @@ class Contest:
             return pairs[0, hit], place[hit], np.bincount(pairs[0], minlength=len(viewpoints))
 
         grid = bins.centers(step)
-        seen = [look(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
+        seen = [find_words(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
         at = np.concatenate([v + i * CHUNK for i, (v, _, _) in enumerate(seen)])
         word = np.concatenate([w for _, w, _ in seen])
         order = np.argsort(word, kind="stable")
-        own_at, own_word, _ = look(truth)
+        own_at, own_word, _ = find_words(truth)
         held = set(zip(own_at.tolist(), known[own_word].tolist(), strict=True))
         column = np.round((grid - bins.low) / step - 0.5).astype(np.int32)
         square = np.full(column.max(0) + 1, -1, np.int32)
         square[column[:, 0], column[:, 1]] = np.arange(len(grid))
         return cls(
-            asked=np.searchsorted(known, asked),
-            asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
+            words_asked=np.searchsorted(known, words_asked),
+            words_asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
             served_starts=np.searchsorted(word[order], np.arange(len(known) + 1)),
             served=at[order].astype(np.int32),
             sayable=np.concatenate([n for _, _, n in seen]).astype(np.int32),
@@ -127,7 +129,7 @@ def ceiling(contest: Contest, apart: float | None = 50.0) -> Ceiling:
     competitors are nearer to each other. None: a place is a 50 m cell.
     """
     counts = _rank(
-        (contest.asked[:, 0], contest.asked_starts),
+        (contest.words_asked[:, 0], contest.words_asked_starts),
         (contest.served_starts, contest.served),
         (contest.column, contest.square),
         contest.own,
@@ -145,7 +147,7 @@ def oracle(contest: Contest, *, replaced: bool = False, top: int = 5) -> Floats:
     is one of them. Of wrong directions it expects `NOISE` where relations were replaced.
     """
     return contest.step * _likeliest(
-        (contest.asked, contest.asked_starts),
+        (contest.words_asked, contest.words_asked_starts),
         (contest.served_starts, contest.served),
         (contest.column, contest.square),
         contest.sayable,

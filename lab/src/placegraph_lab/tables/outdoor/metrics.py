@@ -1,4 +1,4 @@
-"""What an outdoor answer is worth: recall, distance, calibration, status and time."""
+"""Measures of outdoor answers: recall, distance, calibration, status and time."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ published generator, and as fits the texts best."""
 
 @dataclass(frozen=True)
 class Protocol:
-    """How the queries of a table are made; see `make_queries`."""
+    """Protocol of the queries of a table; see `make_queries`."""
 
     statements: int = 6
     setting: Setting = "none"

@@ -1,4 +1,4 @@
-"""What an extract holds, read without the package's own reader, vocabulary or cells.
+"""Objects of an extract, read without the package's own reader, vocabulary or cells.
 
 The evaluation must not share the map's mistakes: this reader goes from osmium straight to arrays,
 with its own choice of keys (`KEYS`) and its own rule for what is a line and what an area.

@@ -58,7 +58,7 @@ NOISE = 0.2  # share of statements that noise changes
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class SpokenStatement:
     """One statement of a query: the source lies in a direction, seen from the target."""
 
     source: str  # label, as the raw data have it
@@ -77,7 +77,7 @@ class Query:
     text: str
     longitude: float
     latitude: float  # the true viewpoint [deg]
-    said: tuple[Said, ...]
+    statements: tuple[SpokenStatement, ...]
 
 
 @lru_cache(maxsize=8)
@@ -160,11 +160,11 @@ class Teller:
         if len(told) < self.statements:
             return None
         chosen = rng.choice(len(told), self.statements, replace=False)
-        said = tuple(self.disturb(told[i], viewpoint, rng) for i in chosen)
+        statements = tuple(self.disturb(told[i], viewpoint, rng) for i in chosen)
         longitude, latitude = self.city.plane.to_lonlat(viewpoint).tolist()
-        return Query(self.write(said, rng), longitude, latitude, said)
+        return Query(self.write(statements, rng), longitude, latitude, statements)
 
-    def between(self, viewpoint: Floats) -> list[Said]:
+    def between(self, viewpoint: Floats) -> list[SpokenStatement]:
         """All true statements about two objects of different labels in sight of a viewpoint (2,)."""
         around = self.bins.around(viewpoint[None], SIGHT)
         triples = Triples.of(around)
@@ -172,7 +172,7 @@ class Teller:
         sources, targets = around.objects[triples.source], around.objects[triples.target]
         rows = zip(sources.tolist(), targets.tolist(), triples.relation.tolist(), strict=True)
         return [
-            Said(
+            SpokenStatement(
                 city.labels[label[a]],
                 DIRECTIONS[r],
                 city.labels[label[b]],
@@ -183,7 +183,7 @@ class Teller:
             if label[a] != label[b]
         ]
 
-    def from_here(self, viewpoint: Floats) -> list[Said]:
+    def from_here(self, viewpoint: Floats) -> list[SpokenStatement]:
         """All true statements about an object in sight and the speaker at a viewpoint (2,)."""
         around = self.bins.around(viewpoint[None], SIGHT)
         city, told = self.city, []
@@ -191,21 +191,25 @@ class Teller:
             delta = point - viewpoint
             if np.hypot(*delta) >= SHORTEST:
                 label = city.labels[self.label[i]]
-                told.append(Said(label, DIRECTIONS[int(relations(delta))], "", city.osm[i], ""))
+                told.append(
+                    SpokenStatement(label, DIRECTIONS[int(relations(delta))], "", city.osm[i], "")
+                )
         return told
 
-    def disturb(self, said: Said, viewpoint: Floats, rng: Generator) -> Said:
+    def disturb(
+        self, statement: SpokenStatement, viewpoint: Floats, rng: Generator
+    ) -> SpokenStatement:
         """Change the statement with probability `NOISE`, where the setting asks for it."""
         if self.setting not in ("replaced", "absent") or rng.random() >= NOISE:
-            return said
+            return statement
         if self.setting == "replaced":
-            direction = str(rng.choice([d for d in DIRECTIONS if d != said.direction]))
-            return replace(said, direction=direction, noisy=True)
+            direction = str(rng.choice([d for d in DIRECTIONS if d != statement.direction]))
+            return replace(statement, direction=direction, noisy=True)
         if rng.random() < 0.5:
-            source = self.absent(viewpoint, rng, said.target)
-            return replace(said, source=source, source_osm="", noisy=True)
-        target = self.absent(viewpoint, rng, said.source)
-        return replace(said, target=target, target_osm="", noisy=True)
+            source = self.absent(viewpoint, rng, statement.target)
+            return replace(statement, source=source, source_osm="", noisy=True)
+        target = self.absent(viewpoint, rng, statement.source)
+        return replace(statement, target=target, target_osm="", noisy=True)
 
     def absent(self, viewpoint: Floats, rng: Generator, other: str) -> str:
         """Draw a label as often as the city has it, but none that is near a viewpoint (2,)."""
@@ -217,23 +221,26 @@ class Teller:
                 return self.city.labels[label]
         raise OptionError("Nothing in this extract is absent from a place; give a larger one.")
 
-    def write(self, said: tuple[Said, ...], rng: Generator) -> str:
+    def write(self, statements: tuple[SpokenStatement, ...], rng: Generator) -> str:
         """Put the statements into words."""
         if self.setting == "speaker":
-            return " ".join(f"There {with_article(s.source)} to my {s.direction}." for s in said)
-        words = {label: label for s in said for label in (s.source, s.target)}
+            return " ".join(
+                f"There {with_article(s.source)} to my {s.direction}." for s in statements
+            )
+        words = {label: label for s in statements for label in (s.source, s.target)}
         if self.setting == "synonyms":
-            keys = self.keys(said)
+            keys = self.keys(statements)
             words = {label: str(rng.choice(everyday(keys[label], label))) for label in words}
         return " ".join(
-            f"The {words[s.source]} is on the {s.direction} of the {words[s.target]}." for s in said
+            f"The {words[s.source]} is on the {s.direction} of the {words[s.target]}."
+            for s in statements
         )
 
-    def keys(self, said: tuple[Said, ...]) -> dict[str, str]:
+    def keys(self, statements: tuple[SpokenStatement, ...]) -> dict[str, str]:
         """OSM key of every label, of the first object that the text means by it."""
         row = self.city.rows
         keys: dict[str, str] = {}
-        for s in said:
+        for s in statements:
             for label, osm in ((s.source, s.source_osm), (s.target, s.target_osm)):
                 keys.setdefault(label, KEYS[self.city.key[row[osm]]])
         return keys

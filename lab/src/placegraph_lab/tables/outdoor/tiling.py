@@ -30,7 +30,7 @@ class Extract:
 
     @classmethod
     def read(cls, path: Path) -> Extract:
-        """Of a file."""
+        """Read a file."""
         import osmium
 
         extract = cls()
@@ -123,7 +123,7 @@ def tile(paths: Sequence[Path], out: Path, copies: int, seed: int) -> int:
 
 
 def shifts_of(size: Floats, copies: int) -> Floats:
-    """Where the copies (copies, 2) of a city of `size` stand, relative to the first [deg]."""
+    """Return the places (copies, 2) of copies of a city of `size`, relative to the first [deg]."""
     side = int(np.ceil(np.sqrt(copies)))
     k = np.arange(copies)
     return np.asarray(np.stack([k % side, k // side], 1) * size)

@@ -96,7 +96,7 @@ OFFICE_SIZES = ("full", "default", "small", "labelled")
 
 @dataclass(frozen=True)
 class Made:
-    """What a map takes."""
+    """Sizes and times of a map."""
 
     place: str
     size: str
@@ -149,7 +149,7 @@ class Maps:
         return self.folder / f"{place} {size.name}.scene".replace(" ", "_")
 
     def made(self, place: str, size: Size) -> Made:
-        """What a map takes; it is built and measured if this code has not done so yet."""
+        """Measure a map; it is built if this code has not done so yet."""
         key, path = f"made {self._code} {place} {size}", self.path(place, size)
         if key in self.journal and path.exists():
             row = Made(**self.journal[key])
@@ -372,7 +372,7 @@ class Asking:
 
 
 @dataclass(frozen=True)
-class Paired:
+class PairedAnswers:
     """Answers on a map beside those on the full one, to the same windows."""
 
     place: str
@@ -395,7 +395,7 @@ class Paired:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Of each window 1: gained, -1: lost, 0: as on the full map; by the last of `limits`."""
+        """Compare windows with the full map by the last of `limits`: 1 gained, -1 lost, 0 alike."""
         limits = self.limits[-1]
         return tuple(
             a.within(*limits) - b.within(*limits)
@@ -426,10 +426,10 @@ def difference(steps: Sequence[int]) -> tuple[float, float]:
     return float(points.mean()), float(points.std() / math.sqrt(len(points)))
 
 
-def study(asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]) -> list[Paired]:
+def study(asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]) -> list[PairedAnswers]:
     """All rows on all sizes of their places, map by map."""
     return [
-        Paired(
+        PairedAnswers(
             place, row.name, size.name,
             tuple(asking.answers(row, size)), tuple(asking.answers(row, FULL)),
             LIMITS["office" if place in HALVES else "house"],

@@ -111,7 +111,9 @@ def read(path: Path) -> Capture:
             label_camera=Camera(**other) if other else None,
             label_kind="labels" if other else None,
             label_names=names,
-            images=_Kept(held["images"][start:end].tobytes(), held["labels"][i] if other else None),
+            images=_JpegImages(
+                held["images"][start:end].tobytes(), held["labels"][i] if other else None
+            ),
         )
         for i, (start, end) in enumerate(zip(starts, held["ends"], strict=True))
     ]
@@ -119,7 +121,7 @@ def read(path: Path) -> Capture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Kept:
+class _JpegImages:
     """Images of one frame."""
 
     blob: bytes
@@ -303,9 +305,9 @@ def _with_middles(column: NDArray[_Number], pairs: NDArray[np.int32]) -> NDArray
     return np.concatenate([column, middle.astype(column.dtype)])
 
 
-def _part(mesh: Mesh, kept_: NDArray[np.bool_]) -> Mesh:
+def _part(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     """Mesh of some triangles (T,)."""
-    triangles = mesh.triangles[kept_]
+    triangles = mesh.triangles[chosen]
     used = np.unique(triangles)
     row = np.zeros(len(mesh.vertices), np.int32)
     row[used] = np.arange(len(used))
@@ -313,10 +315,10 @@ def _part(mesh: Mesh, kept_: NDArray[np.bool_]) -> Mesh:
         mesh,
         vertices=mesh.vertices[used],
         triangles=row[triangles],
-        object_of=mesh.object_of[kept_],
+        object_of=mesh.object_of[chosen],
         colours=mesh.colours[used],
         uv=mesh.uv[used],
-        texture_of=mesh.texture_of[kept_],
+        texture_of=mesh.texture_of[chosen],
     )
 
 
@@ -480,13 +482,13 @@ def replay(encoder: Encoder) -> Encoder:
 
 
 def _said_of(image: Frame, key: str) -> NDArray[np.float32] | None:
-    if not isinstance(image.images, _Said):
+    if not isinstance(image.images, _EncodedImages):
         raise OptionError(f"frame {image.index} has not been encoded; see `encoded`.")
     return image.images.vectors.get(key)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Said:
+class _EncodedImages:
     """Images of a frame, and what was said of it."""
 
     images: Images
@@ -509,7 +511,7 @@ def all_encoded(
     vocabulary: Sequence[str],
     cache: Path,
 ) -> Encoded | None:
-    """What all encoders of a row say of a walk; None where none has anything for its frames."""
+    """Encode a walk by all encoders of a row; None where none has anything for its frames."""
     seconds, known = 0.0, False
     for part, encoder in zip(parts, encoders, strict=True):
         found = encoded(walk, part, encoder, vocabulary, cache)
@@ -521,7 +523,7 @@ def all_encoded(
 def encoded(
     walk: Walk, row: str, encoder: Encoder, vocabulary: Sequence[str], cache: Path
 ) -> Encoded | None:
-    """What an encoder says of a walk; None where it has nothing for its frames.
+    """Encode a walk; None where the encoder has nothing for its frames.
 
     Answers are kept in a file under `cache` for as long as code, data and the encoder's key stay.
     """
@@ -542,10 +544,10 @@ def encoded(
     return Encoded(replace(walk, capture=replace(walk.capture, frames=tuple(frames))), seconds)
 
 
-def _added(images: Images, key: str, vectors: NDArray[np.float32]) -> _Said:
-    if isinstance(images, _Said):
+def _added(images: Images, key: str, vectors: NDArray[np.float32]) -> _EncodedImages:
+    if isinstance(images, _EncodedImages):
         return replace(images, vectors={**images.vectors, key: vectors})
-    return _Said(images, {key: vectors})
+    return _EncodedImages(images, {key: vectors})
 
 
 def _write(path: Path, encoder: Encoder, walk: Walk) -> None:

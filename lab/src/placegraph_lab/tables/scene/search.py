@@ -52,7 +52,7 @@ _EQUAL = 1e-6  # relative: sums in other orders differ by less
 
 @dataclass(frozen=True)
 class Answer:
-    """What a search said of one query, beside the truth."""
+    """Result of one query, beside the truth."""
 
     query: str
     place: str
@@ -71,7 +71,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Found:
+class Ranking:
     """Scenes, likeliest first."""
 
     names: tuple[str, ...]
@@ -84,7 +84,7 @@ class Found:
 class Searcher(Protocol):
     """Anything that finds scenes."""
 
-    def search(self, capture: Capture) -> Found:
+    def search(self, capture: Capture) -> Ranking:
         """Scenes that a capture may have been taken in."""
 
 
@@ -100,12 +100,12 @@ class Cosines:
         signatures = [library.entry(name).signature for name in library]
         self._index = Index.of(signatures, [e.key for e in self._encoders])
 
-    def search(self, capture: Capture) -> Found:
+    def search(self, capture: Capture) -> Ranking:
         """Scenes by their score."""
         query = encode_frames(list(capture), self._encoders, exact=True)
         total = score_scenes(self._index, query, SearchOptions(method="cosines")).total
         order = np.argsort(-total, kind="stable")
-        return Found(
+        return Ranking(
             tuple(self._names[i] for i in order),
             tuple(total[order].tolist()),
             tuple(0.0 for _ in order),
@@ -120,10 +120,10 @@ class Ours:
     def __init__(self, library: SceneLibrary, options: SearchOptions) -> None:
         self._library, self._options = library, options
 
-    def search(self, capture: Capture) -> Found:
+    def search(self, capture: Capture) -> Ranking:
         """Scenes by their posterior."""
         estimate = self._library.search(capture, options=self._options, most=len(self._library))
-        return Found(
+        return Ranking(
             tuple(mode.scene for mode in estimate.modes),
             tuple(mode.score for mode in estimate.modes),
             tuple(mode.probability for mode in estimate.modes),

@@ -56,7 +56,7 @@ class Scene(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RankedSentence:
     """One sentence and where its scene came out."""
 
     scene: str
@@ -81,7 +81,7 @@ def rooms_of(scene: Scene) -> list[Scene]:
 
 def ask(
     scenes: Sequence[Scene], rng: Generator, *, facts: int, wrong: float, each: int = 2
-) -> list[Asked]:
+) -> list[RankedSentence]:
     """Ask `each` sentences about every scene, among all numbers of scenes that there are.
 
     How rare things are is the whole library's; a sentence's scene and others drawn at random are
@@ -100,7 +100,7 @@ def ask(
                     tied = np.abs(rivals - scores[row]) < 1e-9
                     better = (rivals > scores[row]) & ~tied
                     rank = 1 + int(better.sum()) + round(float(tied.sum()) / 2)
-                    out.append(Asked(scene.name, text, facts, wrong, among, rank))
+                    out.append(RankedSentence(scene.name, text, facts, wrong, among, rank))
     return out
 
 
@@ -177,7 +177,7 @@ def _numbered(label: str, count: int, rng: Generator) -> str:
     return f"{_NUMBERS[count] if count < len(_NUMBERS) else count} {plural}"
 
 
-def report(asked: Sequence[Asked]) -> str:
+def report(asked: Sequence[RankedSentence]) -> str:
     header = ["facts", *[f"{among}, {wrong:.0%} wrong" for among in AMONG for wrong in WRONG]]
     rows = []
     for facts in dict.fromkeys(a.facts for a in asked):
@@ -192,7 +192,7 @@ def report(asked: Sequence[Asked]) -> str:
     return markdown(header, rows)
 
 
-def recall(asked: Sequence[Asked]) -> list[float]:
+def recall(asked: Sequence[RankedSentence]) -> list[float]:
     """Shares of sentences whose scene was among the first 1, 3 and 5."""
     ranks = np.array([a.rank for a in asked])
     return [float((ranks <= k).mean()) if len(ranks) else float("nan") for k in AT]
@@ -219,7 +219,7 @@ def speed(scenes: Sequence[Scene], rng: Generator, *, library: int = 10_000) -> 
     }
 
 
-def figures(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def figures(asked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
     """Recall of every row, with a sentence that came out last of it."""
     keys = dict.fromkeys((a.facts, a.wrong, a.among) for a in asked)
     out = []
@@ -257,7 +257,7 @@ class Spoken:
 
 
 def describe_pose(scene: SceneMap, map_from_camera: Floats, rng: Generator, facts: int) -> str:
-    """What somebody at a pose (4, 4) might say of it, up to `facts` statements; empty for nothing."""
+    """Describe a pose (4, 4) as somebody there might, in up to `facts` statements; empty for nothing."""
     pose, _ = split_pose(map_from_camera)
     turn = np.arange(_RAYS) * 2.0 * np.pi / _RAYS
     a, e = (grid.ravel() for grid in np.meshgrid(turn, _LEVELS))
@@ -324,7 +324,7 @@ def pose_figures(spoken: Sequence[Spoken]) -> dict[str, dict[str, dict[str, floa
                 out.setdefault(terms, {})[said] = {
                     "windows": len(own),
                     "recall": float(right.mean()),
-                    "held": float(np.mean([a.held for a in own])),
+                    "held": float(np.mean([a.among_modes for a in own])),
                     "wrong_ok": float((sure & ~right).mean()),
                     "seconds": float(np.median([a.seconds for a in own])),
                 }

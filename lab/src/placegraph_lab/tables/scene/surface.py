@@ -1,4 +1,4 @@
-"""How far two surfaces lie apart: exact distances from points spread over one to the other."""
+"""Distance of two surfaces: exact distances from points spread over one to the other."""
 
 from __future__ import annotations
 
