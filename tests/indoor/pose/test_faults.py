@@ -13,22 +13,22 @@ from placegraph.indoor.likelihood.observe import Observation
 from placegraph.indoor.pose import agreement as faults
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb as bad
-from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
+from placegraph_lab.tables.indoor.perturb import Clip, Recording, height
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
-def shot(walk, room, truth):
+def clip(walk, room, truth):
     """Ten frames in the room, with depth and colours alone."""
     recording = Recording("walk", walk.frames, truth(walk), 0.2, lambda: room)
-    return bad.only(Shot.of(recording, range(10)), ("depth", "colour"))
+    return bad.only(Clip.of(recording, range(10)), ("depth", "colour"))
 
 
-def half_elsewhere(shot, _, rng):  # noqa: ARG001
+def half_elsewhere(clip, _, rng):  # noqa: ARG001
     """The first frames are from the same walk seen in a mirror: no place of this room."""
-    frames = bad.mirrored(shot, 0, None).frames[:5] + shot.frames[5:]
-    return replace(shot, frames=frames)
+    frames = bad.mirrored(clip, 0, None).frames[:5] + clip.frames[5:]
+    return replace(clip, frames=frames)
 
 
 @pytest.mark.parametrize(
@@ -41,24 +41,24 @@ def half_elsewhere(shot, _, rng):  # noqa: ARG001
         (half_elsewhere, 0, "contradict the others"),
     ],
 )
-def test_what_is_wrong_is_named(room, shot, rng, spoil, strength, said):
-    estimate = room.localize(spoil(shot, strength, rng).frames, refine=False)
+def test_what_is_wrong_is_named(room, clip, rng, spoil, strength, said):
+    estimate = room.localize(spoil(clip, strength, rng).frames, refine=False)
     assert estimate.status is not Status.OK
     assert said in estimate.reason
     assert estimate.reason.endswith(".")
 
 
-def test_a_camera_outside_the_rooms_is_named(room, shot, rng, monkeypatch):
+def test_a_camera_outside_the_rooms_is_named(room, clip, rng, monkeypatch):
     """Above the ceiling instead of below the floor, of which the room shows only a slab."""
     monkeypatch.setattr(faults, "_UNDERGROUND", (2.8, 3.5))
-    estimate = room.localize(height(shot, 3.2, rng).frames, refine=False)
+    estimate = room.localize(height(clip, 3.2, rng).frames, refine=False)
     assert estimate.status is not Status.OK
     assert "below the floor" in estimate.reason
 
 
-def test_time_that_runs_backwards_is_refused(room, walk, shot, tmp_path):
+def test_time_that_runs_backwards_is_refused(room, walk, clip, tmp_path):
     with pytest.raises(OptionError, match=r"frames: .* grow"):
-        room.localize(bad.backwards(shot, 0, None).frames)
+        room.localize(bad.backwards(clip, 0, None).frames)
     folder = tmp_path / "walk"
     folder.mkdir()
     for part in walk.path.iterdir():
@@ -72,33 +72,33 @@ def test_time_that_runs_backwards_is_refused(room, walk, shot, tmp_path):
         open_capture(folder)
 
 
-def test_plain_frames_are_above_suspicion(room, shot):
+def test_plain_frames_are_above_suspicion(room, clip):
     """As recorded; standing still, with the same image; one frame sent twice."""
-    assert room.localize(shot.frames, refine=False).status is Status.OK
-    last = shot.frames[-1]
+    assert room.localize(clip.frames, refine=False).status is Status.OK
+    last = clip.frames[-1]
     still = [replace(last, stamp=last.stamp + i) for i in range(4)]
     assert "frozen" not in room.localize(still, refine=False).reason
-    twice = list(shot.frames)
+    twice = list(clip.frames)
     twice[4] = replace(twice[4], images=twice[3].images)
     assert "frozen" not in room.localize(twice, refine=False).reason
 
 
-def test_a_place_elsewhere_is_lost_without_a_fault(room, shot):
+def test_a_place_elsewhere_is_lost_without_a_fault(room, clip):
     """Depth that fits nothing: no fault taken back mends it, and none is named."""
     rng = np.random.default_rng(4)
     frames = [
         bad.seen(f, rgb=rng.integers(0, 255, f.rgb().shape, np.uint8),
                  depth=rng.uniform(0.5, 6, f.depth().shape))
-        for f in shot.frames
+        for f in clip.frames
     ]  # fmt: skip
     estimate = room.localize(frames, refine=False)
     assert estimate.status is Status.LOST
     assert estimate.reason.startswith("Nowhere on the map fits")
 
 
-def test_hopeless_frames_are_not_searched(room, shot, rng, monkeypatch):
+def test_hopeless_frames_are_not_searched(room, clip, rng, monkeypatch):
     monkeypatch.setattr(localize, "search", None)
-    estimate = room.localize(bad.lens_cap(shot, 0, rng).frames)
+    estimate = room.localize(bad.lens_cap(clip, 0, rng).frames)
     assert estimate.status is Status.LOST
     assert not estimate.modes
     assert estimate.to_dict()["status"] == "LOST"
@@ -114,8 +114,8 @@ def test_hopeless_frames_are_not_searched(room, shot, rng, monkeypatch):
         ([0.0] * 10, False),
     ],
 )
-def test_images_alone_can_contradict_each_other(colours, said, shot):
-    observations = [Observation(f, np.eye(3), None, None, f.rgb()) for f in shot.frames]
+def test_images_alone_can_contradict_each_other(colours, said, clip):
+    observations = [Observation(f, np.eye(3), None, None, f.rgb()) for f in clip.frames]
     window = SimpleNamespace(observations=observations)
     frames = np.column_stack([np.full((10, 2), np.nan), colours])
     assert bool(faults.find_contradiction(window, frames)) is said
