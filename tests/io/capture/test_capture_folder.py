@@ -307,7 +307,7 @@ def test_images_that_belong_to_nothing_or_bear_one_name(folder):
     with pytest.raises(InputError, match=r"000009.png belongs to no image in rgb/"):
         open_capture(folder.path)
     folder.image("rgb/000001.jpg", folder.rgb[0])
-    with pytest.raises(InputError, match="bear one name"):
+    with pytest.raises(InputError, match="have one name"):
         open_capture(folder.path)
 
 

@@ -500,6 +500,6 @@ def describe_unit_error(frame: Frame, factor: float) -> str:
     if unit is None:
         return f"{said} for metres; check what the depth images were written in."
     return (
-        f"{said}: check {unit.said}, which is {unit.per_metre:g} units a metre; "
+        f"{said}: check {unit.source}, which is {unit.per_metre:g} units a metre; "
         f"{unit.per_metre * factor:.4g} would fit."
     )

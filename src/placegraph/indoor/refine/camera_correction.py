@@ -347,7 +347,7 @@ class CameraCorrection:
         how = f"{abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1 else 'long'}"
         unit = images.unit if isinstance(images, LazyImages) else None
         correction = (
-            f"{unit.said} {unit.per_metre / factor:.5g}" if unit else f"{factor:.3f} times them"
+            f"{unit.source} {unit.per_metre / factor:.5g}" if unit else f"{factor:.3f} times them"
         )
         return [f"Depth readings are {how}: {correction} would fit."]
 

@@ -1,8 +1,8 @@
 """Frames of captures, in memory or read from files on demand, and captures as sequences of frames.
 
-A reader makes a `LazyImages` of functions without arguments, `colour_file` and `depth_file` where
-images are files, its own where they come out of a video or a container, and gives it to
-`posed_frame` with the camera and the pose *of the image as it is stored*:
+A reader makes `LazyImages` from functions without arguments: `colour_file` and `depth_file` for image
+files, its own for videos and containers. `posed_frame` takes them with the camera and the pose *of the
+image as stored*:
 
     images = LazyImages(
         colour_file(folder / "7.jpg", camera),
@@ -11,7 +11,7 @@ images are files, its own where they come out of a video or a container, and giv
     )
     posed_frame(i, stamp, pose, camera, images, depth_camera=depth_camera, turns=turns)
 
-`turns` stands all of it upright, images, intrinsics and pose: `upright_turns` says how many.
+`turns` rotates images, intrinsics and pose upright by quarter turns; `upright_turns` counts them.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.images import INTEGER_MODES, read_integers, read_rgb
 
 LabelKind = Literal["labels", "instances"]
-"""What the values of label images are: ids of labels, or ids of objects of the map."""
+"""Meaning of the values of label images: ids of labels, or ids of objects of the map."""
 
 
 class Images(Protocol):
-    """Where a frame's images come from."""
+    """Source of a frame's images."""
 
     def rgb(self) -> NDArray[np.uint8]:
         """Return (H, W, 3) uint8, sRGB."""
@@ -52,7 +52,7 @@ class Images(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame(PickleFields):
-    """One moment of a capture. Images are read, and checked, each time they are asked for."""
+    """One moment of a capture. Images are read and checked at each call."""
 
     index: int
     """Row in the capture's folder."""
@@ -63,18 +63,18 @@ class Frame(PickleFields):
     gravity: NDArray[np.float64]
     """(3,) unit direction of gravity in the camera's axes."""
     camera: Camera
-    """Of the colour image."""
+    """Intrinsics of the colour image."""
     depth_camera: Camera | None
-    """Of the depth images; None where the capture has none."""
+    """Intrinsics of the depth image; None without depth."""
     label_camera: Camera | None
-    """Of the label images; None where the capture has none."""
+    """Intrinsics of the label image; None without labels."""
     label_kind: LabelKind | None
     label_names: dict[int, str]
     """Names of label ids; may be empty for instances."""
     images: Images = field(repr=False)
 
     def rgb(self) -> NDArray[np.uint8]:
-        """Colours (H, W, 3) uint8, sRGB; `InputError` where the file is broken or of another size."""
+        """Return colours (H, W, 3) uint8, sRGB; `InputError` where the file is broken or of another size."""
         return self.images.rgb()
 
     def depth(self) -> NDArray[np.float32] | None:
@@ -108,7 +108,7 @@ class Frame(PickleFields):
         stamp: float = 0.0,
         index: int = 0,
     ) -> Frame:
-        """Return the frame of a robot's own arrays. They are not copied: leave them as they are.
+        """Return a frame of arrays in memory, which are not copied: do not change them.
 
         Parameters
         ----------
@@ -117,13 +117,13 @@ class Frame(PickleFields):
         depth
             (h, w) along the optical axis [m]; 0, negative or not finite: no reading.
         depth_camera
-            Intrinsics of `depth`; `camera`'s, brought to its size, if not given.
+            Intrinsics of `depth`; those of `camera`, resized, if not given.
         labels
-            (h, w) whole numbers: ids of labels or of objects; negative: nothing.
+            (h, w) integers: ids of labels or of objects; negative: none.
         label_camera
-            Intrinsics of `labels`; `camera`'s, brought to its size, if not given.
+            Intrinsics of `labels`; those of `camera`, resized, if not given.
         label_kind
-            What the ids of `labels` are.
+            Whether `labels` are ids of labels or of objects ("instances").
         label_names
             Names of the label ids.
         odometry
@@ -185,26 +185,26 @@ class ArrayImages:
     ids: NDArray[np.int32] | None
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
+        """Return (H, W, 3) uint8, sRGB."""
         return self.colours
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
+        """Return (h, w) float32 [m], NaN: no reading."""
         return self.metres
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
+        """Return (h, w) int32, -1: none."""
         return self.ids
 
 
-def _check_size(what: str, array: NDArray[Any], camera: Camera, rest: tuple[int, ...]) -> None:
-    wanted = (camera.height, camera.width, *rest)
+def _check_size(what: str, array: NDArray[Any], camera: Camera, channels: tuple[int, ...]) -> None:
+    wanted = (camera.height, camera.width, *channels)
     if array.shape != wanted:
         raise OptionError(f"{what}: shape {array.shape}, but its camera's images are {wanted}.")
 
 
 def _resized(what: str, array: NDArray[Any], camera: Camera) -> Camera:
-    """Return the camera of images of another size that show the same."""
+    """Return the camera of the same view in another size."""
     if array.ndim != 2 or not array.size:
         raise OptionError(f"{what}: shape {array.shape}; an image has a height and a width.")
     height, width = array.shape
@@ -235,12 +235,12 @@ def _to_ids(labels: ArrayLike) -> NDArray[np.int32]:
 def _floats(what: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     array = np.asarray(values, np.float64)
     if array.shape != shape or not np.isfinite(array).all():
-        raise OptionError(f"{what}: shape {array.shape}; {shape} finite numbers belong.")
+        raise OptionError(f"{what}: shape {array.shape}; it must be {shape} finite numbers.")
     return array
 
 
 def _freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """Read-only view: the caller's array stays as it is."""
+    """Return a read-only view; the caller's array stays writeable."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -253,20 +253,20 @@ _UNNAMED = -2
 
 
 class DepthUnit(NamedTuple):
-    """Where the unit of depth images is said, for messages on depth that cannot be right."""
+    """Unit of depth images, for messages about implausible depth."""
 
-    said: str
-    """As it stands in a sentence: "`depth.scale` in walk/camera.json"."""
+    source: str
+    """Where the unit is set, in words: "`depth.scale` in walk/camera.json"."""
     per_metre: float
     """Units in a metre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LazyImages:
-    """Images of one frame behind functions: read, checked and turned each time they are asked for.
+    """Images of one frame, read by functions and turned upright at each call.
 
-    The functions return the images as they are stored, of the size of their cameras as stored, and
-    raise `InputError` where that fails (`check_shape` says so for arrays from elsewhere).
+    The functions return the images as stored, in the size of their cameras, and raise `InputError`
+    where that fails (`check_shape` checks the size).
     """
 
     colours: Callable[[], NDArray[np.uint8]]
@@ -276,23 +276,22 @@ class LazyImages:
     ids: Callable[[], NDArray[np.int32]] | None = None
     """() -> (h, w) int32, -1: nothing; None: no such image."""
     unit: DepthUnit | None = None
-    """Where the unit of depth is said."""
     turns: int = 0
-    """Quarter turns, counter-clockwise, of the stored images."""
+    """Counter-clockwise quarter turns from the stored images to upright ones."""
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
-        return self._turned(self.colours())
+        """Return (H, W, 3) uint8, sRGB."""
+        return self._rotate(self.colours())
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
-        return None if self.metres is None else self._turned(self.metres())
+        """Return (h, w) float32 [m], NaN: no reading."""
+        return None if self.metres is None else self._rotate(self.metres())
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
-        return None if self.ids is None else self._turned(self.ids())
+        """Return (h, w) int32, -1: none."""
+        return None if self.ids is None else self._rotate(self.ids())
 
-    def _turned(self, image: NDArray[Any]) -> NDArray[Any]:
+    def _rotate(self, image: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(np.rot90(image, self.turns)) if self.turns % 4 else image
 
 
@@ -310,7 +309,7 @@ def posed_frame(
     gravity: ArrayLike | None = None,
     turns: int = 0,
 ) -> Frame:
-    """Return the frame of images, cameras and pose as they are stored, turned by quarters.
+    """Return the frame of images, cameras and pose as stored, rotated by quarter turns.
 
     Parameters
     ----------
@@ -319,15 +318,15 @@ def posed_frame(
     odometry
         (4, 4) odometry_from_camera [m] of the stored image, odometry z up.
     camera, depth_camera, label_camera
-        Of the stored images; None where there is no depth, no label.
+        Intrinsics of the stored images; None where there is no depth, no label.
     images
-        Where the stored images come from.
+        Stored images.
     label_kind, label_names
-        As of `Frame`.
+        Meaning of the labels; see `Frame`.
     gravity
         (3,) in the stored camera's axes, of any length; -z of the odometry's frame if not given.
     turns
-        Quarter turns, counter-clockwise, that the frame is of.
+        Counter-clockwise quarter turns from the stored images to the frame.
 
     """
     stored = np.array(odometry, np.float64)
@@ -352,10 +351,9 @@ def posed_frame(
 
 
 def upright_turns(gravity: ArrayLike) -> int:
-    """Return the quarter turns (0 to 3, counter-clockwise) that stand most images of a capture upright.
+    """Return the counter-clockwise quarter turns (0 to 3) that turn most images of a capture upright.
 
-    `gravity`: (..., 3), direction of gravity in the cameras' axes as they are stored. One number
-    for a whole capture keeps its images of one size.
+    `gravity`: (..., 3), direction of gravity in the axes of the stored cameras.
     """
     x, y, _ = np.asarray(gravity, np.float64).reshape(-1, 3).sum(axis=0)
     return int(np.argmax([y, -x, -y, x]))
@@ -368,12 +366,12 @@ def quarter_turn(turns: int) -> NDArray[np.float64]:
 
 
 def rotate_camera(camera: Camera, turns: int) -> Camera:
-    """Return the intrinsics of a camera whose images are turned as `np.rot90` does."""
+    """Return the intrinsics of a camera whose images `np.rot90` turns."""
     for _ in range(turns % 4):
-        bent = camera.distortion
-        if camera.model == "opencv" and bent:  # a fisheye's is the same all around
-            k1, k2, p1, p2, *more = bent
-            bent = (k1, k2, -p2, p1, *more)
+        distortion = camera.distortion
+        if camera.model == "opencv" and distortion:  # a fisheye's is rotationally symmetric
+            k1, k2, p1, p2, *more = distortion
+            distortion = (k1, k2, -p2, p1, *more)
         camera = Camera(
             width=camera.height,
             height=camera.width,
@@ -381,7 +379,7 @@ def rotate_camera(camera: Camera, turns: int) -> Camera:
             fy=camera.fx,
             cx=camera.cy,
             cy=camera.width - camera.cx,
-            distortion=bent,
+            distortion=distortion,
             model=camera.model,
         )
     return camera
@@ -389,7 +387,7 @@ def rotate_camera(camera: Camera, turns: int) -> Camera:
 
 @dataclass(frozen=True, slots=True)
 class ColourFile:
-    """Reads the colours of an image file, which must have this width and height [px]."""
+    """Reader of the colours of an image file of this width and height [px]."""
 
     path: Path
     size: tuple[int, int]
@@ -400,22 +398,21 @@ class ColourFile:
 
 
 def colour_file(path: Path, camera: Camera) -> ColourFile:
-    """Reads the colours of an image file, which must have the camera's size."""
-    return ColourFile(path, _size(camera))
+    """Return a reader of the colours of an image file, which must have the camera's size."""
+    return ColourFile(path, (camera.width, camera.height))
 
 
 def depth_file(
     path: Path, camera: Camera, per_metre: float, *, confidence: Path | None = None
 ) -> Callable[[], NDArray[np.float32]]:
-    """Reads the depth of a PNG of 16 bits, 0: no reading, that must have the camera's size.
+    """Return a reader of the depth of a 16-bit PNG, 0: no reading, which must have the camera's size.
 
-    Where the image `confidence`, of the same size, is 0, the sensor did not trust its reading, and
-    there is none.
+    Readings where the image `confidence`, of the same size, is 0 are dropped.
     """
-    return partial(_depth, path, _size(camera), per_metre, confidence)
+    return partial(_read_depth, path, (camera.width, camera.height), per_metre, confidence)
 
 
-def _depth(
+def _read_depth(
     path: Path, size: tuple[int, int], per_metre: float, confidence: Path | None
 ) -> NDArray[np.float32]:
     units = read_integers(path, size, DEPTH_MODES)
@@ -427,52 +424,52 @@ def _depth(
 
 
 def label_file(
-    path: Path, camera: Camera, offset: int = 0, known: LabelTable | None = None
+    path: Path, camera: Camera, offset: int = 0, table: LabelTable | None = None
 ) -> Callable[[], NDArray[np.int32]]:
-    """Reads ids of labels or objects, of 8 or 16 bits; below `offset`, which is subtracted: none.
+    """Return a reader of ids of labels or objects, of 8 or 16 bits; ids below `offset` mean none.
 
-    `known` says what the ids mean; `InputError` where an id of the image has no name.
+    The reader subtracts `offset`. It raises `InputError` for an id without a name in `table`.
     """
-    return partial(_labels, path, _size(camera), offset, known)
+    return partial(_read_labels, path, (camera.width, camera.height), offset, table)
 
 
-def _labels(
-    path: Path, size: tuple[int, int], offset: int, known: LabelTable | None
+def _read_labels(
+    path: Path, size: tuple[int, int], offset: int, table: LabelTable | None
 ) -> NDArray[np.int32]:
     ids = np.maximum(read_integers(path, size, INTEGER_MODES) - offset, -1)
-    return ids if known is None else known.of(ids, path)
+    return ids if table is None else table.map_ids(ids, path)
 
 
 class LabelTable(NamedTuple):
-    """What label ids mean."""
+    """Names of label ids."""
 
     names: Mapping[int, str | None]
-    """By id; None or empty: says nothing."""
+    """Names by id; None or empty: pixels of that id have no label."""
     path: Path
-    """File that says so."""
+    """File of the names."""
     offset: int
-    """Was subtracted from the ids."""
+    """Number that was subtracted from the ids."""
 
-    def of(self, ids: NDArray[np.int32], image: Path) -> NDArray[np.int32]:
-        """Return the ids (h, w) of an image, -1 where they say nothing; `InputError`: one has no name."""
+    def map_ids(self, ids: NDArray[np.int32], image: Path) -> NDArray[np.int32]:
+        """Return the ids (h, w) of an image, -1 without a label; `InputError` for unnamed ids."""
         table = np.full(1 << 16, _UNNAMED, np.int32)
         if not self.offset:
-            table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
+            table[0] = -1  # by custom 0 is "unlabelled", unless it has a name
         for number, name in self.names.items():
             table[number] = number if name else -1
-        meant: NDArray[np.int32] = np.where(ids < 0, -1, table[np.minimum(ids, len(table) - 1)])
-        if meant.min() == _UNNAMED:
-            nameless = np.unique(ids[meant == _UNNAMED]).tolist()
-            listed = ", ".join(map(str, nameless[:8])) + (" ..." if len(nameless) > 8 else "")
+        mapped: NDArray[np.int32] = np.where(ids < 0, -1, table[np.minimum(ids, len(table) - 1)])
+        if mapped.min() == _UNNAMED:
+            unnamed = np.unique(ids[mapped == _UNNAMED]).tolist()
+            listed = ", ".join(map(str, unnamed[:8])) + (" ..." if len(unnamed) > 8 else "")
             raise InputError(
                 f"{image} holds label ids without a name in {self.path}: {listed}; "
                 "name them there (null: says nothing)."
             )
-        return meant
+        return mapped
 
 
 def check_shape(image: NDArray[Any], camera: Camera, name: object) -> None:
-    """Refuse an image (h, w, ...) of another size than its camera's; `name` says which it is."""
+    """Raise `InputError` for an image (h, w, ...) of another size than its camera's."""
     if image.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its camera says "
@@ -480,53 +477,49 @@ def check_shape(image: NDArray[Any], camera: Camera, name: object) -> None:
         )
 
 
-def _size(camera: Camera) -> tuple[int, int]:
-    return camera.width, camera.height
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture:
     """Frames in order of time. `capture[i]` is a `Frame`, `capture[5:10]` a `Capture`.
 
-    Made by `open_capture`, or of frames in memory by `Capture.from_frames`.
+    Made by `open_capture`, or from frames in memory by `Capture.from_frames`.
     """
 
     path: Path | None
     """Folder, or None for frames in memory."""
     frames: tuple[Frame, ...]
     camera: Camera
-    """Of the colour images; of the first, where the recorder refocuses from frame to frame."""
+    """Intrinsics of the colour images; of the first, if the recorder refocuses between frames."""
     depth_camera: Camera | None
-    """Of the depth images; None where the capture has none."""
+    """Intrinsics of the depth images; None without depth."""
     label_camera: Camera | None
-    """Of the label or instance images; None where the capture has none."""
+    """Intrinsics of the label or instance images; None without labels."""
     label_kind: LabelKind | None
     label_names: dict[int, str]
     """Names of label ids, from `labels.json`."""
     notes: tuple[str, ...] = ()
-    """What a reader found out or took for granted, in sentences: a scale, a direction."""
+    """Assumptions and estimates of the reader, in sentences: a scale, a direction."""
     left_out: Counter[str] = field(default_factory=Counter)
-    """Frames that the recorder has and the capture has not, by reason."""
+    """Numbers of recorded frames that the capture lacks, by reason."""
 
     @classmethod
     def from_frames(cls, frames: Iterable[Frame]) -> Capture:
-        """Return the capture of frames in memory; `OptionError` where they are none or differ in size."""
-        held = tuple(frames)
-        if not held:
+        """Return the capture of frames in memory; `OptionError` without any, or if sizes differ."""
+        frames = tuple(frames)
+        if not frames:
             raise OptionError("frames: there is none; a capture needs at least one frame.")
-        first = held[0]
+        first = frames[0]
         views = {
             (_shape(f.camera), _shape(f.depth_camera), _shape(f.label_camera), f.label_kind)
-            for f in held
+            for f in frames
         }
         if len(views) > 1:
             raise OptionError("frames: their cameras differ; a capture is of images of one size.")
-        if any(b.stamp <= a.stamp for a, b in itertools.pairwise(held)):
+        if any(b.stamp <= a.stamp for a, b in itertools.pairwise(frames)):
             raise OptionError("frames: their stamps do not ascend; sort them, drop repeated ones.")
-        names = {i: name for f in held for i, name in f.label_names.items()}
+        names = {i: name for f in frames for i, name in f.label_names.items()}
         return cls(
             None,
-            held,
+            frames,
             first.camera,
             first.depth_camera,
             first.label_camera,

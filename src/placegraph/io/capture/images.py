@@ -1,4 +1,4 @@
-"""Images through Pillow: checked, converted to plain arrays, refused with a typed error."""
+"""Images read by Pillow: checked, converted to arrays, refused with a typed error."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ ENDINGS = (".png", ".jpg", ".jpeg")
 """Endings of image files, in lower case."""
 
 MAX_PIXELS = 1 << 26
-"""Of a frame; four times those of a good telephone's."""
+"""Largest frame [px], four times that of a good telephone."""
 FREE_PIXELS, PIXELS_A_BYTE = 1 << 24, 64
-"""Pixels that an image may have whatever its size, and for each of its bytes: Pillow takes memory for
-all that the head promises before it reads the first, and drawings take an eighth of that."""
+"""Pixels that any image may have, and more for each byte of the file: Pillow allocates all pixels that
+the header announces; real drawings stay below an eighth of this bound."""
 _STRIP = 1 << 20
-"""Pixels that are copied from Pillow at a time: it holds all of them in three forms for a moment."""
+"""Pixels copied from Pillow at a time, since each copy exists in three forms for a moment."""
 
 INTEGER_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
-"""Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
+"""Pillow's modes of one integer a pixel; in mode P it is the palette's row."""
 
 _BROKEN = (
     OSError, SyntaxError, ValueError, EOFError, TypeError, LookupError, MemoryError, OverflowError,
     AttributeError, RuntimeError, struct.error, zlib.error,
 )  # fmt: skip
-"""What Pillow's decoders raise at damaged files (it names no root of its own)."""
+"""Errors of Pillow's decoders at damaged files (they have no common base class)."""
 
 
 @contextmanager
 def open_image(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> Iterator[Image]:
-    """Open an image; whatever fails inside the block becomes an `InputError` about `name`.
+    """Open an image; all errors of Pillow in the body become `InputError` about `name`.
 
-    So does one that says it has far more pixels than its bytes can hold, unless the caller says that
-    it has a bound of its own.
+    An image that announces far more pixels than its bytes can hold is refused, too, unless the caller
+    is `bounded` itself.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -72,7 +72,7 @@ def open_image(source: Path | IO[bytes], name: object, *, bounded: bool = False)
 def list_images(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
     """Return the files of a folder with these endings by stem, in natural order: 2 comes before 10.
 
-    A folder that does not exist has none. `InputError` where two bear one name.
+    A missing folder has none. Raises `InputError` where two files have the same stem.
     """
     if not folder.is_dir():
         return {}
@@ -80,16 +80,18 @@ def list_images(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, P
         files = [p for p in folder.iterdir() if p.suffix.lower() in endings and p.name[0] != "."]
     except OSError as error:
         raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
-    found: dict[str, Path] = {}
+    images: dict[str, Path] = {}
     for file in sorted(files, key=lambda p: (natural_key(p.stem), p.name)):
-        if file.stem in found:
-            raise InputError(f"{file} and {found[file.stem].name} bear one name; keep one of them.")
-        found[file.stem] = file
-    return found
+        if file.stem in images:
+            raise InputError(
+                f"{file} and {images[file.stem].name} have one name; keep one of them."
+            )
+        images[file.stem] = file
+    return images
 
 
 def natural_key(stem: str) -> list[tuple[int, int, str]]:
-    """Return the key that sorts names with their numbers by value."""
+    """Return a key that sorts the numbers in names by value."""
     return [
         (0, int(part), part) if part.isascii() and part.isdigit() else (1, 0, part)
         for part in re.split(r"([0-9]{1,4000})", stem)
@@ -97,7 +99,7 @@ def natural_key(stem: str) -> list[tuple[int, int, str]]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return the width and height [px] from the head of an image file."""
+    """Return the width and height [px] in the header of an image file."""
     with open_image(path, path) as image:
         return image.size
 
@@ -105,11 +107,10 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_rgb(
     path: Path, size: tuple[int, int], source: IO[bytes] | None = None
 ) -> NDArray[np.uint8]:
-    """Return the colours (H, W, 3) uint8 of an image that must be of this width and height [px].
+    """Return the colours (H, W, 3) uint8 of an image that must have this width and height [px].
 
-    Pixels are taken as they are stored; if only as a telephone would show them (EXIF's orientation)
-    they have that size, as they are shown. `source` is where its bytes are, if they are not in a
-    file of that name.
+    Pixels stay as stored, unless the image has that size only after EXIF's rotation. `source` holds the
+    bytes, if they are not in a file of that name.
     """
     with open_image(source or path, path) as image:
         if image.size != size and image.size[::-1] == size:
@@ -121,7 +122,7 @@ def read_rgb(
 
 
 def read_integers(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
-    """Return the whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
+    """Return the integers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
     with open_image(path, path) as image:
         _check_size(image, path, size)
         if image.mode not in modes:
@@ -140,7 +141,7 @@ def to_rgb(image: Image) -> NDArray[np.uint8]:
 
 
 def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
-    """Return the pixels of an image in one of Pillow's modes, copied strip by strip."""
+    """Copy the pixels of an image in one of Pillow's modes, strip by strip."""
     rows = max(1, _STRIP // image.width)
     for top in range(0, image.height, rows):
         part = image.crop((0, top, image.width, min(top + rows, image.height)))
@@ -150,23 +151,23 @@ def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
 
 def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:
     if isinstance(source, Path):
-        held = source.stat().st_size
+        size = source.stat().st_size
     else:
-        at = source.tell()  # from where Pillow reads on
-        held = source.seek(0, os.SEEK_END)
-        source.seek(at)
-    if image.width * image.height > FREE_PIXELS + PIXELS_A_BYTE * held:
+        position = source.tell()  # Pillow continues to read here
+        size = source.seek(0, os.SEEK_END)
+        source.seek(position)
+    if image.width * image.height > FREE_PIXELS + PIXELS_A_BYTE * size:
         raise InputError(
-            f"{name} says that it has {image.width} x {image.height} pixels, in {held:,} bytes; it "
-            "is damaged, or so large and empty that it is to be made smaller."
+            f"{name} says that it has {image.width} x {image.height} pixels, in {size:,} bytes; it "
+            "is damaged, or large and empty: make it smaller."
         )
 
 
 def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
     if image.width * image.height > MAX_PIXELS:  # before any is read: black ones take no bytes
         raise InputError(
-            f"{path} has {image.width} x {image.height} pixels; frames of at most "
-            f"{MAX_PIXELS >> 20} million are read: make the images smaller, and their intrinsics."
+            f"{path} has {image.width} x {image.height} pixels; the limit is {MAX_PIXELS >> 20} "
+            "million: make the images smaller, and scale their intrinsics."
         )
     if image.size != size:
         raise InputError(

@@ -19,25 +19,25 @@ _MAX_SIDE = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class CameraFile:
-    """What stands in a `camera.json`."""
+    """Content of a `camera.json`."""
 
     path: Path
     camera: Camera
-    """Of the colour images."""
+    """Intrinsics of the colour images."""
     depth: Camera
-    """Of the depth images; the colour images' where the file says nothing else."""
+    """Intrinsics of the depth images; by default those of the colour images."""
     depth_scale: float
     """Units of a depth image in a metre."""
     labels: dict[str, Camera | None]
-    """Of the images in `labels/` and `instances/`, where the file has such an entry."""
+    """Intrinsics of the images in `labels/` and `instances/`; None without an entry."""
     offsets: dict[str, int]
-    """What to subtract from the values in `labels/` and `instances/`; below it is nothing."""
+    """Numbers to subtract from the values in `labels/` and `instances/`; smaller values mean none."""
 
     def label_camera(self, kind: str, size: tuple[int, int]) -> Camera:
-        """Return the camera of the images in the folder `kind`, which have this width and height [px].
+        """Return the camera of the images in the folder `kind`, of this width and height [px].
 
-        Without an entry of their own they share the depth's or the colour images' intrinsics,
-        whichever has their size. Raises `InputError` where neither has.
+        Without an entry, the depth's or the colour images' intrinsics of the same size apply. Raises
+        `InputError` where neither fits.
         """
         own = self.labels[kind]
         if own is not None:
@@ -52,7 +52,7 @@ class CameraFile:
 
 
 def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
-    """Read `camera.json`; `depth_scale` is what its depth has, if it does not say so.
+    """Read `camera.json`; `depth_scale` is the default of its depth scale.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _entry(path: Path, content: dict[str, Any], kind: str) -> dict[str, Any]:
 
 
 def _entry_camera(path: Path, entry: dict[str, Any], kind: str, camera: Camera) -> Camera | None:
-    """Return the camera of an entry: its own, or the colour camera brought to the entry's size; else none."""
+    """Return the camera of an entry: its own, or the colour camera resized; None without either."""
     if any(name in entry for name in _INTRINSICS):
         return _camera(path, entry, f"{kind}.")
     if "width" in entry or "height" in entry:
@@ -162,7 +162,7 @@ _LABELS = ("label", "class", "category", "class_name")
 
 @dataclass(frozen=True, slots=True)
 class LabelEntry:
-    """What a table says of one object."""
+    """Label, name and attributes of one object."""
 
     label: str
     name: str = ""
@@ -172,17 +172,11 @@ class LabelEntry:
 def read_label_table(
     labels: Mapping[str, str] | Mapping[int, str] | str | PathLike[str], scan: str = ""
 ) -> dict[str, LabelEntry]:
-    """Return the table by object id, of a mapping from id (or name) to label, or of a JSON file.
+    """Return labels by object id, from a mapping of ids (or names) to labels, or from a JSON file.
 
     The file holds an object `{"3": "chair"}`; or a list `[{"id": 3, "label": "chair", "name": ...}]`;
-    or such a list under `objects` (3RScan's `objects.json`, whose `scans` are searched for `scan`)
-    or `segGroups` (3RScan's and ScanNet's aggregation). Other entries become attributes.
-
-    Raises
-    ------
-    InputError
-        The file is missing or none of these.
-
+    or this list under `objects` (3RScan's `objects.json`, in the entry of `scans` named `scan`) or
+    `segGroups` (3RScan's and ScanNet's aggregation). Raises `InputError` for anything else.
     """
     if not isinstance(labels, str) and hasattr(labels, "items"):
         return {str(key): LabelEntry(str(label)) for key, label in labels.items()}

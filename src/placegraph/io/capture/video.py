@@ -1,10 +1,10 @@
 """Videos decoded by OpenCV, and folders that hold a video and a trajectory.
 
-A folder with one video, `camera.json`, and the camera's trajectory `odometry.tum`, or `odometry.csv` in
-EuRoC's columns: `timestamp [ns], x, y, z, qw, qx, qy, qz`, axes as everywhere (z up, OpenCV's camera).
-Rows belong to frames in order, where there are as many, else to those within 20 ms; the first
-frame has the stamp `start` of `camera.json`, 0 if it says none. `body_from_camera` there (4 x 4 by
-rows) leads from the camera to what the trajectory tells of, as EuRoC's `T_BS` does.
+A folder has one video, `camera.json`, and the camera's trajectory `odometry.tum`, or `odometry.csv` in
+EuRoC's columns: `timestamp [ns], x, y, z, qw, qx, qy, qz`; z is up, camera axes are OpenCV's. Rows
+belong to frames in order if there are as many, else to frames within 20 ms. `camera.json` may have
+`start`, the stamp of the first frame (default 0), and `body_from_camera` (4 x 4 by rows), EuRoC's
+`T_BS`, where the trajectory is not the camera's.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from placegraph.io.capture.tum import read_tum
 
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 """Endings of videos, in lower case."""
-_NEAR = 60  # frames that are passed faster than another place is sought
+_NEAR = 60  # frames that are faster to skip than to seek
 
 
 class Video:
-    """A video whose frames are read by number; in order is fastest.
+    """Video whose frames are read by number, fastest in order.
 
-    `size` is the width and height [px] of the frames as they are stored, without the rotation that
-    a player would show; `rate` is how many stand for a second. Raises `InputError` where the file is
-    missing or no video, `MissingExtraError` where OpenCV is not installed.
+    `size` is the width and height [px] of the stored frames, without the rotation of a player; `rate`
+    is the number of frames per second. Raises `InputError` where the file is missing or no video,
+    `MissingExtraError` without OpenCV.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +69,7 @@ class Video:
         return self._count
 
     def read(self, number: int) -> NDArray[np.uint8]:
-        """Frame (H, W, 3) uint8, sRGB; `InputError` where the video ends before it or is damaged."""
+        """Return frame (H, W, 3) uint8, sRGB; `InputError` where the video ends before or is damaged."""
         with self._lock:
             if not self._next <= number <= self._next + _NEAR:
                 self._stream.set(1, number)  # CAP_PROP_POS_FRAMES
@@ -86,7 +86,7 @@ class Video:
         return np.ascontiguousarray(image[..., ::-1])
 
     def picture(self, number: int, camera: Camera) -> NDArray[np.uint8]:
-        """As `read`; `InputError` where it has not the camera's size."""
+        """Return frame (H, W, 3) uint8, sRGB; `InputError` where it has not the camera's size."""
         image = self.read(number)
         check_shape(image, camera, f"{self.path}, frame {number},")
         return image
@@ -112,16 +112,16 @@ _WIDTHS = (8, 17)  # EuRoC's truth goes on with velocities and biases
 
 
 def is_video_folder(path: Path) -> bool:
-    """Whether a folder has a video and `camera.json`, and no images in `rgb/`, as capture folders have."""
+    """Return whether a folder has a video and `camera.json`, but no `rgb/` of a capture folder."""
     alone = (path / "camera.json").is_file() and not (path / "rgb").exists()
     return alone and bool(_videos(path))
 
 
 def read_video_folder(path: Path) -> Capture:
-    """Read a video; frames without a pose are left out, and none has depth.
+    """Read a video and its trajectory as a capture without depth; frames without a pose are left out.
 
     Raises `InputError` where files are missing or broken, or no frame has a pose, `MissingExtraError`
-    where no decoder of videos is installed.
+    without OpenCV.
     """
     videos = _videos(path)
     if len(videos) != 1:
@@ -129,10 +129,10 @@ def read_video_folder(path: Path) -> Capture:
         raise InputError(f"{path} holds {listed}; leave one there.")
     video = Video(videos[0])
     cameras = read_camera(path / "camera.json")
-    said = read_json(cameras.path)
-    stamps, poses = _trajectory(path)
-    start = read_number(cameras.path, said, "start") if "start" in said else 0.0
-    body_from_camera = _matrix(cameras.path, said)
+    content = read_json(cameras.path)
+    stamps, poses = _read_trajectory(path)
+    start = read_number(cameras.path, content, "start") if "start" in content else 0.0
+    body_from_camera = _read_matrix(cameras.path, content)
     moments = start + np.arange(len(video)) / video.rate
     rows = np.arange(len(video))
     if len(stamps) != len(video):
@@ -145,7 +145,7 @@ def read_video_folder(path: Path) -> Capture:
             )
     else:
         moments = stamps
-    shots = [
+    frames = [
         StoredFrame(
             f"{path}, trajectory row {row + 1}",
             float(moments[i]),
@@ -156,8 +156,8 @@ def read_video_folder(path: Path) -> Capture:
         for i, row in enumerate(rows.tolist())
         if row >= 0
     ]
-    left_out = Counter({"no pose": len(video) - len(shots)})
-    return make_capture(path, shots, left_out=+left_out)
+    left_out = Counter({"no pose": len(video) - len(frames)})
+    return make_capture(path, frames, left_out=+left_out)
 
 
 def _videos(path: Path) -> list[Path]:
@@ -166,11 +166,11 @@ def _videos(path: Path) -> list[Path]:
     return sorted(p for p in path.iterdir() if p.suffix.lower() in ENDINGS and p.is_file())
 
 
-def _trajectory(path: Path) -> Poses:
+def _read_trajectory(path: Path) -> Poses:
     """Return the stamps (T,) [s] and poses (T, 4, 4)."""
     if (path / "odometry.tum").is_file() or not (path / "odometry.csv").is_file():
-        held = read_tum(path / "odometry.tum")
-        return held.stamps, held.poses
+        trajectory = read_tum(path / "odometry.tum")
+        return trajectory.stamps, trajectory.poses
     file = path / "odometry.csv"
     rows = read_rows(file, _WIDTHS, _EUROC)
     stamps = np.array([row[0] for _, row in rows]) * 1e-9
@@ -180,14 +180,14 @@ def _trajectory(path: Path) -> Poses:
     return stamps, np.stack(poses)
 
 
-def _matrix(path: Path, said: dict[str, Any]) -> NDArray[np.float64]:
-    if "body_from_camera" not in said:
+def _read_matrix(path: Path, content: dict[str, Any]) -> NDArray[np.float64]:
+    if "body_from_camera" not in content:
         return np.eye(4)
     name = f"{path}: body_from_camera"
     try:
-        rows = np.array(said["body_from_camera"], np.float64).ravel()
+        rows = np.array(content["body_from_camera"], np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not 16 numbers by rows.") from error
     if rows.size != 16:
-        raise InputError(f"{name} has {rows.size} numbers; 16 by rows belong.")
+        raise InputError(f"{name} has {rows.size} numbers; give 16, by rows.")
     return orthonormalize_pose(rows, name)
