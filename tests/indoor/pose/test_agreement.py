@@ -270,5 +270,5 @@ def test_depth_colour_and_coverage_in_words(hall):
     assert told(hall, depth=0.2)[0].verdict == "against"
     assert told(hall, colour=0.4)[0].verdict == "for"
     assert told(hall, colour=0.0)[0].verdict == "silent"
-    assert told(hall, covered=0.5)[0].note == "the map ends in 50% of what the frames see"
+    assert told(hall, covered=0.5)[0].note == "50% of the view lies outside the map"
     assert told(hall, covered=0.8) == ()

@@ -1,1 +1,1 @@
-"""How well a pose explains a frame (SG2Loc Sec. 3.3-3.4, Eq. 2)."""
+"""Likelihood of a frame at a pose (SG2Loc Sec. 3.3-3.4, Eq. 2)."""

@@ -51,10 +51,10 @@ class MapEncoder(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """What a camera sees in a map when nothing is known of where it is.
+    """Background model: distribution of what a camera sees anywhere in a map.
 
-    Every likelihood is a ratio against this: a floor seen at the depth where all floors are seen
-    says nothing, and a ray that leaves the map counts as much as it knows: nothing.
+    Every likelihood is a ratio against the background: a floor at the depth where all floors are seen is
+    no evidence, and neither is a ray that leaves the map.
     """
 
     objects: Floats
@@ -68,9 +68,9 @@ class Background:
 
 
 class View(NamedTuple):
-    """One frame at one stride: R = 16 * tiles samples, what they see, and what it would mean.
+    """One frame sampled at one stride: R = 16 * tiles samples and their evidence.
 
-    Samples stand in tiles of 4 x 4; a sample outside the image has patch -1.
+    Samples form tiles of 4 x 4; a sample outside the image has patch -1.
     """
 
     directions: NDArray[np.float32]
@@ -78,20 +78,20 @@ class View(NamedTuple):
     patch: NDArray[np.int32]
     """(R,) patch of each sample."""
     semantic: NDArray[np.float32]
-    """(P + 1, N + 1) likelihood ratio of what a patch says if it sees object n, against anywhere;
-    column N: the map ends there. Under ``gaussian``: cosine + 1 where they agree."""
+    """(P + 1, N + 1) likelihood ratio of each patch if it sees object n, against anywhere; column N:
+    the map ends there. Under ``gaussian``: cosine + 1 where they agree."""
     weight: NDArray[np.float32]
-    """(P + 1,) weight of each patch; 0: it says nothing. The last patch is for samples in none."""
+    """(P + 1,) weight of each patch; 0: no evidence. The last patch is for samples in none."""
     depth: NDArray[np.float32]
     """(R,) along the optical axis [m]; 0: no reading."""
     background_depth: NDArray[np.float32]
-    """(R,) log-likelihood of the reading if nothing is known of where the camera is."""
+    """(R,) log-likelihood of the reading under the background model."""
     colour: NDArray[np.float32]
     """(R, 3) `surface.opponent` of the image, averaged over what each sample stands for."""
     footprint: float
     """Angle between neighbouring samples [rad]."""
     terms: NDArray[np.bool_]
-    """(3,) which terms are there and wanted: semantic, depth, colour."""
+    """(3,) whether each term is available and asked for: semantic, depth, colour."""
 
 
 class Noise(NamedTuple):
@@ -106,58 +106,58 @@ class Noise(NamedTuple):
     depth_gain: float
     """Log-likelihood of a perfect reading above one that fits nothing."""
     near_cost: float
-    """Log-likelihood lost by a reading nearer than the map: something stands in front."""
+    """Log-likelihood lost by a reading nearer than the map: an object in front."""
     far_cost: float
-    """... and by one beyond the map's surface: something is gone."""
+    """... and by one beyond the map's surface: an object is gone."""
     depth_weight: float
-    """Independent readings that a full image of depth is worth."""
+    """Number of independent readings in a full depth image."""
     colour_weight: float
-    """Independent samples that a full image is worth by its steps of colour ..."""
+    """Number of independent samples in a full image by colour steps ..."""
     tone_weight: float
-    """... and by tones, where they count."""
+    """... and by tones, if these count."""
     depth_clip: float
-    """Eq. of Sec. 3.4: depth errors are clipped here [m], and count as shares of it; 0: nowhere."""
+    """Largest depth error [m] (Sec. 3.4), of which errors count as shares; 0: not clipped."""
 
     @classmethod
     def of(cls, options: Likelihood, *, gaussian: bool) -> Self:
-        """The options' own numbers."""
+        """Copy the numbers of the options."""
         return cls(gaussian, *(getattr(options, name) for name in cls._fields[1:]))
 
 
 class Model(Protocol):
-    """How what a frame shows becomes a log-likelihood."""
+    """Likelihood model of frames."""
 
     noise: Noise
-    """Its numbers, for compiled loops."""
+    """Numbers of the model, for compiled loops."""
 
     def named(
         self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
     ) -> Floats:
-        """What patches say if they see each of N objects or, last column, none: (M, N + 1).
+        """Score patches for each of N objects or, last column, for none: (M, N + 1).
 
         `cosines`: (M, N) of each kind of patch with each object; `temperature`: of their softmax;
         `object_shares`: (N,) how much of a map each object fills.
         """
 
     def shares(self, counts: Floats) -> Floats:
-        """Weight (N,) of one patch of each object, which is seen in so many (N,)."""
+        """Return the weight (N,) of a patch of each object, by its number of patches (N,)."""
 
     def background_depth(
         self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
-        """What each reading (R,) [m] along directions (R, 3) scores if nothing is known of the pose."""
+        """Score readings (R,) [m] along directions (R, 3) under the background model."""
 
     def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
-        """Log-likelihoods (N,) of scores (N, 4) of `score_poses`; `terms` (3,) are asked for."""
+        """Combine scores (N, 4) of `score_poses` to log-likelihoods (N,); `terms` (3,) are asked for."""
 
     def compute_temperature(self, views: Sequence[View]) -> float:
-        """Nats that count as one among modes where these views are summed."""
+        """Return the temperature of modes by which the summed log-likelihood of views is divided."""
 
 
 COARSE = 40.0
-"""Stride of what is looked up in the table and of the first round of the polish [px]."""
+"""Stride of views for the visibility table and the coarse fit [px]."""
 FINE = 20.0
-"""Stride of the last round of the polish, and of what is judged [px]."""
+"""Stride of views for the fine fit and the status decision [px]."""
 
 REFERENCE = 640.0
 """Width of the image that strides are meant for [px]."""
@@ -167,7 +167,7 @@ _TILE = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """One frame, read and encoded once; views at any stride are cut from it."""
+    """Observation of one frame: its images, read and encoded once, from which views are cut."""
 
     frame: Frame
     level: Floats
@@ -182,7 +182,7 @@ class Observation:
 def observe_frame(
     frame: Frame, encoder: MapEncoder | None, options: PoseSearchOptions
 ) -> Observation:
-    """Read what the options ask for, and no more; raises `InputError` where an image is broken."""
+    """Read and encode the senses of a frame that the options ask for; `InputError`: a broken image."""
     depth = frame.depth() if options.depth else None
     if depth is not None and not np.isfinite(depth).any():
         depth = None
@@ -206,11 +206,10 @@ def views(
     background: Background,
     cut: ViewCache | None = None,
 ) -> list[View]:
-    """Views of frames of one window, `stride` pixels of the colour image between samples.
+    """Make the views of frames of one window, `stride` pixels of the colour image between samples.
 
-    An object seen in many patches of the window is weighted down (`Likelihood.object_patches`),
-    which is why the frames come together. `cut`: what windows of the same map have cut before, and
-    where what is new is added.
+    An object seen in many patches of the window is weighted down (`Likelihood.object_patches`). `cut`:
+    cache of views, which other windows of the same map may share.
     """
     cut = {} if cut is None else cut
     for observation in observations:
@@ -263,7 +262,7 @@ class _Samples:
     uv: Floats
     """(R, 2) [px]"""
     inside: NDArray[np.bool_]
-    """(R,) false for those that only fill up tiles."""
+    """(R,) false for samples that only fill up tiles."""
     row: NDArray[np.int64]
     """(R,) row of the sample's cell."""
     column: NDArray[np.int64]
@@ -277,13 +276,13 @@ class _Samples:
     stride: float
 
     def cells(self, camera: Camera, rows: int, columns: int) -> NDArray[np.int64]:
-        """Cell (R,) of a rows x columns grid over another camera's image, -1 outside it."""
+        """Return the cells (R,) of a rows x columns grid over another camera's image, -1 outside."""
         return _cells(self.camera, self.stride, camera, rows, columns)
 
 
 @lru_cache(maxsize=16)
 def _samples(camera: Camera, stride: float) -> _Samples:
-    """Samples at the centres of cells about `stride` pixels wide that fill the whole image.
+    """Return samples at the centres of cells about `stride` pixels wide that fill the whole image.
 
     Strides are for images up to `REFERENCE` wide; larger ones have larger pixels, not more samples.
     """
@@ -333,7 +332,7 @@ def _cells(
 
 
 def _opponents(rgb: NDArray[np.uint8], samples: _Samples) -> NDArray[np.float32]:
-    """`surface.opponent` (R, 3) of the image averaged over each sample's cell."""
+    """Return opponent colours (R, 3) of the image, averaged over the cell of each sample."""
     from PIL import Image
 
     rows, columns = samples.shape
@@ -347,11 +346,11 @@ def _opponents(rgb: NDArray[np.uint8], samples: _Samples) -> NDArray[np.float32]
 
 
 def _semantic(patches: Patches, model: Model, background: Background) -> NDArray[np.float32]:
-    """What each patch says of each object and, last column, of none: (P + 1, N + 1).
+    """Score each patch for each object and, last column, for none: (P + 1, N + 1).
 
     The last row is for samples that lie in no patch.
     """
-    # only the rows that are said: a merged map's table has thousands
+    # only the rows in use: the table of a merged map has thousands
     said, row = np.unique(patches.rows, return_inverse=True)
     table = model.named(patches.table[said], patches.temperature, background.objects)
     table = np.concatenate([table[row.ravel()], np.ones((1, table.shape[1]))])
@@ -359,7 +358,7 @@ def _semantic(patches: Patches, model: Model, background: Background) -> NDArray
 
 
 def _patch_weights(sequence: Sequence[Patches | None], model: Model) -> list[NDArray[np.float32]]:
-    """Weight (P + 1,) of each patch of each frame; zero where it says nothing."""
+    """Return the weight (P + 1,) of each patch of each frame; zero: no evidence."""
     rows = [
         np.zeros(1, np.int64) - 1
         if p is None
@@ -372,16 +371,16 @@ def _patch_weights(sequence: Sequence[Patches | None], model: Model) -> list[NDA
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of `count` rows, evenly spread, the last among them."""
+    """Select at most `most` of `count` rows, evenly spread, with the last."""
     first = 0 if most > 1 else count - 1
     return np.unique(np.linspace(first, count - 1, min(most, count)).round().astype(np.int64))
 
 
 def recent(count: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of `count` rows, the newer the denser, the first and the last among them.
+    """Select at most `most` of `count` rows, the newer the denser, with the first and the last.
 
-    The newest, which are asked about, stand near each other however odometry drifts; old ones, which
-    see other parts of a map, tell places apart.
+    New frames lie near the frame in question however odometry drifts; old frames see other parts of the
+    map, and tell places apart.
     """
     kept = np.arange(min(most, count))
     back = (count - 1) * (kept / max(1, len(kept) - 1)) ** 2
@@ -389,7 +388,7 @@ def recent(count: int, most: int) -> NDArray[np.int64]:
 
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)
-"""What units are mistaken by: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""
+"""Factors between units that are mistaken: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""
 LONGEST = 30.0
 """No depth camera for rooms measures a median longer than this [m]; the map may say more ..."""
 DIAGONALS = 3.0
@@ -431,24 +430,24 @@ def check_unit(diagonal: float, observations: Sequence[Observation]) -> None:
 
 
 def _some(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Some readings of an image (h, w), spread evenly."""
+    """Return some readings of an image (h, w), evenly spread."""
     step = max(1, int((depth.size / _A_FRAME) ** 0.5))
     some = depth[step // 2 :: step, step // 2 :: step]
     return some[np.isfinite(some)]
 
 
 def _nearest(ratio: float) -> float:
-    """The known factor, or its inverse, nearest to a ratio."""
+    """Return the known factor, or inverse factor, nearest to a ratio."""
     known = np.concatenate([FACTORS, 1.0 / np.array(FACTORS)])
     return float(known[np.abs(np.log(known / ratio)).argmin()])
 
 
 def suspect_unit_factor(views: Sequence[View], background: Background) -> float | None:
-    """By how much depth readings look too long (over 1) or too short; None: they do not.
+    """Return the factor by which depth looks too long (over 1) or too short; None: depth is in metres.
 
-    A factor must gain `TELLING` a reading [nat]. Compares the likelihood of all readings under what the
-    map shows at their elevation, divided by each of `FACTORS` or its inverse, with that of the readings
-    as they are.
+    Divide the readings by each of `FACTORS` or its inverse, and compare their likelihood, by the ranges
+    that the map shows at their elevation, with that of the readings as they are. A factor must gain
+    `TELLING` a reading [nat].
     """
     aims = np.concatenate([v.directions[v.depth > 0] for v in views]).astype(np.float64)
     depth = np.concatenate([v.depth[v.depth > 0] for v in views]).astype(np.float64)
@@ -468,14 +467,14 @@ def suspect_unit_factor(views: Sequence[View], background: Background) -> float 
     shown = np.where((at >= 0) & (at < bins), density[band, np.clip(at, 0, bins - 1)], 0.0)
     likelihood = np.log(shown + _FLOOR).mean(axis=1)
     best = int(likelihood.argmax())
-    # what fits nowhere in this map with any factor says nothing of the unit
+    # readings that fit nowhere in this map with any factor are no evidence of a unit
     if likelihood[best] < 0.0 or likelihood[best] - likelihood[0] < TELLING:
         return None
     return float(known[best])
 
 
 def _density(background: Background) -> Floats:
-    """Ranges (bands, bins) of each elevation, smoothed, in units of an even distribution."""
+    """Return the densities of ranges (bands, bins), smoothed, in units of an even distribution."""
     ranges = background.ranges[:, :-1]  # the last bin: the map ends
     reach = np.arange(-12, 13)
     kernel = np.exp(-0.5 * (reach / _SMOOTH) ** 2)
@@ -485,13 +484,13 @@ def _density(background: Background) -> Floats:
 
 
 def describe_suspected_unit(views: Sequence[View], background: Background, frame: Frame) -> str:
-    """A sentence on the unit of the depth readings of frames like this one; empty: all is well."""
+    """Return a sentence about a wrong unit of depth; empty: none is suspected."""
     factor = suspect_unit_factor(views, background)
     return "" if factor is None else describe_unit_error(frame, factor)
 
 
 def describe_unit_error(frame: Frame, factor: float) -> str:
-    """What is wrong, where, and what would fit."""
+    """Return a sentence about depth that is `factor` times too long, with the file and the right unit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
     said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"
     if not isinstance(frame.images, LazyImages):

@@ -17,19 +17,17 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import Likelihood
 
 TEMPERATURE = 2.7
-"""Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
-that their sum is taken for worth sqrt(T) of them."""
+"""Temperature of the log-likelihood of one frame; of T frames sqrt(T) times that, as they overlap."""
 TEMPERATURE_DEPTH = 4.0
-"""The same where depth takes part: its errors are the map's, and go together ..."""
+"""Temperature with depth, whose errors are the map's, and correlated ..."""
 TEMPERATURE_TONES = 6.0
-"""... and where tones do beside it: what an image tells is told twice."""
+"""... and with tones beside depth, as an image counts twice."""
 
 
 class Calibrated:
-    """Every patch, reading and sample is a witness that may err; `docs/indoor.md` derives it.
+    """Calibrated likelihood, in which every patch, reading and sample may err (docs/indoor.md).
 
-    Each counts by the log of how much likelier it is at a pose than anywhere in the map, so that
-    the sum over all of them is the log of a likelihood ratio [nat].
+    Each adds its log-likelihood ratio at a pose against anywhere in the map [nat].
     """
 
     def __init__(self, options: Likelihood) -> None:
@@ -39,9 +37,9 @@ class Calibrated:
     def named(
         self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
     ) -> Floats:
-        """Likelihood ratio (M, N + 1) of what patches say if they see each object; see `Model`.
+        """Return likelihood ratios (M, N + 1) of patches for each object.
 
-        A softmax of the cosines, mixed with the share of patches that are labelled wrongly.
+        Softmax of the cosines, mixed with the share of patches that are labelled wrongly.
         """
         logits = cosines / (self.options.sharpness or temperature)
         share = np.exp(logits - logits.max(axis=1, keepdims=True))
@@ -52,13 +50,13 @@ class Calibrated:
         return np.concatenate([table, np.ones((len(table), 1))], axis=1)
 
     def shares(self, counts: Floats) -> Floats:
-        """Weight (N,) of a patch of each object: of many, the square root of the surplus counts."""
+        """Return the weight (N,) of a patch of each object: of many the square root of the surplus counts."""
         return np.sqrt(np.minimum(1.0, self.options.object_patches / np.maximum(counts, 1.0)))
 
     def background_depth(
         self, depth: NDArray[np.float32], directions: Floats, background: Background
     ) -> NDArray[np.float32]:
-        """Log of the mean likelihood ratio (R,) of each reading over all places of the map."""
+        """Return the log of the mean likelihood ratio (R,) of each reading over all places of the map."""
         out = np.zeros(len(depth), np.float32)
         rows = np.flatnonzero(depth > 0)
         if not rows.size:
@@ -76,12 +74,12 @@ class Calibrated:
         return out
 
     def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
-        """Log-likelihoods (N,): the sum of the terms that are there; tones count beside depth."""
+        """Sum the terms that are there to log-likelihoods (N,); tones count beside depth."""
         asked = np.append(terms, terms[COLOUR] and terms[DEPTH])
         return np.asarray(scores.astype(np.float64)[:, asked].sum(axis=1))
 
     def compute_temperature(self, views: Sequence[View]) -> float:
-        """Nats that count as one where these views are summed."""
+        """Return the temperature by which the summed log-likelihood of views is divided."""
         depth, colour = np.any([v.terms for v in views], axis=0)[[DEPTH, COLOUR]]
         beside = TEMPERATURE_TONES if colour else TEMPERATURE_DEPTH
         return float((beside if depth else TEMPERATURE) * np.sqrt(len(views)))
@@ -90,10 +88,7 @@ class Calibrated:
 def reading_ratio(
     error: NDArray[np.floating], sd: NDArray[np.floating], noise: Noise
 ) -> NDArray[np.floating]:
-    """Log-likelihood of readings whose map lies `error` [m] beyond them: Cauchy's tails.
-
-    `score_kernels._depth` in arrays.
-    """
+    """Return the log-likelihood of readings whose map lies `error` [m] beyond them, with Cauchy's tails."""
     with np.errstate(invalid="ignore"):
         good = 1.0 / (1.0 + (error / sd) ** 2)
     cost = np.where(error > 0, noise.near_cost, noise.far_cost)
@@ -101,7 +96,7 @@ def reading_ratio(
 
 
 def model_of(options: Likelihood) -> Model:
-    """The likelihood that the options name: the paper's Eq. 2, or the calibrated one."""
+    """Make the likelihood model of the options: the paper's Eq. 2, or the calibrated one."""
     return Paper(options) if options.kind == "gaussian" else Calibrated(options)
 
 
@@ -116,7 +111,7 @@ class Scorer:
         self.seconds = 0.0
 
     def terms(self, poses: Floats, view: View) -> NDArray[np.float32]:
-        """Scores (N, 4) of poses (N, 4), a column a term; see `score_poses`."""
+        """Score poses (N, 4) by each term, (N, 4); see `score_poses`."""
         start = perf_counter()
         poses = np.ascontiguousarray(poses, np.float64)
         scene = self.scene
@@ -127,7 +122,7 @@ class Scorer:
         return np.asarray(scores)
 
     def stats(self) -> dict[str, Any]:
-        """What it has cost so far."""
+        """Return the cost so far: poses, rays and seconds."""
         return {
             "poses_scored": self.poses,
             "rays": self.rays,
@@ -135,11 +130,11 @@ class Scorer:
         }
 
     def __call__(self, poses: Floats, view: View) -> Floats:
-        """Log-likelihoods (N,) of poses (N, 4) against one view."""
+        """Return log-likelihoods (N,) of poses (N, 4) for one view."""
         return self.model.combine_terms(self.terms(poses, view), view.terms)
 
     def together(self, poses: Floats, views: Sequence[View], steps: Floats) -> Floats:
-        """Log-likelihoods (N,) of poses (N, 4) of a reference frame against a whole window.
+        """Return log-likelihoods (N,) of poses (N, 4) of a reference frame for all views of a window.
 
         `steps`: (T, 4) from the reference frame to that of each view, by odometry.
         """
@@ -150,6 +145,6 @@ class Scorer:
 
 
 def log_sum(values: NDArray[np.float64]) -> float:
-    """log(sum(exp(values))) without overflow."""
+    """Return log(sum(exp(values))) without overflow."""
     top = float(values.max())
     return top + float(np.log(np.exp(values - top).sum()))

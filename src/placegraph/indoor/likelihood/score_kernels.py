@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled parts of `score`."""
+"""Kernels that score poses: rays of a view, cast from many poses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _STILL = 1e-4  # variance of colours below which there is none to compare
 
 
 def score_poses(tracer, surface, poses, view, noise):
-    """Scores (N, 4) float32 of poses (N, 4) float64 x, y, z [m], yaw [rad] against one view.
+    """Score poses (N, 4) float64 x, y, z [m], yaw [rad] against one view: (N, 4) float32.
 
     Columns: semantic, depth, colour, tone; log-likelihood ratios against a place the map does not
     know or, under ``gaussian``, the paper's scores in [0, 2] (Sec. 3.3, 3.4), which has no tone.
@@ -163,7 +163,7 @@ def _depth(expected, measured, noise):
 
 @kernel(inline="always", fastmath=True)
 def _show(tile, packet, ints, surface, view, map_colours, hit):
-    """What the map shows at the samples of a tile: `map_colours` (16, 3) where `hit` (16,)."""
+    """Fill the map's colours (16, 3) at the samples of a tile, where `hit` (16,)."""
     for lane in range(LANES):
         triangle = ints[TRIANGLE, lane]
         hit[lane] = triangle >= 0 and view.patch[tile * LANES + lane] >= 0

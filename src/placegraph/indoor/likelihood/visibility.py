@@ -1,4 +1,4 @@
-"""What is visible from where: a table that ranks positions and headings before a ray is cast.
+"""Visibility table, which ranks positions and headings before a ray is cast.
 
 From free cells of a coarse grid, in layers from a robot's height to a raised hand's, one panorama each
 is ray-cast: which object, how far, which colour, in bins of azimuth and elevation. A view is then
@@ -75,27 +75,26 @@ class VisibilityTable:
     layer: NDArray[np.int32]
     """(K,) layer of each position."""
     is_common: NDArray[np.bool_]
-    """(K,) whether cameras are usually there: where the map's own were, else where one holds them."""
-
+    """(K,) whether cameras are common there: as high as the map's own, else as people hold them."""
     mapped: NDArray[np.bool_]
     """(K,) whether all rays of a panorama hit."""
     background: Background
-    """What is seen on average."""
+    """Background model of the map."""
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def ranks(self, views: Sequence[View], steps: Floats, noise: Noise) -> NDArray[np.float32]:
-        """Log-likelihood (K, HEADINGS) of every position and heading of the reference frame.
+        """Return the log-likelihood (K, HEADINGS) of every position and heading of the reference frame.
 
         `steps`: (T, 4) from the reference frame to each view's frame (`geometry.between`). Positions
-        where cameras usually are come first among equals.
+        where cameras are common come first among equals.
         """
         total = np.zeros((len(self), HEADINGS), np.float32)
         rare = _RARE * TEMPERATURE * np.sqrt(len(views))
         total[~self.is_common] = np.float32(rare)
         for scan, step in zip(self.scans(views, steps[:, 3], noise), steps, strict=True):
-            # what the table does not know is taken for bad, not for impossible
+            # positions that the table lacks are unlikely, not impossible
             unknown = np.float32(np.percentile(scan.ravel()[::_THINNED], 5.0))
             add_shifted(
                 total,
@@ -111,7 +110,7 @@ class VisibilityTable:
         return total
 
     def scans(self, views: Sequence[View], turns: Floats, noise: Noise) -> NDArray[np.float32]:
-        """Log-likelihood (T, K, HEADINGS) of views alone at every position.
+        """Return the log-likelihood (T, K, HEADINGS) of each view alone at every position.
 
         Heading a is that of the reference frame; view t looks along a * 2 pi / HEADINGS + `turns`[t].
         """
@@ -136,13 +135,13 @@ class VisibilityTable:
 
 
 def visibility(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
-    """What is visible from where, for cameras at `options.heights`; made once for each."""
+    """Return the visibility table for cameras at `options.heights`; built once for each."""
     key = ("visibility", options.heights, options.spacing)
     return scene.compute_once(key, lambda scene: build_table(scene, options))
 
 
 def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
-    """Table of a map for cameras at `options.heights`; empty where no position is free.
+    """Build the table of a map for cameras at `options.heights`; empty if no position is free.
 
     Raises `OptionError` where the map has more objects than a bin of the table can name.
     """
@@ -190,9 +189,9 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
 def _find_common_positions(
     scene: Scene, layer: NDArray[np.int32], positions: Floats, ground: Floats
 ) -> NDArray[np.bool_]:
-    """Where (K,) cameras usually are, of `positions` (K, 3) in layers above `ground` (K,) [m].
+    """Return whether cameras are common (K,) at `positions` (K, 3) in layers above `ground` (K,) [m].
 
-    In each merged scene where its own were, or where one holds them if it knows of none.
+    In each merged scene as high as its own cameras, or as people hold them if it has none.
     """
     above, within = positions[:, 2] - ground, find_nearest_scene(scene, positions[:, :2])[0]
     walked = np.zeros(len(scene.scenes), np.bool_)
@@ -204,7 +203,7 @@ def _find_common_positions(
 
 
 def _background(panoramas: Panoramas, objects: int) -> Background:
-    """Shares of objects and ranges among all rays that hit, a little smoothed."""
+    """Return the shares of objects and ranges among all rays that hit, a little smoothed."""
     seen = np.bincount(panoramas.objects.ravel(), minlength=objects + 1)[:objects] + 1.0
     ranges = np.empty((ELEVATIONS, 256))
     for e in range(ELEVATIONS):
@@ -218,14 +217,14 @@ def _background(panoramas: Panoramas, objects: int) -> Background:
 
 
 def floor_under(scene: Scene, points: Floats) -> Floats:
-    """Height of the floor (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
+    """Return the floor height (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
     return np.asarray(scene.floors[find_nearest_scene(scene, points)[0]])
 
 
 def _samples(
     view: View, turn: float, lanes: int, offset: int, noise: Noise, blur: float
 ) -> Samples:
-    """Some samples of a view, turned by `turn` [rad]: `lanes` of each tile, others by `offset`."""
+    """Select `lanes` samples of each tile of a view, turned by `turn` [rad]; others by `offset`."""
     d = view.directions.astype(np.float64)
     reach = np.linalg.norm(d, axis=1)
     elevation = np.arcsin(d[:, 2] / reach)
@@ -256,7 +255,7 @@ def _samples(
 
 
 def _alike(parts: list[Samples]) -> list[Samples]:
-    """The same views; where one lacks a sense that others have, it says nothing by it."""
+    """Fill in zeros for senses that some views have and others lack."""
     semantic, depth, colour = (
         max((rows for rows in kind), key=len)[:1] * np.float32(0)
         for kind in zip(*((p.semantic, p.depth, p.colour) for p in parts), strict=True)
@@ -281,9 +280,9 @@ _NO_COLOURS = np.zeros((0, 3), np.float32)
 def _depth_costs(
     ranges: Floats, is_common: NDArray[np.float32], noise: Noise, blur: float
 ) -> NDArray[np.float32]:
-    """Log-likelihood (S, 256) of each measured range [m] for every stored one.
+    """Return the log-likelihood (S, 256) of each measured range [m] for every stored range.
 
-    `blur`: how far off a range may be as the true position lies between those of the table [m].
+    `blur`: deviation of a range because the true position lies between those of the table [m].
     """
     expected = decode_ranges(np.arange(256, dtype=np.uint8))[None, :]
     measured = ranges[:, None]

@@ -21,62 +21,61 @@ from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.window import Window
 
 SPEAK = 0.02
-"""What colours tell from which on they speak, so that depth is not alone [nat a sample] ..."""
+"""Log-likelihood of colours from which on depth is not the only evidence [nat a sample] ..."""
 CLEAR = 0.035
-"""... from which on they speak clearly enough to be believed alone ..."""
+"""... from which on colours are believed alone ..."""
 _MOST_COLOUR = 0.12
-"""... and what counts at most."""
+"""... and which counts at most."""
 _MOST_TONE = 0.2
-"""The same of tones: a wall and a floor have those of any room."""
+"""Largest log-likelihood of tones that counts: a wall and a floor look alike in any room."""
 TELLING = 1.0
-"""Log-likelihood ratio below which an object says nothing [nat]."""
+"""Log-likelihood ratio below which an object is no evidence [nat]."""
 WITNESSES = 4
-"""Objects whose labels speak for a pose as firmly as a surface."""
+"""Number of objects whose labels support a pose as firmly as a surface does."""
 _SLIM = 0.01
-"""Added to how firmly surfaces hold a pose, before its logarithm is taken."""
+"""Term added to `Agreement.constraint` before its logarithm is taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceModel:
     """Coefficients of the log odds that frames fit, of a pose without a rival.
 
-    By logistic regression over even windows of house and office, asked in their own maps and in those of
-    other places, as `placegraph-lab table indoor_robustness --fit` does it. Those of tones were fitted
-    later, to windows with depth and colours and their wrong rivals; the others stayed as they were, so
-    that what one sense alone says is what it was.
+    A logistic regression over even windows of house and office, localized in their own maps and in those
+    of other places: `placegraph-lab table indoor_robustness --fit`. The coefficients of tones were fitted
+    later, to windows with depth and colours and their wrong rivals.
     """
 
     level: float
     depth: tuple[float, float, float]
-    """That depth is there; log odds of its share that agrees; the log of how firmly surfaces hold the
-    pose, as far as depth speaks alone."""
+    """Of: presence of depth; log odds of its share that agrees; log of the constraint by surfaces, as
+    far as depth is the only evidence."""
     colour: tuple[float, float]
-    """That colours are there; what their steps tell [1 / nat]."""
+    """Of: presence of colours; log-likelihood of their steps [1 / nat]."""
     tone: tuple[float, float]
-    """That they stand beside depth; what they tell themselves [1 / nat]."""
+    """Of: presence of colours beside depth; log-likelihood of tones [1 / nat]."""
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """(8,) what stands before `features`."""
+        """(8,) coefficients of `features`."""
         return (self.level, *self.depth, *self.colour, *self.tone)
 
     def tone_odds(self, tone: float) -> float:
-        """Log odds that tones add which tell so much [nat]."""
+        """Return the log odds that tones add by their log-likelihood [nat]."""
         return self.tone[0] + self.tone[1] * min(max(tone, 0.0), _MOST_TONE)
 
     def odds(self, agreed: Agreement) -> float:
-        """Log odds; minus infinity where there is neither depth nor colour."""
+        """Return the log odds; minus infinity without depth and colour."""
         if np.isnan(agreed.depth) and np.isnan(agreed.colour):
             return -np.inf
         return float(np.dot(self.coefficients, features(agreed)))
 
     def probability(self, agreed: Agreement, probability: float) -> float:
-        """Probability that a pose is right which is the best with a probability."""
+        """Return the probability that the best pose, which has `probability` among its rivals, is right."""
         return probability / (1.0 + float(np.exp(-self.odds(agreed))))
 
 
 def features(agreed: Agreement) -> list[float]:
-    """(8,) what the coefficients of `ConfidenceModel` stand before."""
+    """Return the features (8,) that the coefficients of `ConfidenceModel` multiply."""
     depth = [0.0, 0.0, 0.0]
     if not np.isnan(agreed.depth):
         bare = _share_of_depth_alone(agreed) * float(np.log(agreed.constraint + _SLIM))
@@ -91,7 +90,7 @@ def features(agreed: Agreement) -> list[float]:
 
 
 def _share_of_depth_alone(agreed: Agreement) -> float:
-    """How far depth speaks alone, 0 to 1: clear colours lift it, and several objects that tell."""
+    """Return how far depth is the only evidence, 0 to 1: clear colours or several objects make it less."""
     colour = 0.0 if np.isnan(agreed.colour) else (agreed.colour - SPEAK) / (CLEAR - SPEAK)
     named = 0.0 if np.isnan(agreed.semantic) else np.clip(agreed.weights / TELLING, 0.0, 1.0).sum()
     lifted = np.clip([colour, named / WITNESSES], 0.0, 1.0)
@@ -99,7 +98,7 @@ def _share_of_depth_alone(agreed: Agreement) -> float:
 
 
 def log_odds(share: float, least: float) -> float:
-    """Log odds of a share, no nearer to 0 and 1 than `least`."""
+    """Return the log odds of a share, clipped to `least` from 0 and 1."""
     share = min(max(share, least), 1.0 - least)
     return float(np.log(share / (1.0 - share)))
 
@@ -114,30 +113,30 @@ _NAMED = 12  # objects named
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """How far a pose and what was seen agree, in numbers between 0 and 1."""
+    """Agreement of a pose with frames, by sense and by object."""
 
     covered: float
     """Share of the samples at which the map has something."""
     semantic: float
-    """Of patches that see the map and say something, the share that fit; NaN: no patches."""
+    """Share that fits of the informative patches that see the map; NaN: no patches."""
     depth: float
     """Of readings where the map has a surface, the share within one deviation; NaN: none."""
     colour: float
     """Mean log-likelihood of the steps of colour per independent pair [nat]; NaN: no colours."""
     weights: Floats
-    """(N,) what the patches and readings that concern each object told for the pose [nat]."""
+    """(N,) log-likelihood ratio of the patches and readings that concern each object [nat]."""
     counts: Floats
-    """(N,) how many patches or readings concern each object."""
+    """(N,) number of patches or readings that concern each object."""
     ratio: float = 0.0
-    """Log-likelihood ratio of what is seen against anywhere in the map, a frame [nat]."""
+    """Log-likelihood ratio of a frame against anywhere in the map [nat]."""
     constraint: float = 0.0
-    """How firmly surfaces hold the position, 0 to 1/3: of the readings that lie on them, the share
-    whose surface faces the direction that fewest do. A blank wall and the floor: 0."""
+    """Constraint of the position by surfaces, 0 to 1/3: least eigenvalue of the scatter of the normals
+    of readings that lie on surfaces, as a share. A blank wall and the floor: 0."""
     tone: float = np.nan
     """Mean log-likelihood of the colours themselves, beside depth, per independent sample [nat]; NaN:
     no colours, or no depth."""
     frames: Floats = field(default_factory=lambda: np.full((0, 3), np.nan))
-    """(T, 3) how far each frame by itself agrees: semantic, depth, colour."""
+    """(T, 3) agreement of each frame by itself: semantic, depth, colour."""
 
     def numbers(self) -> dict[str, float | None]:
         """Return the numbers that decide the status, ready for `json.dumps`; None: no such sense."""
@@ -150,7 +149,7 @@ class Agreement:
 
 
 def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats) -> Agreement:
-    """Agreement of a pose (4,) of the reference frame with all frames of the window."""
+    """Measure the agreement of a pose (4,) of the reference frame with all frames of the window."""
     scene, noise = scorer.scene, scorer.model.noise
     count = len(scene)
     weights, counts = np.zeros(count), np.zeros(count)
@@ -219,10 +218,10 @@ def _concerned(
     is_informative: NDArray[np.bool_],
     logs: Floats,
 ) -> NDArray[np.int64]:
-    """Object that each patch in `is_informative` speaks for or against, by what it sees: `objects` of hits.
+    """Return the object that each informative patch is evidence for or against; `objects` of hits.
 
-    A patch that fits speaks for the object that it sees; one that does not, against the one that it
-    named. Where it named several (all chairs of a map), it speaks against what the map shows there.
+    A patch that fits supports the object that it sees. A patch that does not fit contradicts the object
+    that it names; if it names several (all chairs of a map), the object that the map shows there.
     """
     size, count = semantic.shape
     pairs = patch * np.int64(count) + objects
@@ -237,7 +236,7 @@ def _concerned(
 
 
 def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
-    """Evidence in words, the heaviest first."""
+    """Describe the evidence for and against a pose, heaviest first."""
     order = np.argsort(-np.abs(agreed.weights), kind="stable")
     rows = order[agreed.counts[order] > 0][:_NAMED].tolist()
     out = [_of_object(scene, n, float(agreed.weights[n])) for n in rows]
@@ -265,7 +264,7 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
         out.append(
             Evidence(
                 "coverage", "silent", 0.0,
-                note=f"the map ends in {1.0 - agreed.covered:.0%} of what the frames see",
+                note=f"{1.0 - agreed.covered:.0%} of the view lies outside the map",
             )
         )  # fmt: skip
     return tuple(out)

@@ -30,7 +30,7 @@ from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose
 
 
 def add_earth_poses(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:
-    """The estimate with `PoseMode.earth` of each mode, where the map has anchors."""
+    """Add `PoseMode.earth` to each mode, if the map has anchors."""
     if not scene.anchors:
         return estimate
     return replace(estimate, modes=tuple(_add_earth_pose(scene, mode) for mode in estimate.modes))
@@ -50,7 +50,7 @@ def _add_earth_pose(scene: Scene, mode: PoseMode) -> PoseMode:
 
 
 def possible_earth_poses(scene: Scene) -> tuple[EarthPose, ...]:
-    """Where somebody may be who is anywhere in a map: each candidate of its anchor, likeliest first."""
+    """Return the poses on Earth of somebody anywhere in a map, one a candidate anchor, likeliest first."""
     share = 1.0 / len(scene.scenes)
     found = [
         anchor.pose_in_box(box, probability=share)
@@ -61,11 +61,11 @@ def possible_earth_poses(scene: Scene) -> tuple[EarthPose, ...]:
 
 
 _EXPLAINED = 3
-"""Modes that can be explained."""
+"""Number of modes with evidence."""
 
 
 def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
-    """Estimate of the last frame from fits, best first."""
+    """Estimate the pose of the last frame from fits, best first."""
     with timed(window.seconds, "verdict"):
         judging, looked = window.judging, window.newest
         told_apart = [judging.views(FINE)[i] for i in looked]
@@ -139,10 +139,10 @@ def _agreement_of_frames(window: Window, poses: Floats, agreed: Agreement) -> Fl
 def _probabilities(
     window: Window, candidates: list[Fit], temperature: float
 ) -> tuple[list[Fit], Floats]:
-    """Fits, likeliest first, and their probabilities.
+    """Return the fits, likeliest first, and their probabilities.
 
-    What somebody said of the place is no image: it is a witness of its own, and counts in full.
-    Particles have heard it already, and their weights are probabilities.
+    A description is independent of the images, and counts in full. Weights of particles are probabilities
+    that include it.
     """
     logs = np.array([f.log_likelihood for f in candidates])
     options = window.options.particle_filter
@@ -157,11 +157,11 @@ def _probabilities(
 
 
 def weigh_by_confidence(shares: Floats, odds: Floats) -> Floats:
-    """Probabilities (M,) of fits by their shares (M,), falling, and the log odds (K,) of the first.
+    """Return probabilities (M,) of fits by their shares (M,), falling, and the log odds (K,) of the first.
 
-    A pose is right where frames fit, and no other place fits better: both are multiplied. Depth may
-    lie on the surfaces of a wrong place while colours contradict, and outweigh a place half of which
-    the map does not show. Those left are no likelier than the least of the first.
+    A pose is right if frames fit, and no other place fits better: both are multiplied. Else depth on the
+    surfaces of a wrong place, whose colours contradict, would outweigh a place that the map shows in half.
+    Later fits are no likelier than the least of the first K.
     """
     if not np.isfinite(odds).all():
         return shares
@@ -195,7 +195,7 @@ def _explained(
 
 
 def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, ...]]:
-    """Finds what the newest frames say of poses (T, 4) of all; the frames are let go."""
+    """Return a function that describes the evidence of the newest frames at poses (T, 4) of all frames."""
     judging, looked = window.judging, window.newest
     views = [judging.views(FINE)[i] for i in looked]
     steps = between(poses[-1], poses[looked])

@@ -29,7 +29,7 @@ SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
 WIDENED = 3.0
-"""Factor on the covariance of samples that brings normalised errors to what they should be (benchmark)."""
+"""Factor on the covariance of samples that calibrates normalized errors (benchmark)."""
 GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
@@ -38,12 +38,12 @@ _COUNTED = 10
 _RICH = 12  # tiles of a view half of which do
 FINEST = np.diag(NARROWEST**2)
 KNOWN = WIDENED * FINEST
-"""Covariance of a fit before the first round."""
+"""Covariance (4, 4) of a fit before the first round."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A pose of the last frame, fitted to all frames, and those of all others."""
+    """Fit of a pose of the last frame to all frames of a window."""
 
     poses: Floats
     """(T, 4) of all frames of the window."""
@@ -67,7 +67,7 @@ class Fit:
 
     @classmethod
     def at(cls, chain: Chain, pose: Floats, value: float = 0.0, spread: Floats = SPREAD) -> Fit:
-        """A rigid one through a pose (4,) of the last frame."""
+        """Make a rigid fit through a pose (4,) of the last frame."""
         return cls(chain.rigid(pose), value, np.diag(spread**2), KNOWN)
 
 
@@ -82,9 +82,9 @@ class FitLevel:
     views: Sequence[View]
     """(L,) of them."""
     rounds: int
-    """Samples are drawn so often."""
+    """Number of times that samples are drawn."""
     most: int
-    """Modes that take part."""
+    """Largest number of modes that take part."""
     gap: float
     """Modes further behind the best [nat] are dropped before."""
     samples: int = _SAMPLES
@@ -94,10 +94,10 @@ class FitLevel:
 def fit_modes(
     scorer: Scorer, starts: Floats, levels: Sequence[FitLevel], rng: Generator
 ) -> list[Fit]:
-    """Fits at the modes `starts` (M, 4) of the last frame, best first, coarse to fine.
+    """Fit the modes `starts` (M, 4) of the last frame coarse to fine; best first.
 
-    A mode that falls behind is not fitted further but stays in the list, as far behind the best
-    as it was when it was left: it is what the best has to be told from.
+    A mode that falls behind is not fitted further but stays in the list as a rival, as far behind the best
+    as it was then.
     """
     chain, level = levels[0].chain, levels[0]
     along = between(chain.poses[-1], chain.poses[level.rows])
@@ -125,7 +125,7 @@ def fit_modes(
 
 
 def merge_fits(candidates: list[Fit]) -> list[Fit]:
-    """Of fits near each other the best; best first."""
+    """Keep the best of fits near each other; best first."""
     poses = np.array([f.pose for f in candidates])
     kept = distinct(
         poses, np.array([f.log_likelihood for f in candidates]), len(candidates), **MERGED
@@ -134,13 +134,13 @@ def merge_fits(candidates: list[Fit]) -> list[Fit]:
 
 
 MERGED = {"apart": 0.3, "turned": 0.2}
-"""Fits nearer than this are one."""
+"""Fits nearer than this are merged."""
 
 
 def _survivors(
     candidates: list[Fit], level: FitLevel, reach: Mapping[str, float]
 ) -> tuple[list[Fit], list[Fit]]:
-    """Distinct fits within the gap, best first, and the other distinct ones."""
+    """Return distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in candidates])
     values = np.array([f.log_likelihood for f in candidates])
     kept = [candidates[i] for i in distinct(poses, values, len(candidates), **reach)]
@@ -149,12 +149,12 @@ def _survivors(
 
 
 def fit_pose(scorer: Scorer, pose: Floats, spread: Floats, level: FitLevel, rng: Generator) -> Fit:
-    """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
+    """Fit one pose (4,), known to standard deviations `spread` (4,), to all frames."""
     return _fit_by_cross_entropy(scorer, Fit.at(level.chain, pose, spread=spread), level, rng)
 
 
 def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -> Fit:
-    """Draw poses of the course as a whole, weigh them by all frames, and draw again around these."""
+    """Draw poses of the trajectory as a whole, weight them by all frames, and draw again around these."""
     mean, sampling, steps = fit.pose, fit.sampling, between(fit.pose, fit.poses)
     along = steps[level.rows]
     samples, values = [], []
@@ -180,7 +180,7 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
 
 
 def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
-    """Fits of the last frame's pose, first at `starts` (M, 4), to all frames of a window, best first."""
+    """Fit the last frame's pose from `starts` (M, 4) to all frames of a window; best first."""
     with timed(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
@@ -201,11 +201,10 @@ def fit_level(
     gap: float = np.inf,
     frames: int = SCREENED,
 ) -> FitLevel:
-    """Return a level of the fit.
+    """Make a level of the fit.
 
-    Coarse levels look at frames of the whole window as a rig, the newest above all; fine ones at the
-    newest alone, and bend the way to the others. With depth in all of them fewer samples and half of
-    the rays do; steps of colour need them all.
+    Coarse levels use frames of the whole window, the newest above all; fine levels the newest alone. With
+    depth in all frames fewer samples and half of the rays suffice; steps of colour need all of them.
     """
     fine = stride == FINE
     looked = window.newest if fine else recent(len(window), frames)
@@ -219,7 +218,7 @@ def fit_level(
 
 
 def moments(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Mean (4,) and covariance (4, 4) of weighted poses (N, 4); yaw as on a circle."""
+    """Return the mean (4,) and covariance (4, 4) of weighted poses (N, 4), yaw on the circle."""
     weights = weights / weights.sum()
     yaw = np.arctan2(weights @ np.sin(poses[:, 3]), weights @ np.cos(poses[:, 3]))
     mean = np.append(weights @ poses[:, :3], yaw)
@@ -229,45 +228,45 @@ def moments(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:
-    """Probabilities (M,) of modes by log-likelihoods (M,): witnesses are not independent."""
+    """Return probabilities (M,) of modes by tempered log-likelihoods (M,), as evidence is correlated."""
     logs = values / temperature
     return np.asarray(np.exp(logs - log_sum(logs)))
 
 
 USUAL = 0.25
-"""Errors of odometry, in units of the noise that is allowed for, that are expected beforehand ..."""
-_WITNESSES = 10.0  # ... as if so many steps had shown them
+"""Prior scale of odometry errors, in units of the motion noise ..."""
+_WITNESSES = 10.0  # ... and its weight in steps
 FIRST = 2.0
-"""Errors that a fit starts with: it is easier to stiffen a chain than to loosen it."""
+"""Scale that a fit starts with: a chain stiffens more easily than it loosens."""
 _SCALES = (0.1, 12.0)
 _LOOSE = np.array([1.0, 1.0, 1.0, 0.5])  # m, rad: what nothing holds stays where it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticFactors:
-    """What frames say of their own poses: log-likelihoods, quadratic about some pose."""
+    """Quadratic approximations of the log-likelihoods of frames about their poses."""
 
     at: Floats
     """(T, 4)"""
     gradient: Floats
     """(T, 4) of the log-likelihood [nat/m, nat/rad]."""
     information: Floats
-    """(T, 4, 4) minus its second derivative; 0: the frame has said nothing yet."""
+    """(T, 4, 4) minus the second derivative; 0: the frame was not expanded yet."""
 
     @classmethod
     def zeros(cls, poses: Floats) -> QuadraticFactors:
-        """Before any frame has been asked."""
+        """Make factors without information."""
         return cls(poses, np.zeros_like(poses), np.zeros((*poses.shape, 4)))
 
     def gain(self, poses: Floats) -> float:
-        """What poses (T, 4) gain by it."""
+        """Return the gain of the log-likelihood at poses (T, 4)."""
         off = poses - self.at
         off[:, 3] = wrap_angle(off[:, 3])
         pulled = self.gradient - 0.5 * np.einsum("tij,tj->ti", self.information, off)
         return float(np.sum(off * pulled))
 
     def with_rows(self, rows: NDArray[np.int64], other: QuadraticFactors) -> QuadraticFactors:
-        """With what some frames (rows) say now instead of what they said before."""
+        """Return the factors with those of some frames (rows) replaced."""
         at, gradient, information = self.at.copy(), self.gradient.copy(), self.information.copy()
         at[rows], gradient[rows], information[rows] = other.at, other.gradient, other.information
         return QuadraticFactors(at, gradient, information)
@@ -275,7 +274,7 @@ class QuadraticFactors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Poses of the frames of a window, and how far odometry was wrong."""
+    """Poses of the frames of a window, and the scale of odometry errors."""
 
     poses: Floats
     """(T, 4)"""
@@ -286,7 +285,7 @@ class Trajectory:
 
     @classmethod
     def start(cls, chain: Chain, pose: Floats, spread: Floats) -> Trajectory:
-        """A rigid course through a pose (4,) of the last frame that is known to `spread` (4,)."""
+        """Make a rigid trajectory through a pose (4,) of the last frame with deviations `spread` (4,)."""
         poses = chain.rigid(pose)
         variances = np.zeros_like(poses)
         variances[:-1] = np.cumsum((FIRST * chain.deviations[::-1]) ** 2, axis=0)[::-1]
@@ -296,7 +295,7 @@ class Trajectory:
         return cls(poses, variances[:, :, None] * np.eye(4), np.full(4, FIRST))
 
     def cost(self, chain: Chain) -> float:
-        """What its departure from odometry costs [nat]."""
+        """Return the negative log-likelihood of odometry [nat]."""
         if len(self.poses) < 2:
             return 0.0
         errors = _errors(chain, self.poses)[0] / (self.scales * chain.deviations)
@@ -304,7 +303,7 @@ class Trajectory:
 
 
 def solve_trajectory(chain: Chain, trajectory: Trajectory, factors: QuadraticFactors) -> Trajectory:
-    """The course that frames and odometry agree on best: one step of Gauss-Newton, and of EM."""
+    """Fit a trajectory to frames and odometry by one step of Gauss-Newton, and of EM for the scales."""
     count = len(trajectory.poses)
     off = trajectory.poses - factors.at
     off[:, 3] = wrap_angle(off[:, 3])
@@ -345,7 +344,7 @@ def solve_trajectory(chain: Chain, trajectory: Trajectory, factors: QuadraticFac
 
 
 def _errors(chain: Chain, poses: Floats) -> tuple[Floats, Floats]:
-    """Errors (T - 1, 4) of the steps in map axes, and their derivatives by the pose before."""
+    """Return errors (T - 1, 4) of the steps in map axes, and their derivatives by the pose before."""
     led = compose(poses[:-1], chain.steps)
     errors = poses[1:] - led
     errors[:, 3] = wrap_angle(errors[:, 3])
@@ -357,14 +356,14 @@ def _errors(chain: Chain, poses: Floats) -> tuple[Floats, Floats]:
 
 
 def _scales(squares: Floats) -> Floats:
-    """Scales (4,) of errors by their expected squares (T - 1, 4)."""
+    """Return the scales (4,) of errors by their expected squares (T - 1, 4)."""
     sums = np.array([*[squares[:, :3].mean(axis=1).sum()] * 3, squares[:, 3].sum()])
     variance = (_WITNESSES * USUAL**2 + sums) / (_WITNESSES + len(squares))
     return np.clip(np.sqrt(variance), *_SCALES)
 
 
 GAIN = 10.0
-"""Log-likelihood that bending must gain for each frame looked at [nat]."""
+"""Least gain of the log-likelihood by drift correction, for each frame of the level [nat]."""
 _ROUNDS = 5
 _SHRINK = 0.6
 _WIDEST = 2.5
@@ -372,7 +371,10 @@ _HOPE = 3.0  # times what paraboloids foresee, which fall too steeply, may be ga
 
 
 def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
-    """Fits whose courses follow the drift of odometry, where there is any; best first."""
+    """Correct the drift of odometry in fits, if that gains clearly; best first.
+
+    Rows *drift* and *steady drift* of docs/benchmarks/indoor-robustness.md.
+    """
     if len(window) < 2:
         return candidates
     with timed(window.seconds, "correct_drift"):
@@ -408,16 +410,16 @@ def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list
 
 
 def _log_likelihood(scorer: Scorer, fit: Fit, level: FitLevel) -> float:
-    """Log-likelihood of a fit as it is [nat]."""
+    """Return the log-likelihood of a fit as it is [nat]."""
     steps = between(fit.pose, fit.poses[level.rows])
     return float(scorer.together(fit.pose[None], level.views, steps)[0])
 
 
 def _fit_trajectory(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -> Fit:
-    """Return the fit with drift corrected.
+    """Correct the drift of one fit.
 
-    Each frame is sampled around its pose, the trajectory is solved, and again, closer; no longer than a
-    clear gain is in sight.
+    Sample each frame around its pose, solve the trajectory, and repeat closer, as long as a clear gain is
+    possible.
     """
     chain, rows = level.chain, level.rows
     trajectory, spread = Trajectory.start(chain, fit.pose, fit.spread), fit.spread
@@ -446,7 +448,7 @@ def _fit_trajectory(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -
 
 
 def _cell() -> Floats:
-    """(24, 4) corners of the 24-cell at distance 1, opposite ones 12 rows apart."""
+    """Return the corners (24, 4) of the 24-cell at distance 1, opposite ones 12 rows apart."""
     corners = [
         np.array(signs) @ np.eye(4)[list(axes)]
         for axes in itertools.combinations(range(4), 2)
@@ -456,7 +458,7 @@ def _cell() -> Floats:
 
 
 _CELL = _cell()
-"""A design that weighs all directions alike, to the fifth order."""
+"""Spherical design of strength 5: all directions weigh alike."""
 _RADII = np.tile(np.repeat([1.2, 2.2], 6), 2)
 _SQUARES = np.array([(i, j) for i in range(4) for j in range(i, 4)]).T
 _RIDGE = 1e-3
@@ -465,7 +467,7 @@ _RIDGE = 1e-3
 def _expand_likelihoods(
     scorer: Scorer, poses: Floats, wide: Floats, views: Sequence[View], rng: Generator
 ) -> tuple[QuadraticFactors, float]:
-    """What frames at poses (L, 4) say within about `wide` (L, 4) of them, and of the poses [nat]."""
+    """Expand the log-likelihoods of frames about poses (L, 4), within `wide` (L, 4); and their sum [nat]."""
     turns, _ = np.linalg.qr(rng.normal(size=(len(poses), 4, 4)))
     shells = rng.permuted(np.tile(_RADII[:12], (len(poses), 1)), axis=1)
     shells = np.concatenate([shells, shells], axis=1)[:, :, None]
@@ -480,9 +482,9 @@ def _expand_likelihoods(
 
 
 def _paraboloids(u: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Slopes (L, 4) and falls (L, 4, 4) at 0 of values (L, S) at points (L, S, 4), high ones first.
+    """Fit paraboloids to values (L, S) at points (L, S, 4): gradients (L, 4), information (L, 4, 4) at 0.
 
-    No fall is negative, and none so small that the top would lie beyond the samples.
+    High values weigh more. No curvature is negative, or so small that the top lies beyond the samples.
     """
     i, j = _SQUARES
     basis = np.concatenate([np.ones((*values.shape, 1)), u, u[..., i] * u[..., j]], axis=2)
@@ -503,7 +505,7 @@ def _paraboloids(u: Floats, values: Floats) -> tuple[Floats, Floats]:
 TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
 FITTED = [0, 1, 2, 5]
-"""What is fitted of x, y, z, and a turn about the map's axes."""
+"""Rows of a pose's covariance that are fitted: x, y, z, and the turn about the vertical."""
 
 
 def pose_covariance(fit_covariance: Floats) -> Floats:
@@ -520,17 +522,17 @@ def least_certain(covariance: Floats) -> tuple[float, Floats]:
 
 
 FIRM = 0.03
-"""A pose known to this [m] in all directions is not probed."""
+"""Deviation [m] below which a pose is not probed."""
 _SLIDES = np.linspace(-1.2, 1.2, 49)
-"""How far the best pose is moved [m]."""
+"""Offsets of the best pose along its least certain direction [m]."""
 _AROUND, _DRAWS = np.array([0.02, 0.02, 0.02, 0.01]), 12
-"""Deviations [m, rad] about each step, and draws there: the best pose was the luckiest of many, too."""
+"""Deviations [m, rad] of the draws about each offset, and their number: the best pose was drawn, too."""
 _RIVAL = 0.003
-"""Share from which on a place along the way is fitted."""
+"""Least share of an offset that is fitted as a rival."""
 
 
 def _probe_direction(window: Window, fit: Fit, rng: Generator) -> tuple[Fit, Floats | None]:
-    """The fit, as uncertain as sliding it shows, and where else (4,) it is likeliest to stand."""
+    """Widen the covariance of a fit along its least certain direction, and return a rival pose (4,) there."""
     sd, axis = least_certain(fit.covariance)
     if sd < FIRM:
         return fit, None
@@ -544,7 +546,7 @@ def _probe_direction(window: Window, fit: Fit, rng: Generator) -> tuple[Fit, Flo
 
 
 def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floats, Floats]:
-    """Best poses (S, 4) about each step along an axis (3,), and the share (S,) of each."""
+    """Return the best poses (S, 4) about each offset along an axis (3,), and their shares (S,)."""
     judging, looked = window.judging, window.newest
     views, steps = [judging.views(COARSE)[i] for i in looked], between(fit.pose, fit.poses[looked])
     drawn = rng.normal(size=(len(_SLIDES), _DRAWS, 4)) * _AROUND
@@ -557,7 +559,7 @@ def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floa
 
 
 def explore_unobservable(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
-    """Fits, best first, with what fits next to the best along the direction in which it is least known."""
+    """Probe the best fit along its least certain direction, and add the best rival there; best first."""
     with timed(window.seconds, "polish"):
         candidates = merge_fits(candidates)  # bending may have brought some together
         best, other = _probe_direction(window, candidates[0], rng)

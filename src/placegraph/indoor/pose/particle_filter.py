@@ -1,4 +1,4 @@
-"""Weighted particles and how many are drawn: KLD-sampling and stratified resampling."""
+"""Particle filter (SG2Loc, Sec. 3): propagate, reweight, resample by KLD-sampling; coarse to fine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BIN = np.array([0.2, 0.2, 0.2, np.deg2rad(10.0)])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles:
-    """N particles with normalised log weights."""
+    """N particles with normalized log weights."""
 
     poses: NDArray[np.float64]
     """(N, 4) float64, x, y, z [m], yaw [rad]."""
@@ -37,7 +37,7 @@ class Particles:
 
     @classmethod
     def even(cls, poses: NDArray[np.float64]) -> Particles:
-        """Particles that all weigh the same."""
+        """Make particles of equal weight."""
         return cls(poses, np.full(len(poses), -np.log(max(1, len(poses)))))
 
     def __len__(self) -> int:
@@ -49,21 +49,21 @@ class Particles:
         return np.asarray(np.exp(self.log_weights))
 
     def reweighted(self, log_likelihoods: NDArray[np.float64]) -> tuple[Particles, float]:
-        """Particles after an observation, and the log of its mean likelihood."""
+        """Return the particles after an observation, and the log of its mean likelihood."""
         raw = self.log_weights + log_likelihoods
         total = log_sum(raw)
         return Particles(self.poses, raw - total), total
 
     def effective(self) -> float:
-        """Effective sample size, 1 to N."""
+        """Return the effective sample size, 1 to N."""
         return float(np.exp(-log_sum(2.0 * self.log_weights)))
 
 
 def kld_count(particles: Particles, options: FilterOptions) -> int:
-    """Particles that KLD-sampling asks for (Fox 2001): n of Sec. 3.5, k counted by weight.
+    """Return the number of particles by KLD-sampling (Fox 2001): n of Sec. 3.5, k counted by weight.
 
-    k is the number of bins of the histogram of what resampling would draw: bins that hold less
-    than the weight of half a particle do not count.
+    k is the number of bins of the histogram of resampled particles: bins with less than the weight of
+    half a particle do not count.
     """
     bins = np.floor(particles.poses / BIN).astype(np.int64)
     bins[:, 3] %= round(2.0 * np.pi / BIN[3])  # yaws that have gone round are the same
@@ -74,7 +74,7 @@ def kld_count(particles: Particles, options: FilterOptions) -> int:
 
 
 def kld_bound(bins: int, error: float, confidence: float) -> int:
-    """Samples after which the histogram's divergence stays below `error` with this confidence."""
+    """Return the number of samples that bounds the histogram's divergence by `error`."""
     if bins < 2:
         return 1
     from statistics import NormalDist
@@ -85,7 +85,7 @@ def kld_bound(bins: int, error: float, confidence: float) -> int:
 
 
 def resample(particles: Particles, count: int, rng: Generator) -> Particles:
-    """`count` particles drawn by stratified resampling: one from each `1 / count` of the weight."""
+    """Draw `count` particles by stratified resampling: one from each `1 / count` of the weight."""
     edges = np.cumsum(particles.weights)
     points = (np.arange(count) + rng.random(count)) / count * edges[-1]
     rows = np.minimum(np.searchsorted(edges, points, side="right"), len(particles) - 1)
@@ -93,7 +93,7 @@ def resample(particles: Particles, count: int, rng: Generator) -> Particles:
 
 
 def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weight (K,) of the particles that belong to each of modes (K, 4), or to none before it."""
+    """Return the weight (K,) of the particles of each of modes (K, 4), without those of earlier modes."""
     left, out = particles.weights, np.zeros(len(modes))
     for k, mode in enumerate(modes):
         own = near(particles.poses, mode)
@@ -113,36 +113,36 @@ def propagate(
     noise: MotionNoise,
     rng: Generator,
 ) -> NDArray[np.float64]:
-    """Poses (N, 4) after a step (4,) with noise: s_{t+1} = s_t (+) (t_t + w_t), Eq. 1."""
+    """Move poses (N, 4) by a step (4,) with noise: s_{t+1} = s_t (+) (t_t + w_t), Eq. 1."""
     errors = rng.normal(size=poses.shape) * deviations(step, noise)
     return compose(poses, step + errors)
 
 
 @dataclass(eq=False)
 class ParticleFilter:
-    """Particles of the newest frame, and how they got there."""
+    """Particle filter of one pass over a sequence."""
 
     scorer: Scorer
     options: FilterOptions
     rng: Generator
     particles: Particles
     max_particles: int
-    """Particles kept at most."""
+    """Largest number of particles."""
     mean_log_likelihood: float | None = field(default=None)
     """Running mean of the frames' log-likelihoods, None before the first."""
     dropped: bool = field(default=False)
-    """The last frame was explained far worse than those before."""
+    """Whether the last frame was far less likely than those before."""
 
     def propagate(self, step: NDArray[np.float64]) -> None:
-        """Prediction (Sec. 3.2): all particles take the step (4,), each with its own error."""
+        """Predict (Sec. 3.2): move all particles by the step (4,), each with its own error."""
         poses = propagate(self.particles.poses, step, self.options.motion, self.rng)
         self.particles = Particles(poses, self.particles.log_weights)
 
     def reweight(self, view: View) -> None:
-        """Update (Sec. 3.3): weights times likelihoods, flattened where they would leave too few.
+        """Update (Sec. 3.3): multiply weights by likelihoods, tempered if too few stay effective.
 
-        A likelihood sharper than the particles are dense makes the nearest particle win by chance;
-        it is tempered until a tenth of them stay effective. The paper's Eq. 2 is left as it is.
+        If the likelihood is sharper than the particles are dense, the nearest particle wins by chance;
+        so it is tempered until a tenth stay effective. The paper's Eq. 2 is not tempered.
         """
         values = self.scorer(self.particles.poses, view)
         flat = self._temper(values) if self.options.likelihood.tempered else 1.0
@@ -155,7 +155,7 @@ class ParticleFilter:
         self.particles, _ = self.particles.reweighted(flat * values)
 
     def _temper(self, values: NDArray[np.float64]) -> float:
-        """Exponent in (0, 1] of the likelihood that leaves enough particles effective."""
+        """Return the tempering exponent in (0, 1] that leaves enough particles effective."""
         wanted = max(4.0, _ALIVE * len(values))
         low, high = 0.0, 1.0
 
@@ -172,17 +172,17 @@ class ParticleFilter:
         return max(low, 1e-3)
 
     def resample(self) -> None:
-        """Adaptive resampling (Sec. 3.5) by KLD, or to as many as before."""
+        """Resample (Sec. 3.5) to the number of KLD-sampling, or to as many as before."""
         count = len(self.particles)
         if self.options.kld:
             count = max(kld_count(self.particles, self.options), self.options.min_particles)
         self.particles = resample(self.particles, min(count, self.max_particles), self.rng)
 
     def inject(self, poses: NDArray[np.float64]) -> None:
-        """Poses from elsewhere take the place of others, at most half of them, evenly from all.
+        """Replace at most half of the particles by other poses, evenly from all.
 
-        The particles were resampled, and hence are equal; but neighbours stand side by side, and a
-        mode whose particles came first would be lost.
+        Resampled particles weigh the same, but those of one mode lie side by side: replacing the first ones
+        would lose a mode.
         """
         old = self.particles.poses
         left = max(len(old) - len(poses), len(old) // 2)
@@ -190,21 +190,21 @@ class ParticleFilter:
         self.particles = Particles.even(np.concatenate([poses[: self.max_particles - left], kept]))
 
     def modes(self) -> NDArray[np.float64]:
-        """Distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
+        """Return distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
         rows = distinct(self.particles.poses, self.particles.log_weights, self.options.modes)
         return self.particles.poses[rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What one pass over a sequence left."""
+    """Result of one pass over a sequence."""
 
     modes: NDArray[np.float64]
     """(K, 4) poses of the last frame, heaviest first, of the last frame or of all (`pool_modes`)."""
     masses: NDArray[np.float64]
     """(K,) weight of the particles of each."""
     particles: Particles
-    """Of the last frame, weighed."""
+    """Weighted particles of the last frame."""
     record: tuple[tuple[int, NDArray[np.float64], NDArray[np.float64]], ...]
     """Index of the frame, poses (N, 4), weights (N,); empty unless recorded."""
     counts: tuple[int, ...]
@@ -255,24 +255,24 @@ def run_pass(
 
 
 def _injected(filter_: ParticleFilter, t: int) -> int:
-    """How many poses from elsewhere are asked for before frame t."""
+    """Return the number of poses to inject before frame t."""
     options = filter_.options
     if options.inject_every:
         due = t % options.inject_every == 0
         return int(options.injection * len(filter_.particles)) if due else 0
-    # KLD has left few: what is lost is looked for with a share of all that there may be
+    # KLD-sampling leaves few: a lost camera is searched with a share of the largest number
     lost = filter_.dropped and options.injection > 0
     return int(options.injection * filter_.max_particles) + 1 if lost else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredPasses:
-    """What all passes of a filter left."""
+    """Result of all passes of a filter."""
 
     modes: Floats
     """(K, 4) poses of the last frame, heaviest first."""
     particles: Particles
-    """Of the last frame, weighed."""
+    """Weighted particles of the last frame."""
     history: tuple[PassRecord, ...]
     """All particles; empty unless recorded."""
     counts: list[list[int]]
@@ -327,10 +327,10 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
 
 
 def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
-    """First particles of a later pass: in a box around each mode (K, 4), by their masses (K,).
+    """Draw the first particles of a later pass in a box around each mode (K, 4), by their masses (K,).
 
-    However light a mode is, it gets a quarter of what an even split would give it; the numbers add
-    up to `spec.particles`. The first particle of each box is the mode itself.
+    A mode gets at least a quarter of an even split; the numbers add up to `spec.particles`. The first
+    particle of each box is the mode itself.
     """
     share = 0.25 / len(modes) + 0.75 * masses / masses.sum()
     ends = np.rint(spec.particles * np.cumsum(share)).astype(np.int64)
@@ -340,7 +340,7 @@ def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
 def _start(
     window: Window, options: FilterOptions, spec: Pass, modes: Floats, rng: Generator
 ) -> Floats:
-    """First particles of the first pass, as poses (N, 4) of the first frame."""
+    """Draw the first particles of the first pass, as poses (N, 4) of the first frame."""
     prior = window.query.prior
     if prior is not None:
         return near_prior(prior, window, spec.particles, rng)
@@ -350,12 +350,10 @@ def _start(
 
 
 def everywhere(window: Window, options: FilterOptions, rng: Generator) -> Floats:
-    """The paper's start (Sec. 3.1): `per_cell` poses a free cell and height, yaws at random.
+    """Draw the paper's start (Sec. 3.1): `per_cell` poses a free cell and height, with random yaws.
 
-    Of a span of heights, its ends and those at which people stand between them.
-
-    Which cells are free, the panoramas of the table say; it ranks nothing here. Where a large map
-    makes its grid wider than asked, a cell gets as many more poses.
+    Of a span of heights, its ends and those of `STANDING` between them. Free cells are those of the
+    visibility table. If a large map makes its grid wider, a cell gets as many more poses.
     """
     table = window.table
     low, high = min(options.heights), max(options.heights)
@@ -372,10 +370,10 @@ def everywhere(window: Window, options: FilterOptions, rng: Generator) -> Floats
 
 
 def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
-    """At most so many modes of particles as they are, heaviest_modes particle first (Sec. 3.5).
+    """Return at most `most` modes of particles, heaviest particle first (Sec. 3.5).
 
-    The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
-    `TURNED` of it weigh, and errs as these do.
+    The first is the maximum likelihood estimate. Particles within `APART` and `TURNED` of a mode give its
+    weight and covariance.
     """
     poses, weights = particles.poses, particles.weights
     modes = poses[distinct(poses, weights, most)]

@@ -1,4 +1,4 @@
-"""What is known of a pose before the frames are looked at: roughly where, a sentence, which scene."""
+"""Location priors of a pose: a Gaussian, a description, and shares of merged scenes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Roughly where the first frame was taken: standard deviations of a Gaussian."""
+    """Gaussian location prior of the first frame."""
 
     x: float
     y: float
@@ -42,7 +42,7 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogPrior:
-    """A log prior over the poses of a visibility table, and the shares of its merged scenes."""
+    """Log prior over the poses of a visibility table, and shares of its merged scenes."""
 
     scene: Scene
     table: VisibilityTable
@@ -77,13 +77,13 @@ class LogPrior:
         return cls(scene, table, sentence, logs, _parts(scene, table, shares))
 
     def at(self, poses: Floats) -> Floats:
-        """Log prior (N,) of poses (N, 4): of the nearest position and heading of the table."""
+        """Return the log prior (N,) of poses (N, 4), at the nearest position and heading of the table."""
         rows = [int(np.square(self.table.positions - p[:3]).sum(axis=1).argmin()) for p in poses]
         headings = np.round(poses[:, 3] / STEP).astype(np.int64) % AZIMUTHS
         return self.logs[rows, headings].astype(np.float64)
 
     def evidence(self, pose: Floats) -> tuple[Evidence, ...]:
-        """What each statement of the description says of a pose (4,)."""
+        """Return the evidence of each statement of the description at a pose (4,)."""
         if self.sentence is None:
             return ()
         from placegraph.indoor.language.prior import evidence
@@ -91,7 +91,7 @@ class LogPrior:
         return evidence(self.sentence, self.scene, self.table, pose)
 
     def against(self, pose: Floats) -> str:
-        """What of the description is not so at a pose (4,), if that outweighs what is."""
+        """Return the statements that a pose (4,) contradicts, if they outweigh the others; else empty."""
         told = self.evidence(pose)
         if sum(e.weight for e in told) >= 0:
             return ""
@@ -109,7 +109,7 @@ def _read(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     if len(unused(sentence, scene)) == len(sentence.statements):
         reasons = "; ".join(f"{i.text!r}: {i.reason}" for i in ignored)
         raise OptionError(
-            f"description {sentence.text!r} says nothing of this map"
+            f"description {sentence.text!r} names nothing on this map"
             f"{f' ({reasons})' if reasons else ''}; name things that it has."
         )
     return sentence

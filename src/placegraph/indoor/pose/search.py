@@ -1,4 +1,4 @@
-"""Where frames of a window could have been taken: the table is asked before a ray is cast."""
+"""Search of poses that explain a window: by the visibility table, then by rays around the seeds."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ APART = 0.75
 TURNED = np.pi / 4
 """... or turned by this much [rad]."""
 LOOKS = 5
-"""Frames of a window that are looked up in the table."""
+"""Number of frames of a window that the table is scanned with."""
 SEEDS = 48
-"""Places kept of them."""
+"""Number of seeds from the table."""
 SCREENED = 10
 """Frames that screen the seeds."""
 _POOL = 6000  # best cells among which distinct seeds are looked for
-_UNTOLD = 0.3  # share of seeds that do not listen to a description
+_UNTOLD = 0.3  # share of seeds without the description
 _FEWEST = 3  # seeds of a merged scene, however small its share
 
 
@@ -93,7 +93,7 @@ def search(window: Window, rng: Generator) -> Floats:
 
 
 def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Generator) -> Floats:
-    """Best of the poses tried around each seed (K, 4), best first."""
+    """Move each seed (K, 4) to the best of poses drawn around it; best first."""
     poses, last = window.poses, len(window) - 1
     tries = around(seeds, round_.each, round_.box, round_.turn, rng)
     looked = spread(len(window), round_.frames)
@@ -105,7 +105,7 @@ def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Genera
 
 
 def thinned(view: View, step: int, offset: int) -> View:
-    """Every so many tiles of a view; its patches speak for those left out."""
+    """Keep one of `step` tiles of a view, and raise the weight of its patches as much."""
     tiles = np.arange(len(view.patch) // LANES)
     use = np.repeat(tiles % step == offset % step, LANES)
     if step > len(tiles):
@@ -126,10 +126,9 @@ def table_seeds(
     most: int = SEEDS,
     log_prior: LogPrior | None = None,
 ) -> tuple[Floats, Floats]:
-    """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
+    """Find poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 
-    `poses`: (T, 4) odometry of all views, level. The newest are looked up more densely.
-    `log_prior` adds what is known beforehand of the reference frame.
+    `poses`: (T, 4) level odometry of all views. `log_prior`: of the reference frame.
     """
     looked = spread(len(views), LOOKS)
     steps = between(poses[reference], poses[looked])
@@ -141,7 +140,7 @@ def table_seeds(
         _best(table, directed, rows, max(_FEWEST, round(share * most)))
         for rows, share in log_prior.parts
     ]
-    if log_prior.sentence is not None:  # who speaks may err
+    if log_prior.sentence is not None:  # a description may be wrong
         rows = np.concatenate([rows for rows, _ in log_prior.parts])
         parts.append(_best(table, ranks, rows, round(_UNTOLD * most)))
     seeds, values = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -152,7 +151,7 @@ def table_seeds(
 def _best(
     table: VisibilityTable, ranks: NDArray[np.float32], rows: NDArray[np.int64], most: int
 ) -> tuple[Floats, Floats]:
-    """Distinct poses (K, 4) of some positions, best first, and their ranks."""
+    """Return distinct poses (K, 4) of some positions, best first, and their ranks."""
     flat = ranks[rows].ravel()
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
     position, heading = np.divmod(pool, HEADINGS)
@@ -194,7 +193,7 @@ def distinct(
     apart: float = APART,
     turned: float = TURNED,
 ) -> NDArray[np.int64]:
-    """Rows of at most `most` of poses (N, 4), best score (N,) first, no two near each other."""
+    """Select at most `most` of poses (N, 4), best score (N,) first, no two near each other."""
     left = np.argsort(-scores, kind="stable")
     kept: list[int] = []
     while len(left) and len(kept) < most:
@@ -212,6 +211,6 @@ def near(
     apart: float = APART,
     turned: float = TURNED,
 ) -> NDArray[np.bool_]:
-    """Which of poses (N, 4) belong to the mode at a pose (4,)."""
+    """Return which of poses (N, 4) belong to the mode at a pose (4,)."""
     close = np.linalg.norm(poses[:, :3] - pose[:3], axis=1) <= apart
     return np.asarray(close & (np.abs(wrap_angle(poses[:, 3] - pose[3])) <= turned))

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 
 def level_poses(odometry: NDArray[np.float64], gravity: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (T, 4) x, y, z, yaw in a level frame of odometry (T, 4, 4) and gravity (T, 3).
+    """Return poses (T, 4) x, y, z, yaw in a level frame, of odometry (T, 4, 4) and gravity (T, 3).
 
-    The odometry's own frame may stand at any slant: it is set upright by the mean of what gravity
-    says in all frames. Tilts are gravity's, frame by frame.
+    The odometry's own frame may be tilted: the mean direction of gravity in all frames sets it upright.
+    Tilts are gravity's, frame by frame.
     """
     rotation = odometry[:, :3, :3]
     down = np.einsum("tij,tj->ti", rotation, gravity).mean(axis=0)
@@ -60,7 +60,7 @@ _Z_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def deviations(steps: NDArray[np.float64], noise: MotionNoise) -> NDArray[np.float64]:
-    """Standard deviations (..., 4) [m, rad] of steps (..., 4)."""
+    """Return standard deviations (..., 4) [m, rad] of steps (..., 4)."""
     length, turned = np.linalg.norm(steps[..., :3], axis=-1), np.abs(wrap_angle(steps[..., 3]))
     way = noise.translation + noise.translation_per_metre * length
     turn = noise.rotation + noise.rotation_per_radian * turned
@@ -70,7 +70,7 @@ def deviations(steps: NDArray[np.float64], noise: MotionNoise) -> NDArray[np.flo
 def keyframes(
     stamps: NDArray[np.float64], poses: NDArray[np.float64], seconds: float, metres: float
 ) -> list[int]:
-    """Frames at least so far apart in time, or in way (or 0.2 rad of turn); first and last always.
+    """Select keyframes so far apart in time, or in way (or 0.2 rad of turn); first and last always.
 
     Table 6 of the paper: a robot takes the frames that it has time for.
     """
@@ -97,7 +97,7 @@ class Chain:
 
     @classmethod
     def of(cls, poses: Floats, noise: MotionNoise) -> Chain:
-        """Chain of level odometry (T, 4)."""
+        """Make a chain of level odometry (T, 4)."""
         return cls(poses, deviations(between(poses[:-1], poses[1:]), noise))
 
     @cached_property
@@ -106,7 +106,7 @@ class Chain:
         return between(self.poses[:-1], self.poses[1:])
 
     def rigid(self, pose: Floats) -> Floats:
-        """Poses (T, 4) of all frames if odometry were right, from that of the last (4,)."""
+        """Return poses (T, 4) of all frames by odometry, from that of the last frame (4,)."""
         return compose(pose, between(self.poses[-1], self.poses))
 
 
@@ -115,7 +115,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoseQuery:
-    """Where were these frames taken? Everything that the stages of the answer are told."""
+    """Localization query: frames, map, options and priors."""
 
     scene: Scene
     """The map; it is only read."""
@@ -123,11 +123,11 @@ class PoseQuery:
     """In order of time."""
     options: PoseSearchOptions = field(default_factory=PoseSearchOptions)
     encoder: MapEncoder | None = None
-    """Says what patches show; None: the frames' own labels, if they have any."""
+    """Encoder of patches; None: the frames' own labels, if they have any."""
     prior: Prior | None = None
     """Roughly where the first frame was taken."""
     description: str | Sentence | None = None
-    """What somebody said of where the last frame was taken."""
+    """Description of where the last frame was taken."""
     shares: ArrayLike | None = None
     """(S,) share of the first particles of each merged scene."""
     seed: int = 0
@@ -146,10 +146,10 @@ class PoseQuery:
         device: str = "auto",
         **known: Any,  # noqa: ANN401  # the other fields
     ) -> PoseQuery:
-        """The question about a capture, or about frames to come if there is none.
+        """Make a query of a capture, or of a stream of frames if there is none.
 
-        Of the frames chosen those are kept that are keyframes by the options. Terms of the likelihood
-        that the map cannot serve are switched off. Parameters and errors: `SceneMap.localize`.
+        Chosen frames are thinned to keyframes by the options. Colour is switched off for maps without
+        colours. Parameters and errors: `SceneMap.localize`.
         """
         check_device(device)
         options = options or PoseSearchOptions()
@@ -173,7 +173,7 @@ class PoseQuery:
 def chosen_frames(
     capture: Capture | Sequence[Frame], frames: slice | Sequence[int] | None
 ) -> list[Frame]:
-    """Frames of a capture by rows, by a slice, or all; raises `OptionError` where there are none."""
+    """Choose frames of a capture by rows, by a slice, or all; raises `OptionError` if there are none."""
     rows: Any = range(len(capture))
     if isinstance(frames, slice):
         rows = rows[frames]
@@ -196,7 +196,7 @@ def chosen_frames(
 
 
 def level_frames(frames: Sequence[Frame]) -> Floats:
-    """Level poses (T, 4) of the odometry of frames."""
+    """Return level poses (T, 4) of the odometry of frames."""
     return level_poses(
         np.stack([f.odometry for f in frames]), np.stack([f.gravity for f in frames])
     )
@@ -205,7 +205,7 @@ def level_frames(frames: Sequence[Frame]) -> Floats:
 T = TypeVar("T")
 
 NEWEST = 12
-"""Frames that the last round of the polish is fitted to."""
+"""Number of newest frames that the fine fit uses."""
 
 
 @contextmanager
@@ -220,14 +220,14 @@ def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 
 @dataclass(eq=False)
 class Window:
-    """Frames of one capture in one map; what is derived from them is made once."""
+    """Window: frames of one capture in one map, with cached views."""
 
     query: PoseQuery
-    """What was asked; its frames may be more than those of the window."""
+    """Query; its frames may be more than those of the window."""
     scorer: Scorer
     observations: list[Observation]
     seconds: dict[str, float] = field(default_factory=dict)
-    """What each stage took."""
+    """Seconds of each stage."""
     cut: ViewCache = field(default_factory=dict)
     """Views of its frames, which other windows of the same frames and map may share."""
     _views: dict[float, list[View]] = field(default_factory=dict)
@@ -243,7 +243,7 @@ class Window:
 
     @property
     def options(self) -> PoseSearchOptions:
-        """How it is localized."""
+        """Options of the search."""
         return self.query.options
 
     @cached_property
@@ -268,7 +268,7 @@ class Window:
 
     @cached_property
     def log_prior(self) -> LogPrior | None:
-        """What is known beforehand of the last frame's pose."""
+        """Log prior of the last frame's pose; None: there is none."""
         description, shares = self.query.description, self.query.shares
         if description is None and shares is None:
             return None
@@ -276,7 +276,7 @@ class Window:
 
     @cached_property
     def judging(self) -> Window:
-        """The same frames by the calibrated likelihood: scores of Eq. 2 are no ratios to judge by."""
+        """The window with the calibrated likelihood: scores of Eq. 2 are no likelihood ratios."""
         likelihood = self.options.likelihood
         if likelihood.kind == "calibrated":
             return self
@@ -284,13 +284,13 @@ class Window:
         return Window(self.query, scorer, self.observations, self.seconds)
 
     def last(self, count: int) -> Window:
-        """The newest frames alone, so many at most."""
+        """Return a window of at most `count` newest frames."""
         newest = Window(self.query, self.scorer, self.observations[-count:], cut=self.cut)
         newest._derived = self._derived
         return newest
 
     def derived(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What a stage derives from frames: made once for each key."""
+        """Return a value that a stage derives from frames, made once for each key."""
         if key not in self._derived:
             self._derived[key] = make()
         return self._derived[key]
@@ -311,7 +311,7 @@ class Window:
 
 
 def observe(query: PoseQuery) -> Window:
-    """Read and encode the frames that are asked about.
+    """Read and encode the frames of a query.
 
     Raises
     ------
@@ -338,12 +338,12 @@ def observe(query: PoseQuery) -> Window:
 
 
 def is_comparable(observation: Observation) -> bool:
-    """Whether a frame has anything that can be compared with the map."""
+    """Return whether a frame has anything that can be compared with the map."""
     return bool(observation.patches) or observation.depth is not None or observation.rgb is not None
 
 
 def make_label_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
-    """Encoder of the labels that a capture brings itself; None where it brings none."""
+    """Make the encoder of the labels that a capture brings; None: it brings none."""
     if frame.label_kind == "instances":
         return InstancesEncoder(scene)
     return bind_encoder(LabelsEncoder(), scene) if frame.label_kind else None
