@@ -1,6 +1,6 @@
 """Vector stores: rows of unit vectors, the embedded store that scans one file, stores by address.
 
-Figures and the choice: `docs/benchmarks/vector-stores.md`; the file: `docs/formats.md`.
+Figures and the choice: `docs/benchmarks/outdoor.md#vector-stores`; the file: `docs/formats.md`.
 """
 
 from __future__ import annotations

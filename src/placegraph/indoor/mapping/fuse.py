@@ -510,7 +510,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class FuseOptions:
-    """Options of fusion; defaults are what measured best (`docs/benchmarks/maps.md`)."""
+    """Options of fusion; defaults are what measured best (`docs/benchmarks/indoor.md#scene-maps`)."""
 
     least: float = option(
         0.0003,

@@ -4,7 +4,7 @@
     placegraph-lab table indoor_filter --only "instances: *" --windows 5,10
 
 Every answer is written down at once: run it again and it goes on where it was cut.
-`docs/benchmarks/indoor-poses.md` explains the protocol.
+`docs/benchmarks/indoor.md#do-a-few-frames-find-their-pose` explains the protocol.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     placegraph-lab table indoor_refine --matchers auto,roma
 
 Every answer is written down at once: run it again and it goes on where it was cut.
-`docs/benchmarks/indoor-refinement.md` explains the protocol.
+`docs/benchmarks/indoor.md#refinement` explains the protocol.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     placegraph-lab table indoor_robustness --only "house: drift*; office: drift*"
 
 Every answer is written down at once: run it again and it goes on where it was cut.
-`docs/benchmarks/indoor-robustness.md` has the protocol.
+`docs/benchmarks/indoor.md#what-goes-wrong` has the protocol.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     placegraph-lab table indoor_speed
     placegraph-lab table indoor_speed --only "localizing,start"
 
-`docs/benchmarks/indoor-cost.md` explains what is measured.
+`docs/benchmarks/indoor.md#speed` explains what is measured.
 """
 
 from __future__ import annotations
