@@ -26,7 +26,7 @@ _LARGEST_SIDE = 1 << 14  # texels a side
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """Detail of a map; the defaults lose nothing that localization would miss (docs/benchmarks/indoor.md#scene-maps)."""
+    """Level of detail of a map; the defaults cost no recall (docs/benchmarks/indoor.md)."""
 
     error: float | None = 0.005
     """Greatest distance of the simplified surface's vertices from the source's [m]; None: the
