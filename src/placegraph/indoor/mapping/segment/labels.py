@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,18 +217,11 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
     A face's score for a label is its own share of votes, that of its patch around it by area, and
     the share of its neighbours that bear the label, across steps (P,) less.
     """
-    columns = [patch, *np.floor(faces.centres / _CELL).astype(np.int64).T]
-    order = np.lexsort(columns)
-    fresh = np.ones(len(patch), np.bool_)
-    fresh[1:] = np.any([np.diff(column[order]) != 0 for column in columns], axis=0)
-    out = np.empty(len(patch), np.int64)
-    out[order] = np.cumsum(fresh) - 1
-    patch = out
-    count = len(votes.words)
+    patch = _split_patches(patch, faces.centres)
+    count, patches = len(votes.words), int(patch.max()) + 1
     face = np.repeat(np.arange(len(faces)), np.diff(votes.starts))
     total = np.bincount(face, votes.weights, len(faces)) + _DOUBT
     share = votes.weights / total[face]
-    patches = int(patch.max()) + 1
     weighed = share * faces.areas[face]
     table = np.bincount(patch[face] * count + votes.labels, weighed, patches * count)
     seen = np.zeros(len(faces), np.bool_)
@@ -243,6 +236,17 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
             _PATCH, _NEIGHBOURS,
         )  # fmt: skip
     return np.maximum(labels, 0)
+
+
+def _split_patches(patch: Ints, centres: Floats) -> Ints:
+    """Split the patches (F,) of faces where they cross the borders of cubes; rows (F,) of parts."""
+    columns = [patch, *np.floor(centres / _CELL).astype(np.int64).T]
+    order = np.lexsort(columns)
+    fresh = np.ones(len(patch), np.bool_)
+    fresh[1:] = np.any([np.diff(column[order]) != 0 for column in columns], axis=0)
+    out = np.empty(len(patch), np.int64)
+    out[order] = np.cumsum(fresh) - 1
+    return out
 
 
 _FRAGMENT = 0.15  # area of what may be a broken-off part of a thing [m2] ...
@@ -264,137 +268,145 @@ class NamedGroups:
     ids: dict[int, int]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pieces:
+    """N pieces of faces that hang together and bear one label, in one object of the cut."""
+
+    graph: PatchGraph
+    label: Ints  # (N,) rows of `Votes.words`
+    plane: Ints  # (N,) rows of the structure's planes, -1: none
+    object_of: Ints  # (N,) groups of the cut without labels
+
+    @property
+    def is_named(self) -> NDArray[np.bool_]:
+        """(N,) whether a label speaks of a piece."""
+        return self.label != NOTHING
+
+
 def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions) -> NamedGroups:
     """Cut faces into objects by votes; `cut` decides where there are none."""
     normals, lab = faces.smoothed(ROUNDS)
     outward = cut.structure.outward
     steps = step_weights(faces, normals, lab, outward, options)
-    label = label_faces(faces, votes, cut.patches.of_face, steps)
     object_of = cut.groups[cut.patches.of_face]
     plane = cut.patches.plane[object_of]
-    count = len(votes.words)
-    table = np.bincount(object_of * count + label, faces.areas, (int(object_of.max()) + 1) * count)
-    table = table.reshape(-1, count)
-    whole = table.sum(axis=1)
-    table[:, NOTHING] = 0.0
-    best = np.where(table.max(axis=1) >= _MAJOR * whole, np.argmax(table, axis=1), NOTHING)
-    open_ = (label == NOTHING) & (plane < 0)
-    out: Ints = np.where(open_, best[object_of], label)
-    label = out
+    label = label_faces(faces, votes, cut.patches.of_face, steps)
+    best = _find_main_labels(label, object_of, faces.areas, len(votes.words))
+    label = np.where((label == NOTHING) & (plane < 0), best[object_of], label)
     a, b = faces.pairs.T
     same = (label[a] == label[b]) & (object_of[a] == object_of[b])
     piece = np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
-    pieces = describe_patches(
+    graph = describe_patches(
         faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options
     )
     first = np.unique(piece, return_index=True)[1]
-    upright = np.array([word == "wall" for word in (*cut.structure.labels, "wall")])
-    level = (plane[first] >= 0) & ~upright[plane[first]]
-    spilt = _find_spilt(pieces, label[first], plane[first], level, options)
-    label = np.where(spilt[piece], NOTHING, label)
-    group = _group_pieces(pieces, label[first], object_of[first], plane[first], votes.kind, options)
-    group, meant = assign_covers(
-        group, pieces, label[first], plane[first], votes.words, cut.structure.labels, options
-    )
-    fixed = (label[first] == NOTHING) & (plane[first] >= 0)
+    pieces = _Pieces(graph, label[first], plane[first], object_of[first])
+    spilt = _find_spilt(pieces, cut.structure.labels, options)
+    pieces.label[spilt] = NOTHING
+    group = _group_pieces(pieces, votes.kind, options)
+    group, words = _assign_covers(group, pieces, votes.words, cut.structure.labels, options)
+    fixed = ~pieces.is_named & (pieces.plane >= 0)
     if votes.kind == "labels":
-        group = _gather_fragments(faces, piece, pieces, label[first], group)
-    group = absorb_small(group, pieces, fixed, options)
-    group = absorb_lost(group, pieces, fixed, faces, options.least)
-    return _name_groups(group, label[first], plane[first], votes, cut, piece, meant)
+        group = _gather_fragments(faces, pieces, group)
+    group = absorb_small(group, graph, fixed, options)
+    group = absorb_lost(group, graph, fixed, faces, options.least)
+    return _name_groups(group, pieces, votes, cut.structure.labels, words)
+
+
+def _find_main_labels(label: Ints, object_of: Ints, areas: Floats, count: int) -> Ints:
+    """Find the label (N,) that most of an object's area bears, `NOTHING` where none does."""
+    shape = int(object_of.max()) + 1, count
+    table = np.bincount(object_of * count + label, areas, shape[0] * count).reshape(shape)
+    whole = table.sum(axis=1)
+    table[:, NOTHING] = 0.0
+    return np.where(table.max(axis=1) >= _MAJOR * whole, np.argmax(table, axis=1), NOTHING)
 
 
 def _find_spilt(
-    pieces: PatchGraph, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
+    pieces: _Pieces, planes: Sequence[str], options: SegmentOptions
 ) -> NDArray[np.bool_]:
     """Find pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
 
-    Outlines in label images are rough: what stands before a wall is painted on it in part. `level`
-    (N,) are pieces of the floor or a ceiling, where the stains are larger, and pictures none.
+    Outlines in label images are rough: what stands before a wall is painted on it in part. On floors
+    and ceilings the stains are larger, and pictures none.
     """
-    a, b = pieces.ends.T
-    beside = (label[a] == label[b]) & (plane[a] >= 0) & (plane[b] < 0) & (label[a] != NOTHING)
-    beside &= pieces.areas[a] < _SPILT * pieces.areas[b]
-    out = (plane >= 0) & (pieces.areas < np.where(level, options.carpet, options.mark))
+    label, plane, areas = pieces.label, pieces.plane, pieces.graph.areas
+    upright = np.array([word == "wall" for word in (*planes, "wall")])
+    a, b = pieces.graph.ends.T
+    beside = (label[a] == label[b]) & (plane[a] >= 0) & (plane[b] < 0) & pieces.is_named[a]
+    beside &= areas[a] < _SPILT * areas[b]
+    out = (plane >= 0) & (areas < np.where(upright[plane], options.mark, options.carpet))
     out[a[beside]] = True
     return out
 
 
-def _group_pieces(
-    pieces: PatchGraph,
-    label: Ints,
-    object_of: Ints,
-    plane: Ints,
-    kind: str,
-    options: SegmentOptions,
-) -> Ints:
+def _group_pieces(pieces: _Pieces, kind: LabelKind, options: SegmentOptions) -> Ints:
+    """Group pieces (N,) of one label, and the unlabelled ones as the cut has them."""
+    graph, label, plane = pieces.graph, pieces.label, pieces.plane
     if kind == "instances":
-        key = np.where(label == NOTHING, -1 - object_of, label)
+        key = np.where(pieces.is_named, label, -1 - pieces.object_of)
         _, first, row = np.unique(key, return_index=True, return_inverse=True)
         return first[row]
-    a, b = pieces.ends.T
-    same = (label[a] == label[b]) & (label[a] != NOTHING)
+    a, b = graph.ends.T
+    same = (label[a] == label[b]) & pieces.is_named[a]
     same &= (plane[a] == plane[b]) | (plane[a] < 0) | (plane[b] < 0)  # walls stay apart
-    group = join_parts(
-        pieces, pieces.ends[same], pieces.lengths[same], pieces.concave[same], options
-    )
-    open_ = np.flatnonzero(label == NOTHING)
-    _, first, row = np.unique(object_of[open_], return_index=True, return_inverse=True)
-    group[open_] = open_[first[row]]
+    group = join_parts(graph, graph.ends[same], graph.lengths[same], graph.concave[same], options)
+    nameless = np.flatnonzero(~pieces.is_named)
+    _, first, row = np.unique(pieces.object_of[nameless], return_index=True, return_inverse=True)
+    group[nameless] = nameless[first[row]]
     return group
 
 
-def _gather_fragments(
-    faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group: Ints
-) -> Ints:
+def _gather_fragments(faces: Faces, pieces: _Pieces, group: Ints) -> Ints:
     """Gather fragments into the larger group nearby that bears their label; groups (N,)."""
-    areas = np.bincount(group, pieces.areas, len(pieces))
-    named = np.flatnonzero(label[piece] != NOTHING)
-    spread = Samples.of(faces, named, 0.5 * _NEARBY)
-    rows = group[piece[spread.face[spread.touching(group[piece], _NEARBY)]]]
-    a, b = rows.T
+    label, group_of = pieces.label, group[pieces.graph.of_face]
+    areas = np.bincount(group, pieces.graph.areas, len(label))
+    samples = Samples.of(
+        faces, np.flatnonzero(pieces.is_named[pieces.graph.of_face]), 0.5 * _NEARBY
+    )
+    a, b = group_of[samples.face[samples.touching(group_of, _NEARBY)]].T
     better = (label[a] == label[b]) & (areas[a] < _FRAGMENT)
     better &= (areas[b] > areas[a]) | ((areas[b] == areas[a]) & (b < a))  # never in a circle
-    to = np.arange(len(pieces))
-    for one in np.unique(a[better]).tolist():
-        near = np.unique(b[better & (a == one)])
-        to[one] = near[np.argmax(areas[near])]
+    to = np.arange(len(label))
+    for fragment in np.unique(a[better]).tolist():
+        near = np.unique(b[better & (a == fragment)])
+        to[fragment] = near[np.argmax(areas[near])]
     while (to != to[to]).any():
         to = to[to]
-    out: Ints = to[group]
-    return out
+    return to[group]
 
 
 def _name_groups(
-    group: Ints,
-    label: Ints,
-    plane: Ints,
-    votes: Votes,
-    cut: Cut,
-    piece: Ints,
-    meant: dict[int, str],
+    group: Ints, pieces: _Pieces, votes: Votes, planes: Sequence[str], words: dict[int, str]
 ) -> NamedGroups:
-    words: dict[int, str] = {}
+    """Name groups (N,) by their labels, else by `words` of groups, else by their planes."""
+    names: dict[int, str] = {}
     ids: dict[int, int] = {}
     for g in np.unique(group).tolist():
-        row = int(label[g])
-        if row == NOTHING:
-            if plane[g] >= 0:
-                words[g] = cut.structure.labels[int(plane[g])]
+        label, plane = int(pieces.label[g]), int(pieces.plane[g])
+        if label == NOTHING:
+            if plane >= 0:
+                names[g] = planes[plane]
             continue
-        word = votes.words[row] or meant.get(g, "")
+        word = votes.words[label] or words.get(g, "")
         if word:
-            words[g] = word
+            names[g] = word
         if votes.kind == "instances":
-            ids[g] = votes.ids[row]
-    return NamedGroups(group[piece], words, ids)
+            ids[g] = votes.ids[label]
+    return NamedGroups(group[pieces.graph.of_face], names, ids)
 
 
-def assign_covers(
+class _Cover(NamedTuple):
+    """Group on a plane."""
+
+    group: int
+    area: float  # On the plane [m2]
+    is_plane: bool  # Whether it is the plane itself, and not something on it
+
+
+def _assign_covers(
     group: Ints,
-    pieces: PatchGraph,
-    label: Ints,
-    plane: Ints,
+    pieces: _Pieces,
     words: Sequence[str],
     planes: Sequence[str],
     options: SegmentOptions,
@@ -403,62 +415,53 @@ def assign_covers(
 
     What no label speaks of on a plane joins what covers that plane and lies beside it, unless this
     has a word of its own: then crumbs alone do. So do they where crumbs are all that is left.
-    `label` and `plane` (N,) are rows of `words`, empty where they say nothing, and of `planes`.
     """
+    plane, areas, named = pieces.plane, pieces.graph.areas, pieces.is_named
     kinds = sorted(set(planes))
     kind = np.array([kinds.index(word) for word in planes], np.int64)
-    said = label != NOTHING
-    on = np.flatnonzero(said & (plane >= 0))
-    count = len(pieces)
-    whole = np.bincount(group[said], pieces.areas[said], count)
+    on = np.flatnonzero(named & (plane >= 0))
+    count = len(areas)
+    whole = np.bincount(group[named], areas[named], count)
     of_kind = np.bincount(
-        group[on] * len(kinds) + kind[plane[on]], pieces.areas[on], count * len(kinds)
+        group[on] * len(kinds) + kind[plane[on]], areas[on], count * len(kinds)
     ).reshape(count, len(kinds))
     keys, row = np.unique(group[on] * len(planes) + plane[on], return_inverse=True)
-    area = np.bincount(row, pieces.areas[on], len(keys))
-    size = np.bincount(plane[plane >= 0], pieces.areas[plane >= 0], len(planes))
+    area = np.bincount(row, areas[on], len(keys))
+    size = np.bincount(plane[plane >= 0], areas[plane >= 0], len(planes))
     g, p = keys // max(len(planes), 1), keys % max(len(planes), 1)
     on_kind = of_kind[g, kind[p]]
     good = (on_kind >= _MAIN * whole[g]) | ((on_kind >= _SOME * whole[g]) & (on_kind >= _VAST))
     good &= area >= np.minimum(_PART * size[p], _LARGE)
     bare = size - np.bincount(p, area, len(planes)) < options.carpet  # crumbs are all that is left
     meant: dict[int, str] = {}
-    covers: dict[int, list[tuple[int, float, bool]]] = {}
+    covers: dict[int, list[_Cover]] = {}
     for i in np.flatnonzero(good | bare[p]).tolist():
-        one, own = int(g[i]), int(p[i])
-        word = words[int(label[one])]
+        cover, own = int(g[i]), int(p[i])
+        word = words[int(pieces.label[cover])]
         if good[i] and not word:
-            meant[one] = planes[own]
-        same = bool(good[i]) and (word or planes[own]) == planes[own]
-        covers.setdefault(own, []).append((one, float(area[i]), same))
-    open_ = np.flatnonzero(~said & (plane >= 0))
-    return _join_covers(group, pieces, open_, plane, covers, options), meant
+            meant[cover] = planes[own]
+        is_plane = bool(good[i]) and (word or planes[own]) == planes[own]
+        covers.setdefault(own, []).append(_Cover(cover, float(area[i]), is_plane))
+    return _join_covers(group, pieces, covers, options), meant
 
 
 def _join_covers(
-    group: Ints,
-    pieces: PatchGraph,
-    open_: Ints,
-    plane: Ints,
-    covers: dict[int, list[tuple[int, float, bool]]],
-    options: SegmentOptions,
+    group: Ints, pieces: _Pieces, covers: dict[int, list[_Cover]], options: SegmentOptions
 ) -> Ints:
-    """Join pieces `open_` (K,) to the covers of their planes they touch most.
-
-    Covers of a plane are groups, their area on it [m2], and whether it is what they are.
-    """
-    a, b = pieces.ends.T
+    """Join unlabelled pieces of planes to the covers of their planes they touch most; groups (N,)."""
+    graph = pieces.graph
+    a, b = graph.ends.T
     order = np.argsort(a, kind="stable")
-    starts = np.searchsorted(a[order], np.arange(len(pieces) + 1))
+    starts = np.searchsorted(a[order], np.arange(len(graph) + 1))
     out = group.copy()
-    for piece in open_.tolist():
-        area = float(pieces.areas[piece])
+    for piece in np.flatnonzero(~pieces.is_named & (pieces.plane >= 0)).tolist():
+        area = float(graph.areas[piece])
         near = order[starts[piece] : starts[piece + 1]]
-        beside = np.bincount(group[b[near]], pieces.lengths[near], len(pieces))
+        contact = np.bincount(group[b[near]], graph.lengths[near], len(graph))
         fit = [
-            (float(beside[one]), much, -one)
-            for one, much, same in covers.get(int(plane[piece]), [])
-            if area < (much if same else options.carpet)
+            (float(contact[cover.group]), cover.area, -cover.group)
+            for cover in covers.get(int(pieces.plane[piece]), [])
+            if area < (cover.area if cover.is_plane else options.carpet)
         ]
         best = max(fit, default=(0.0, 0.0, 0))
         if best[0] > 0 or (fit and area < options.carpet):
