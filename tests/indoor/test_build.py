@@ -202,18 +202,6 @@ def test_objects_in_any_order_and_sharing_vertices(boxes, rng):
     assert scene.graph == scene_of_model(model).graph
 
 
-def test_one_giant_triangle(boxes):
-    corners = np.array([[-9e4, -9e4, 0], [9e4, -9e4, 0], [0, 9e4, 0.0]])
-    model = boxes({"floor": ((0, 0, 0), (1, 1, 1))})
-    scene = scene_of_model(
-        replace(model, vertices=corners, triangles=np.array([[0, 1, 2]]), thing_of=np.zeros(1, int),
-                picture_of=np.zeros(1, int), colours=np.zeros((3, 3), np.uint8), uv=np.zeros((3, 2)))
-    )  # fmt: skip
-    assert len(scene.mesh) == 1
-    assert scene.floors.tolist() == [0.0]
-    assert np.abs(scene.bounds[:, :2]).max() == pytest.approx(9e4)
-
-
 def _hills(boxes, n=60):
     x, y = np.meshgrid(np.arange(n) * 0.02, np.arange(n) * 0.02, indexing="ij")
     points = np.stack([x, y, np.sin(x) * np.cos(y) * 0.02], axis=2).reshape(-1, 3)
@@ -382,18 +370,6 @@ def test_the_house_looks_as_in_its_pictures(house, shared):
     for one, other in ((0, 1), (2, 1)):  # red and blue against green: lighting changes little of it
         a, b = (np.log((c[:, one] + 8) / (c[:, other] + 8)) for c in (mine, theirs))
         assert np.corrcoef(a, b)[0, 1] > 0.6
-
-
-def test_what_may_lie_on_its_side_is_told(boxes):
-    model = boxes({"a": ((0, 0, 0), (7, 2.6, 5)), "b": ((1, 0, 1), (2, 0.7, 2))})
-    notes = []
-    scene_of_model(model, up="auto", floor=0.0, notes=notes)
-    assert "2.6 m along y" in notes[0]
-    assert "--up y" in notes[0]
-    upright = boxes({"a": ((0, 0, 0), (7, 5, 2.6)), "b": ((1, 0, 1), (2, 0.7, 2))})
-    quiet = []
-    scene_of_model(upright, up="auto", floor=0.0, notes=quiet)
-    assert quiet == []
 
 
 def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):

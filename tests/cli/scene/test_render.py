@@ -153,16 +153,6 @@ def test_what_is_too_far_for_sixteen_bits(run, world, tmp_path):
     assert not read(tmp_path / "depth.png").any()
 
 
-def test_quiet_and_samples(run, world, tmp_path):
-    shades = []
-    for samples in (1, 16):
-        result = run("scene", "render", world.map, "-o", tmp_path, "--quiet", "--pose",
-                     at(world.truth[0]), "--camera", world.camera, "--samples", samples)  # fmt: skip
-        assert (result.code, result.out, result.err) == (0, "", "")
-        shades.append(read(tmp_path / "colour.png"))
-    assert (shades[0] != shades[1]).any()
-
-
 # --- poses as text ---
 
 
@@ -184,14 +174,6 @@ def test_poses(text, forward, down):
     np.testing.assert_allclose(pose[:3, 1], down, atol=1e-12)
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
-
-
-def test_yaw_is_the_one_that_localize_prints(rng):
-    for _ in range(50):
-        x, y, z, yaw = rng.uniform(-3, 3, 4)
-        pitch, roll = rng.uniform(-80, 80), rng.uniform(-80, 80)
-        pose, _ = split_pose(map_from_camera_of(f"{x},{y},{z},{np.degrees(yaw)},{pitch},{roll}"))
-        np.testing.assert_allclose(pose, (x, y, z, yaw), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -140,15 +140,6 @@ def test_probabilities_are_averaged_over_patches(scene):
     assert got[1, 1] == pytest.approx(got[1, 2], abs=1e-3)
 
 
-def test_probabilities_that_say_nothing():
-    image = frame({}, [0] * 8)
-    assert not LabelsEncoder(FOUR, **probable(unknown=0.6, chair=0.4)).patches(image).any()
-    assert LabelsEncoder(FOUR, **probable(unknown=0.5, chair=0.5)).patches(image).all(axis=2).any()
-    coarse = LabelsEncoder(FOUR, segmenter=lambda _: np.ones((2, 2, 1)), names=["chair"])
-    got = coarse.patches(image)  # four pixels for 32 patches
-    assert np.count_nonzero(got.any(axis=2)) == 4
-
-
 class Halves:
     names = {7: "sofa"}  # noqa: RUF012
 
@@ -220,34 +211,6 @@ def test_a_said_label_stands_for_what_it_may_be(scene):
     swapped = Confusion(("desk", "chair"), [[0.0, 1.0], [1.0, 0.0]])
     encoder = LabelsEncoder(FOUR, confusion=swapped, **probable(chair=1.0, desk=0.0))
     assert cosines(encoder, scene, image)[0].argmax() == 2
-
-
-def test_accuracy_rises_with_a_known_confusion(boxes, rng):
-    truth = ["desk", "table", "sofa", "bed", "chair", "floor"]
-    scene = scene_of_model(boxes(dict.fromkeys(truth, UNIT)))
-    matrix = np.eye(6) * 0.9 + 0.02
-    matrix[0] = [0.05, 0.85, 0.025, 0.025, 0.025, 0.025]
-    matrix[2] = [0.02, 0.02, 0.45, 0.47, 0.02, 0.02]
-    matrix[1] = [0.45, 0.45, 0.025, 0.025, 0.025, 0.025]
-    matrix /= matrix.sum(axis=1, keepdims=True)
-    true = rng.integers(6, size=4096)
-    said = np.array([rng.choice(6, p=matrix[t]) for t in true]).reshape(64, 64)
-    image = Frame.from_arrays(
-        np.zeros((64, 64, 3), np.uint8), Camera(64, 64, 50.0, 50.0, 32.0, 32.0),
-        labels=said, label_names=dict(enumerate(truth)),
-    )  # fmt: skip
-
-    def believed(encoder):
-        patches = bind_encoder(encoder, scene).encode(image)
-        share = np.exp(patches.table[patches.rows] / patches.temperature)
-        share /= share.sum(axis=1, keepdims=True)
-        own = share[np.arange(4096), true]
-        return float(np.log(own).mean()), float((share.argmax(axis=1) == true).mean())
-
-    plain = believed(LabelsEncoder((64, 64)))
-    told = believed(LabelsEncoder((64, 64), confusion=Confusion(tuple(truth), matrix)))
-    assert told[1] > plain[1] + 0.05
-    assert told[0] > plain[0] + 0.5  # nat
 
 
 INSTANCES = frame(None, [0, 1, 2, 3, -1, 7, 1, 1], "instances")

@@ -151,16 +151,6 @@ def test_a_furnished_room_is_where_its_mesh_is(room, walk, truth):
     assert len(mesh.stats.residuals) == len(walk.frames)
 
 
-def test_the_order_of_frames_changes_little(fused, views):
-    frames, poses = views
-    order = np.random.default_rng(3).permutation(len(frames))
-    other = fuse([frames[i] for i in order], poses[order], voxel=0.06)
-    assert len(other.vertices) == pytest.approx(len(fused.vertices), rel=0.01)
-    row = np.lexsort(fused.vertices.T)[::50]
-    gap = np.linalg.norm(fused.vertices[row, None] - other.vertices, axis=2).min(axis=1)
-    assert np.quantile(gap, 0.98) < 1e-3
-
-
 def test_threads_change_nothing(views):
     frames, poses = views[0][:4], views[1][:4]
     with limit_threads(1):
@@ -232,14 +222,6 @@ def test_memory_is_bounded(views):
         fuse(frames, poses, voxel=0.02, options=replace(small, coarsen=False))
     with pytest.raises(OptionError, match="memory"):
         FuseOptions(memory=100.0)
-
-
-@pytest.mark.parametrize("voxel", [0.01, 0.3])
-def test_tiny_and_huge_voxels(voxel):
-    frame, pose = plane_view(1.0)
-    found = fuse([frame], pose[None], voxel=voxel)
-    assert np.abs(found.vertices[:, 2] - 1.0).max() < voxel / 5
-    assert found.stats.voxel == voxel
 
 
 def test_changes_of_exposure_vanish():

@@ -68,7 +68,8 @@ def _weld_corners(scene: Scene) -> NDArray[np.int64]:
     return np.unique(keys, return_inverse=True)[1][scene.mesh.triangles]
 
 
-def _check_doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Finding]:
+def _check_doubles(scene: Scene) -> Iterator[Finding]:
+    corners = _weld_corners(scene)
     ordered = np.sort(corners, axis=1)
     first = ordered[:, 0] * (int(corners.max()) + 1) + ordered[:, 1]
     order = np.lexsort([ordered[:, 2], first])
@@ -88,10 +89,10 @@ def _check_colours(scene: Scene) -> Iterator[Finding]:
     mesh = scene.mesh
     if not scene.has_colours:
         white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
-        said = "has no colours" if white else "is of one colour all over"
+        fault = "has no colours" if white else "is of one colour all over"
         yield Finding(
             "warning" if white else "note",
-            f"The map {said}: images cannot be compared with it, depth and labels alone can.",
+            f"The map {fault}: images cannot be compared with it, depth and labels alone can.",
             remedy=(
                 "Export textures or vertex colours with the file"
                 + ("." if white else ", if it has any.")
@@ -131,7 +132,7 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
         severity: Severity = "warning" if len(scene) > 1 else "error"
         yield Finding(
             severity,
-            f"{_name(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
+            f"{_describe_object(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
             "apart, and objects are what it localizes by.",
             [scene.graph.ids[largest]],
             "Build from a file with one node, group or id an object (--object-property, --labels), "
@@ -140,7 +141,7 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_twins(scene: Scene) -> Iterator[Finding]:
-    low, high = _boxes(scene)
+    low, high = _bound_objects(scene)
     movable = np.flatnonzero(~is_structural(scene.graph.labels))
     if not 1 < len(movable) <= 5000:
         return
@@ -159,8 +160,8 @@ def _check_twins(scene: Scene) -> Iterator[Finding]:
         a, b = pairs[0]
         yield Finding(
             "warning",
-            f"{len(pairs)} pairs of objects fill the same space, such as {_name(scene, a)} and "
-            f"{_name(scene, b)}.",
+            f"{len(pairs)} pairs of objects fill the same space, such as {_describe_object(scene, a)} and "
+            f"{_describe_object(scene, b)}.",
             [scene.graph.ids[i] for i in dict.fromkeys(i for pair in pairs for i in pair)],
             "Delete one of each pair in the file, or give both one id.",
         )
@@ -168,7 +169,7 @@ def _check_twins(scene: Scene) -> Iterator[Finding]:
 
 def _check_far_objects(scene: Scene) -> Iterator[Finding]:
     """Check for objects farther from all others than the map without them is wide."""
-    low, high = _boxes(scene)
+    low, high = _bound_objects(scene)
     if len(scene) < 3:
         return
     middle = np.median((low + high) / 2, axis=0)
@@ -182,7 +183,7 @@ def _check_far_objects(scene: Scene) -> Iterator[Finding]:
         yield Finding(
             "warning",
             f"{len(out)} object{'s lie' if len(out) > 1 else ' lies'} far off from the rest, "
-            f"{_name(scene, int(out[0]))} by {reach[out[0]]:.0f} m.",
+            f"{_describe_object(scene, int(out[0]))} by {reach[out[0]]:.0f} m.",
             [scene.graph.ids[i] for i in out.tolist()],
             "Delete or move it in the file: the map's box is searched, and grows with it.",
         )
@@ -242,12 +243,12 @@ def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Itera
         yield Finding("note", f"Opening it took {seconds:.1f} s.", remedy=remedy)
 
 
-def _boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _bound_objects(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     found = scene.mesh.object_bounds(len(scene))
     return found[:, 0], found[:, 1]
 
 
-def _name(scene: Scene, row: int) -> str:
+def _describe_object(scene: Scene, row: int) -> str:
     graph = scene.graph
     return f"{graph.labels[row] or 'object'} {(graph.names[row] or graph.ids[row])!r}"
 
@@ -275,45 +276,45 @@ _OFF = 0.1  # How far the floor may lie from a level surface [m]
 
 def _check_units(scene: Scene) -> Iterator[Finding]:
     """Check that the unit is the metre, by heights of rooms and of objects of known label."""
-    rooms = height_of_rooms(scene)
-    known = _known_ratio(scene)
+    rooms = measure_room_height(scene)
+    known = _compare_heights(scene)
     guess = known if known is not None else rooms / _USUAL
     off = (known is not None and not 0.5 < known < 2.0) or not _LOW < rooms < _HIGH
     if not off or guess <= 0:  # nothing above the floor is a floor elsewhere
         return
     unit, scale = min(UNITS, key=lambda u: abs(np.log(guess * u[1])))
-    said = f"Rooms are {rooms:.3g} m high"
+    text = f"Rooms are {rooms:.3g} m high"
     if known is not None:
-        said += f", and things {known:.3g} times as high as such things are"
+        text += f", and things {known:.3g} times as high as such things are"
     if scale != 1.0 and abs(np.log(guess * scale)) < 0.7:
         unsure = unit == "feet" and known is None  # or it is a hall
         severity: Severity = "warning" if unsure else "error"
         yield Finding(
-            severity, f"{said}: the file looks to be in {unit}.", remedy=f"--scale {scale:g}"
+            severity, f"{text}: the file looks to be in {unit}.", remedy=f"--scale {scale:g}"
         )
     else:
         yield Finding(
             "warning",
-            f"{said}.",
+            f"{text}.",
             remedy="--scale N, metres in one unit of the file, if that is odd.",
         )
 
 
 def _check_up_axis(scene: Scene) -> Iterator[Finding]:
     """Check that z is up: floors and ceilings face along it, and rooms are lower than wide."""
-    areas, unit = _normals(scene)
+    areas, unit = _measure_faces(scene)
     named, standing = find_labelled_floors(scene.mesh, scene.graph.labels)
     words = [split_label(label)[-1:] for label in scene.graph.labels]
     level = named if named.any() else np.array([w == ["ceiling"] for w in words])
     labelled = level[scene.mesh.object_of]
     if areas[labelled].sum() > 0:
-        shares = _facing(areas[labelled], unit[labelled])
+        shares = _sum_facing(areas[labelled], unit[labelled])
         severity: Severity = "error"
         sure, what = 2.0, "ceilings face"
         if named.any():
             what = "the floor stands upright, it faces"
     else:
-        shares = _facing(areas, unit)
+        shares = _sum_facing(areas, unit)
         extents = np.ptp(scene.bounds, axis=0)
         if extents[2] < 1.3 * extents[int(shares[:2].argmax())]:
             return
@@ -338,7 +339,7 @@ def _check_up_axis(scene: Scene) -> Iterator[Finding]:
 
 def _check_floors(scene: Scene) -> Iterator[Finding]:
     """Check that each merged scene's floor is level and where the map says."""
-    areas, unit = _normals(scene)
+    areas, unit = _measure_faces(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
     named = np.array([is_floor(label) for label in scene.graph.labels])[scene.mesh.object_of]
     level = np.abs(unit[:, 2]) > LEVEL
@@ -348,7 +349,7 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
         least = max(0.5, 0.03 * float(np.prod((high - low)[:2])))
         near = own & (np.abs(heights - floor) < _OFF)
         if areas[near].sum() < least:
-            where = _largest_level(heights[own], areas[own], floor)
+            where = _find_largest_level(heights[own], areas[own], floor)
             yield Finding(
                 "error" if where is None or abs(where - floor) > 0.3 else "warning",
                 f"The floor is said to be at {floor:.2f} m, but hardly any level surface lies there"
@@ -379,15 +380,15 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
             )
 
 
-def height_of_rooms(scene: Scene) -> float:
+def measure_room_height(scene: Scene) -> float:
     """Return the height from the floor below which all but a fiftieth of the surface lies [m]."""
-    areas, _ = _normals(scene)
+    areas, _ = _measure_faces(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
     (top,) = weighted_quantiles(heights, areas, (0.98,))
     return float(top - scene.floors.min())
 
 
-def _known_ratio(scene: Scene) -> float | None:
+def _compare_heights(scene: Scene) -> float | None:
     """Compare the heights of objects whose kind is in `HEIGHTS` with the usual ones, as a ratio.
 
     None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
@@ -409,19 +410,19 @@ def _known_ratio(scene: Scene) -> float | None:
     return middle if agree >= max(_KINDS, len(ratios) // 2 + 1) else None
 
 
-def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measure_faces(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return areas (T,) [m2] and unit normals (T, 3)."""
     doubled = scene.mesh.normals()
     lengths = np.linalg.norm(doubled, axis=1)
     return lengths / 2.0, doubled / np.maximum(lengths, 1e-12)[:, None]
 
 
-def _facing(areas: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sum_facing(areas: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (3,) area that faces along each axis."""
     return np.array([areas[np.abs(unit[:, k]) > LEVEL].sum() for k in range(3)])
 
 
-def _largest_level(
+def _find_largest_level(
     heights: NDArray[np.float64], areas: NDArray[np.float64], floor: float
 ) -> float | None:
     """Return height of the largest level surface no more than 3 m off the floor that is said."""
@@ -443,13 +444,13 @@ _BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[Finding]:
     options = options or PoseSearchOptions()
     table = visibility(scene, options)
-    said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
+    heights = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
     over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
     if not len(table) or over:
-        rooms = height_of_rooms(scene)
+        rooms = measure_room_height(scene)
         yield Finding(
             "error",
-            f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
+            f"At camera heights of {heights} m above the floor ({scene.floors[0]:.2f} m) no place is "
             "free: no particle can start, and nothing is localized.",
             remedy=(
                 "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
@@ -465,19 +466,23 @@ def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[F
         else np.arange(len(table))
     )
     chosen = inside[np.linspace(0, len(inside) - 1, min(_PLACES, len(inside))).round().astype(int)]
-    origins = np.repeat(table.positions[chosen], len(DIRECTIONS) * 2, axis=0)
-    # as many rays up and down, which end 50 degrees from the horizon
+    rays = _aim_around()
+    origins = np.repeat(table.positions[chosen], len(rays), axis=0)
+    hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
+    missed = (hits.triangle < 0).reshape(len(chosen), -1)
+    yield from _check_holes(missed, rays)
+    yield from _check_normals(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
+
+
+def _aim_around() -> NDArray[np.float32]:
+    """Return directions (N, 3): those of the visibility, and as many up and down, to 50 degrees."""
     count = len(DIRECTIONS)
     z = np.linspace(0.77, 1.0, count // 2 + count % 2)
     turn = np.arange(len(z)) * 2.399963  # golden angle
     flat = np.sqrt(1.0 - z**2)
     up = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
     both = np.concatenate([up, (up * (1.0, 1.0, -1.0))[: count // 2]])
-    rays = np.concatenate([DIRECTIONS, both.astype(np.float32)])
-    hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
-    missed = (hits.triangle < 0).reshape(len(chosen), -1)
-    yield from _check_holes(missed, rays)
-    yield from _check_normals(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
+    return np.concatenate([DIRECTIONS, both.astype(np.float32)])
 
 
 def _check_holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Finding]:
@@ -583,10 +588,9 @@ def check(
         Of the map file [bytes], and what opening it took [s], where they are known.
 
     """
-    corners = _weld_corners(scene)
     found = chain(
         _check_units(scene), _check_up_axis(scene), _check_floors(scene),
-        _check_places(scene, options), _check_doubles(scene, corners),
+        _check_places(scene, options), _check_doubles(scene),
         _check_colours(scene), _check_giants(scene), _check_twins(scene), _check_far_objects(scene),
         _check_words(scene), _check_relations(scene), _check_costs(scene, size, seconds),
         _check_anchors(scene),

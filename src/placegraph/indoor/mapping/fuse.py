@@ -1,4 +1,4 @@
-"""Frames made ready for fusion: read, undistorted, their poses checked."""
+"""Fusion of depth and colour: frames of known pose become one mesh."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ class FullError(Exception):
 
 
 class Volume:
-    """Signed distances in blocks; `take` adds views, in place."""
+    """Signed distances in blocks; `integrate` adds views, in place."""
 
     def __init__(self, voxel: float, truncation: float, memory: float) -> None:
         """Empty volume of voxels of this edge [m], that may take `memory` bytes."""
@@ -173,9 +173,9 @@ class Volume:
         """mean sRGB near surfaces, 0 to 255"""
         self.paint = np.zeros((room, SIZE), np.float32)
         """weight of the colour"""
-        self.hash()
+        self.rehash()
 
-    def hash(self) -> None:
+    def rehash(self) -> None:
         """Make a hash with room for all blocks."""
         size = 1 << int(np.ceil(np.log2(4 * len(self.places))))
         self.keys = np.full(size, -1, np.int64)
@@ -193,14 +193,14 @@ class Volume:
             wider = np.zeros((more, *old.shape[1:]), old.dtype)
             wider[:room] = old
             setattr(self, name, wider)
-        self.hash()
+        self.rehash()
 
     @property
     def bytes(self) -> int:
         """Memory of the blocks that are used."""
         return self.count * BLOCK
 
-    def take(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
+    def integrate(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
         """Take in a view, in place; what its image was multiplied by to fit those before.
 
         `facets`: (h, w, 6) of `compute_facets`. Raises `FullError` where memory ends.
@@ -216,7 +216,7 @@ class Volume:
             if count >= 0:
                 break
             self.grow()
-        gain = self.gain(view, facets) if gains else 1.0
+        gain = self.measure_gain(view, facets) if gains else 1.0
         back = np.linalg.inv(pose)
         far = find_farthest(facets, TILE)
         chosen = find_visible(
@@ -237,7 +237,7 @@ class Volume:
         )  # fmt: skip
         return gain
 
-    def gain(self, view: View, facets: NDArray[np.float32]) -> float:
+    def measure_gain(self, view: View, facets: NDArray[np.float32]) -> float:
         """Return the factor from an image's brightness to the model's; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
@@ -247,7 +247,7 @@ class Volume:
             float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
         )
 
-    def gaps(self, points: Floats) -> NDArray[np.float32]:
+    def measure_gaps(self, points: Floats) -> NDArray[np.float32]:
         """Return distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
         return kernels.measure_gaps(
             self.keys, self.rows, self.distance, self.weight, self.voxel, self.truncation, points
@@ -275,14 +275,14 @@ def extract_surface(
     cases, crossed, sizes = kernels.find_cells(
         around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loops
     )
-    starts = _starts(sizes)
+    starts = _sum_sizes(sizes)
     points, colours, first = kernels.make_vertices(
         around, volume.places, volume.distance, volume.colour, volume.paint, cases, crossed,
         starts, loop_of, loops, volume.voxel,
     )  # fmt: skip
     none = np.zeros((0, 4), np.int32)
     grid = around, volume.distance, cases, crossed, first, loop_of
-    ends = _starts(kernels.make_quads(*grid, np.zeros(count, np.int64), none))
+    ends = _sum_sizes(kernels.make_quads(*grid, np.zeros(count, np.int64), none))
     quads = np.empty((ends[-1], 4), np.int32)
     kernels.make_quads(*grid, ends, quads)
     del around, cases, crossed, first, grid
@@ -347,7 +347,7 @@ def make_loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
     return loop_of, loops
 
 
-def _starts(sizes: Ints) -> Ints:
+def _sum_sizes(sizes: Ints) -> Ints:
     """Return starts of parts, and the end (B + 1,)."""
     return np.concatenate([[0], np.cumsum(sizes)])
 
@@ -358,8 +358,8 @@ LEAST_TRUNCATION = 0.06  # About what depth cameras err by at 3 m, three times [
 REACH = 7.5  # Greatest depth that is used [m]
 FINEST, COARSEST = 0.002, 1.0  # Voxels' edges [m]
 COARSER = 1.5  # By how much voxels grow where memory ends
-WITNESSES = 256  # Readings of a frame that are compared with the fused surface
-MOST_WITNESSES = 1_000_000
+READINGS = 256  # Readings of a frame that are compared with the fused surface
+MOST_READINGS = 1_000_000
 
 
 def fuse(
@@ -415,7 +415,7 @@ def fuse(
         run = _Run(Volume(edge, max(band, 1.5 * edge), 1e9 * options.memory), options, len(frames))
         passed_over: Counter[str] = Counter()
         try:
-            run.take(frames, matrices, reach, progress, passed_over)
+            run.integrate(frames, matrices, reach, progress, passed_over)
             break
         except FullError as error:
             need = (
@@ -438,11 +438,11 @@ class _Run:
         self.volume, self.options = volume, options
         self.done = 0
         self.gains = np.full(total, np.nan)
-        self.witnesses: list[NDArray[np.float64]] = []
+        self.readings: list[NDArray[np.float64]] = []
         self.seen_by: list[int] = []
-        self.each = max(1, min(WITNESSES, MOST_WITNESSES // max(total, 1)))
+        self.each = max(1, min(READINGS, MOST_READINGS // max(total, 1)))
 
-    def take(
+    def integrate(
         self,
         frames: Sequence[Frame],
         poses: Floats,
@@ -454,14 +454,14 @@ class _Run:
         for view in read_views(frames, poses, find_good_poses(poses), passed_over):
             if view is not None:
                 facets = compute_facets(view.depth, view.eyes[0], reach, self.options.edges)
-                self.gains[view.row] = self.volume.take(view, facets, gains=self.options.gains)
-                self.witnesses.append(self.some_points(view, facets))
+                self.gains[view.row] = self.volume.integrate(view, facets, gains=self.options.gains)
+                self.readings.append(self._choose_readings(view, facets))
                 self.seen_by.append(view.row)
             self.done += 1
             if progress is not None:
                 progress(self.done, len(frames))
 
-    def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
+    def _choose_readings(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Choose some of a view's used readings, spread over it (N, 3) [m, map]."""
         v, u = np.nonzero(facets[..., 4])
         chosen = np.unique(
@@ -477,7 +477,7 @@ class _Run:
     def finish(self, start: float, why: str, counts: Counter[str]) -> Fused:
         """Extract the mesh, and compare it with the readings."""
         volume, options = self.volume, self.options
-        if not any(len(points) for points in self.witnesses):
+        if not any(len(points) for points in self.readings):
             reasons = ", ".join(f"{n} {what}" for what, n in counts.items()) or "no frame"
             raise InputError(f"There is no depth to fuse ({reasons}); a map needs depth images.")
         vertices, triangles, colours = extract_surface(
@@ -486,7 +486,7 @@ class _Run:
         if not len(triangles):
             raise InputError("The frames show no surface; a map needs depth images that overlap.")
         residuals = np.full(len(self.gains), np.nan)
-        gaps = [volume.gaps(points) for points in self.witnesses]
+        gaps = [volume.measure_gaps(points) for points in self.readings]
         for row, gap in zip(self.seen_by, gaps, strict=True):
             residuals[row] = np.median(gap) if len(gap) else np.nan
         every = np.concatenate(gaps)

@@ -1,4 +1,4 @@
-"""The rigid motion that brings one cloud of surface points onto another: ICP, point to plane."""
+"""Alignment of maps: points on surfaces, and the motions that lay them on each other (ICP)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of comparing a map with a later look at the same place."""
+"""Changes from a map to a later look at the same place: what they are, and their file."""
 
 from __future__ import annotations
 

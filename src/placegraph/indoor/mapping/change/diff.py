@@ -1,4 +1,4 @@
-"""Objects of two maps beside each other: points on them, what lies on what, motions between them."""
+"""Differences between two maps of one place: what lies on what, and motions between objects."""
 
 from __future__ import annotations
 
@@ -287,19 +287,13 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
         if around < COVERED or ours[i].built_in:
             unseen.append(ours[i].id)
             continue
-        reason = f"The other map has {around:.0%} of what is around it, and nothing that fits it."
-        changes.append(
-            Change(
-                kind="vanished", id=ours[i].id, name=ours[i].name, label=ours[i].label,
-                box=ours[i].box, confidence=min(around, SUREST), reason=reason,
-            )
-        )  # fmt: skip
-    met = {*kept.values(), *(j for _, j in found)}
-    for j in new:
-        if j not in met:
-            changes.append(
-                _describe_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a)
-            )
+        changes.append(_describe_vanished(ours[i], around))
+    known = {*kept.values(), *(j for _, j in found)}
+    changes += [
+        _describe_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a)
+        for j in new
+        if j not in known
+    ]
     if alignment.doubtful:
         changes = [replace(c, confidence=min(c.confidence, UNSURE)) for c in changes]
     changed_ids = {c.id for c in changes} | set(unseen)
@@ -312,6 +306,14 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
         before=a.source,
         after=b.source,
     )
+
+
+def _describe_vanished(body: MapObject, around: float) -> Change:
+    reason = f"The other map has {around:.0%} of what is around it, and nothing that fits it."
+    return Change(
+        kind="vanished", id=body.id, name=body.name, label=body.label, box=body.box,
+        confidence=min(around, SUREST), reason=reason,
+    )  # fmt: skip
 
 
 def _match_stayed(
@@ -429,14 +431,14 @@ def _describe_moved(ours: MapObject, theirs: MapObject, motion: Motion) -> Chang
 
 def _describe_appeared(b: Scene, theirs: MapObject, around: float, b_from_a: Floats) -> Change:
     sure = min(around, SUREST) if around >= COVERED and not theirs.built_in else UNSURE
-    said = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
+    reason = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
     if around < COVERED:
-        said = "The first map hardly covers the place: it may have been there before."
+        reason = "The first map hardly covers the place: it may have been there before."
     elif theirs.built_in:
-        said = "It is built in: the first map may end there, or cut it otherwise."
+        reason = "It is built in: the first map may end there, or cut it otherwise."
     return Change(
         kind="appeared", label=theirs.label, name=theirs.name, other=theirs.id, box=theirs.box,
-        confidence=sure, piece=cut_piece(b, theirs.row, invert_rigid(b_from_a)), reason=said,
+        confidence=sure, piece=cut_piece(b, theirs.row, invert_rigid(b_from_a)), reason=reason,
     )  # fmt: skip
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -25,7 +26,7 @@ from placegraph.indoor.mapping.change.align import (
     turn_about,
 )
 from placegraph.indoor.mapping.change.change_kernels import BITS, label_connected
-from placegraph.indoor.mapping.change.changes import Change, Piece
+from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
 from placegraph.indoor.mapping.fuse import Fused
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
@@ -34,7 +35,7 @@ _MARGIN = 0.12  # What lies this near to a thing that moved belongs to it [m]
 _SEEN_THROUGH = 0.5
 """A cell that this share of the frames that look at it see through is not there (any more)."""
 _LEAST_TRIANGLES = 12  # of a surface that is one; a box has as many
-_FINE = 0.02  # Voxel of the surface of what appeared [m]
+_VOXEL = 0.02  # Voxel of the surface of what appeared [m]
 _EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
 
 
@@ -167,7 +168,7 @@ def _find_carved(
         if observation.depth is None:
             continue
         rows, columns, depth = observe.project(observation, points)
-        reading = observation.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
+        reading = observation.depth[rows, columns]
         with np.errstate(invalid="ignore"):
             slack = observe.tolerance(reading, unexplained.options) + unexplained.options.voxel
             through += (rows >= 0) & (reading > depth + slack)
@@ -184,10 +185,8 @@ def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
         near = np.flatnonzero(((centres >= low) & (centres <= high)).all(axis=1))
         mask = np.zeros(high - low + 1, np.bool_)
         mask[tuple((grown - low).T)] = True
-        out = np.zeros(len(centres), np.bool_)
-        out[near] = mask[tuple((centres[near] - low).T)]
-        inside = out
-        if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
+        inside = near[mask[tuple((centres[near] - low).T)]]
+        if len(inside) >= _LEAST_TRIANGLES:
             rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
             return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
     points, half = cluster.points, voxel / 4
@@ -199,7 +198,7 @@ def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | No
     from placegraph.indoor.mapping.fuse import fuse
 
     try:
-        return fuse(frames, np.array(poses), voxel=_FINE)
+        return fuse(frames, np.array(poses), voxel=_VOXEL)
     except InputError:
         return None
 
@@ -409,20 +408,15 @@ def _score_starts(
     )
     total = np.zeros(len(starts))
     for t in chosen:
-        observation, left, new = (
-            unexplained.observations[t],
-            unexplained.depths[t],
-            unexplained.new[t],
-        )
-        if observation.depth is None:
-            continue
+        observation, left = unexplained.observations[t], unexplained.depths[t]
+        assert observation.depth is not None  # noqa: S101  of frames without depth none is chosen
         rows, columns, depth = observe.project(observation, points)
-        rows0, columns0 = np.maximum(rows, 0), np.maximum(columns, 0)
-        reading = observation.depth[rows0, columns0]
+        reading = observation.depth[rows, columns]
         slack = observe.tolerance(reading, unexplained.options)
         with np.errstate(invalid="ignore"):
-            is_visible = (rows >= 0) & (depth < left[rows0, columns0] - slack)
-            on = is_visible & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
+            is_visible = (rows >= 0) & (depth < left[rows, columns] - slack)
+            on = is_visible & (np.abs(reading - depth) <= slack)
+            on &= unexplained.new[t][rows, columns]
             behind = is_visible & (reading > depth + slack)
         total += on.sum(axis=1) - _THROUGH * behind.sum(axis=1)
     return total / (len(chosen) * len(offset))
@@ -457,6 +451,14 @@ _SHARED = 0.3  # Two things whose boxes share this much of the smaller stand at 
 _MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than staying does
 
 
+class _Bid(NamedTuple):
+    """Claim of an object to a place."""
+
+    worth: float
+    row: int
+    placement: Placement
+
+
 def find_moved(
     scene: Scene,
     unexplained: observe.Unexplained,
@@ -466,48 +468,63 @@ def find_moved(
 ) -> dict[int, Placement]:
     """Find the placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(unexplained.options.seed)
-    bids: list[tuple[float, int, Placement]] = []
-    every = np.concatenate([np.zeros((0, 3)), *(cluster.points for cluster in clusters)])
+    bids: list[_Bid] = []
     for row in suspects.tolist():
         movable = MovableObject(scene.mesh, row, rng)
         if counts.by_colour[row]:
             found = slide_on_wall(unexplained, movable)
-            tried = [found] if found is not None else []
+            placements = [found] if found is not None else []
         else:
-            stays = score_placement(unexplained, movable, np.eye(4))
-            tried = [
-                placement
-                for cluster in clusters
-                if movable.measure_gap(cluster) < unexplained.options.reach
-                for placement in find_placements(unexplained, movable, cluster.points, every)[:2]
-                if placement.is_good
-                and placement.explained >= unexplained.options.least_pixels / 2
-                and placement.score > _MOVED_GAIN * stays.score
-            ]
-        for placement in tried:
-            shift = float(
-                np.linalg.norm(
-                    transform_points(placement.motion, movable.middle[None])[0] - movable.middle
-                )
-            )
-            turn = np.degrees(np.linalg.norm(vector_from_rotation(placement.motion[:3, :3])))
-            stirred = (
-                shift >= unexplained.options.least_shift or turn >= unexplained.options.least_turn
-            )
-            if stirred and shift <= unexplained.options.reach:
-                bids.append((placement.score * np.exp(-shift / _NEARNESS), row, placement))
+            placements = _find_better_placements(unexplained, movable, clusters)
+        bids += _bid(unexplained.options, movable, placements)
+    return _award(scene, bids)
+
+
+def _find_better_placements(
+    unexplained: observe.Unexplained, movable: MovableObject, clusters: Sequence[Cluster]
+) -> list[Placement]:
+    """Find the good placements of an object that explain the frames better than its staying does."""
+    every = np.concatenate([np.zeros((0, 3)), *(cluster.points for cluster in clusters)])
+    stays = score_placement(unexplained, movable, np.eye(4))
+    return [
+        placement
+        for cluster in clusters
+        if movable.measure_gap(cluster) < unexplained.options.reach
+        for placement in find_placements(unexplained, movable, cluster.points, every)[:2]
+        if placement.is_good
+        and placement.explained >= unexplained.options.least_pixels / 2
+        and placement.score > _MOVED_GAIN * stays.score
+    ]
+
+
+def _bid(
+    options: DiffOptions, movable: MovableObject, placements: Sequence[Placement]
+) -> Iterator[_Bid]:
+    """Bid for the placements to which the object moved, and not too far."""
+    for placement in placements:
+        after = transform_points(placement.motion, movable.middle[None])[0]
+        shift = float(np.linalg.norm(after - movable.middle))
+        turn = np.degrees(np.linalg.norm(vector_from_rotation(placement.motion[:3, :3])))
+        has_moved = shift >= options.least_shift or turn >= options.least_turn
+        if has_moved and shift <= options.reach:
+            yield _Bid(placement.score * np.exp(-shift / _NEARNESS), movable.row, placement)
+
+
+def _award(scene: Scene, bids: Sequence[_Bid]) -> dict[int, Placement]:
+    """Award each place to the object that bids most for it, each object one place."""
     won: dict[int, Placement] = {}
     places: list[tuple[Floats, Floats]] = []
-    for worth, row, placement in sorted(bids, key=lambda bid: -bid[0]):
+    for worth, row, placement in sorted(bids, key=lambda bid: -bid.worth):
         box = measure_box(scene, row, placement.motion)
         if row in won or any(_measure_box_overlap(*box, *other) > _SHARED for other in places):
             continue
         rivals = {
-            other: bid
-            for bid, other, too in reversed(bids)
-            if other != row
-            and too.score > _RIVAL * placement.score
-            and _measure_box_overlap(*box, *measure_box(scene, other, too.motion)) > _SHARED
+            other.row: other.worth
+            for other in reversed(bids)
+            if other.row != row
+            and other.placement.score > _RIVAL * placement.score
+            and _measure_box_overlap(*box, *measure_box(scene, other.row, other.placement.motion))
+            > _SHARED
         }
         share = worth / (worth + sum(rivals.values()))
         names = tuple(scene.graph.ids[other] for other in rivals)
@@ -626,7 +643,7 @@ def _score_slides(
     for t in chosen:
         observation = unexplained.observations[t]
         rows, columns, is_visible = _find_visible(unexplained, observation, face, moves)
-        observed = blur_image(observation.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
+        observed = blur_image(observation.rgb)[rows, columns]
         seen = is_visible.mean(axis=1)
         worth = np.where(seen >= _SEEN * face.front(observation), seen, 0.0)
         total += worth * _correlate(face.colours[None], observed, is_visible)
@@ -646,7 +663,7 @@ def _correlate_background(
             continue
         kept = (observation.front.depth >= unexplained.depths[t] - 1e-3)[..., None]
         left = blur_image(np.where(kept, observation.front.colour, observation.behind.colour))
-        observed = left[np.maximum(rows, 0), np.maximum(columns, 0)]
+        observed = left[rows, columns]
         values.append(float(_correlate(face.colours[None], observed, is_visible)[0]))
         frames += 1
         pixels += len(np.unique(rows[is_visible] * observation.camera.width + columns[is_visible]))
@@ -658,10 +675,11 @@ def _find_visible(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Find the pixel rows and columns (S, P) of a face, and whether a surface is seen there."""
     rows, columns, depth = observe.project(observation, face.points[None] + moves[:, None])
-    at = np.maximum(rows, 0), np.maximum(columns, 0)
-    is_visible = (rows >= 0) & np.isfinite(observation.rgb[*at, 0]) & face.faces(observation)
+    is_visible = (
+        (rows >= 0) & np.isfinite(observation.rgb[rows, columns, 0]) & face.faces(observation)
+    )
     if observation.depth is not None:
-        reading = observation.depth[at]
+        reading = observation.depth[rows, columns]
         with np.errstate(invalid="ignore"):
             is_visible &= np.abs(reading - depth) <= observe.tolerance(reading, unexplained.options)
     return rows, columns, is_visible

@@ -1,4 +1,4 @@
-"""Walls: upright planes that are large and high enough, and no fronts of furniture."""
+"""Cutting by geometry: planes of floor, walls and ceilings, and patches joined into objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Label images vote for faces, and labelled faces become objects."""
+"""Cutting by labels: label images vote for faces, and labelled faces become objects."""
 
 from __future__ import annotations
 
