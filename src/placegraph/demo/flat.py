@@ -118,7 +118,7 @@ def _library(world: Path, out: Path, capture: Capture, say: Callable[[str], None
 
 
 def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
-    """Where the last frame was taken, why, and what became of the refinement."""
+    """Print the pose of the last frame, its evidence, and the result of the refinement."""
     say(f"{estimate.status.name}: {estimate.reason}")
     for mode in estimate.modes[:3]:
         say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
@@ -130,7 +130,7 @@ def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
 def _say_truth(
     estimate: PoseEstimate, truth: NDArray[np.float64], say: Callable[[str], None]
 ) -> None:
-    """How far all frames were off before the refinement and after it; truth: (T, 4, 4)."""
+    """Print the errors of all frames before and after the refinement; truth: (T, 4, 4)."""
     refinement = estimate.refinement
     if refinement is None:
         say(f"  off by {_errors(estimate.trajectory, truth)}")
@@ -141,7 +141,7 @@ def _say_truth(
 
 
 def _errors(poses: NDArray[np.float64], truth: NDArray[np.float64]) -> str:
-    """Median and largest error of poses (T, 4, 4) in words."""
+    """Describe the median and the largest error of poses (T, 4, 4)."""
     way = 100.0 * np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1)
     between = np.swapaxes(poses[:, :3, :3], 1, 2) @ truth[:, :3, :3]
     turn = np.degrees(np.linalg.norm(vector_from_rotation(between), axis=1))
@@ -220,7 +220,7 @@ def furnish(world: Path, flat: Path) -> None:
 
 
 def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:
-    """The scene in the middle of the building that has, or holds, what has a name in a town."""
+    """Return the scene with an anchor in the middle of a building of a town, found by name."""
     from placegraph.world.outlines import find_footprints
 
     outline = find_footprints(town, building)[0]

@@ -68,7 +68,7 @@ def _way(city: CityMap, say: Callable[[str], None]) -> None:
 
 
 def say_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
-    """Every statement, and what spoke for or against it."""
+    """Print every statement with the objects that support or contradict it."""
     for e in estimate.evidence:
         things = ", ".join(o.name or o.label for o in e.objects)
         say(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")

@@ -28,7 +28,7 @@ MOST = 12
 
 
 def html(thing: object) -> str:
-    """A map or an estimate as HTML that needs nothing else."""
+    """Return a map or an estimate as self-contained HTML."""
     if isinstance(thing, Estimate):
         return _estimate(thing)
     if isinstance(thing, City):
@@ -54,7 +54,7 @@ def _estimate(estimate: Estimate[Any]) -> str:
 
 
 def _modes(modes: Sequence[Any]) -> str:
-    """Numbers and names of modes, which differ by what was asked; matrices are left out."""
+    """Return a table of the modes' numbers and names, without matrices."""
     plain = [mode.to_dict() for mode in modes[:MOST]]
     keys = [k for k, v in plain[0].items() if isinstance(v, str | float | int)] if plain else []
     return _table(keys, [[mode.get(k, "") for k in keys] for mode in plain], len(modes))
@@ -66,7 +66,7 @@ def _evidence(estimate: Estimate[Any]) -> str:
 
 
 def _picture(draw: Callable[[Path], object]) -> str:
-    """What is drawn into a file, as an image that carries its own bytes."""
+    """Return an image element with the bytes of a picture that `draw` writes to a file."""
     with TemporaryDirectory() as folder:
         draw(Path(folder) / "drawn.png")
         with Image.open(Path(folder) / "drawn.png") as drawn:
@@ -78,7 +78,7 @@ def _picture(draw: Callable[[Path], object]) -> str:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]], count: int) -> str:
-    """Rows as a table, with a line on how many there are beyond them; nothing where there is none."""
+    """Return rows as a table, with the number of further rows; empty without rows."""
     lines = ["".join(f"<td>{escape(_text(cell))}</td>" for cell in row) for row in rows]
     if not lines:
         return ""

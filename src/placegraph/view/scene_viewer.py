@@ -103,7 +103,7 @@ class SceneView:
         self._update()
 
     def described(self, row: int) -> str:
-        """What is known of an object, as Markdown."""
+        """Describe an object in Markdown."""
         graph = self.scene.graph
         lines = [f"**{_plain(self.titles[row])}**", "", f"- label: {_plain(graph.labels[row])}"]
         lines.append(f"- id: {_plain(graph.ids[row])}")
@@ -148,7 +148,7 @@ class SceneView:
         self.pick(row)
 
     def _labels(self, roles: list[str]) -> dict[int, viser.LabelHandle]:
-        """Names above things; of floors, walls and ceilings there are none."""
+        """Add names above objects, except floors, walls and ceilings."""
         graph = self.scene.graph
         tops = graph.positions.copy()
         if graph.extents is not None:
@@ -166,7 +166,7 @@ class SceneView:
         }
 
     def _relations(self) -> dict[str, viser.LineSegmentsHandle]:
-        """Lines between related objects, hidden at first, by kind."""
+        """Add lines between related objects, by kind, hidden at first."""
         graph = self.scene.graph
         kinds = np.array(graph.relations, np.str_)
         ends = np.stack([graph.positions[graph.sources], graph.positions[graph.targets]], axis=1)
@@ -182,7 +182,7 @@ class SceneView:
         }
 
     def _box(self, row: int) -> NDArray[np.float32]:
-        """(12, 2, 3) edges of an object's box [m]."""
+        """Return the edges (12, 2, 3) of an object's box [m]."""
         graph = self.scene.graph
         extent = np.zeros(3) if graph.extents is None else graph.extents[row]
         corners = graph.positions[row] + (_CORNERS - 0.5) * extent
@@ -215,7 +215,7 @@ class SceneView:
                 _follow(box, [handle])
 
     def _kinds(self) -> None:
-        """A box for each label, which shows or hides all such objects."""
+        """Add a checkbox for each label, which shows or hides its objects."""
         gui, labels = self.server.gui, self.scene.graph.labels
         with gui.add_folder("Labels", expand_by_default=False):
             for label, count in sorted(Counter(labels).items()):
@@ -246,7 +246,7 @@ class SceneView:
             (self.show if self.visible.value else self.hide)([self.picked])
 
     def _update(self) -> None:
-        """Bring what is seen to what is wanted."""
+        """Show and hide objects according to the controls."""
         for row, handle in enumerate(self.objects):
             if handle.visible != self.shown[row]:
                 handle.visible = self.shown[row]
@@ -257,7 +257,7 @@ class SceneView:
 
 
 def _titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> list[str]:
-    """What each object is called in lists: its name, with its id where others share it."""
+    """Return the title of each object: its name, with its id where others share it."""
     said = [name or label for name, label in zip(names, labels, strict=True)]
     counts = Counter(said)
     return [
@@ -267,7 +267,7 @@ def _titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> 
 
 
 def _glb(surfaces: list[Surface], made: list[Material]) -> bytes:
-    """An object alone, with its own materials, in the map's axes."""
+    """Return the .glb of a single object, in the map's axes."""
     used = sorted({surface.material for surface in surfaces})
     place = {row: i for i, row in enumerate(used)}
     own = [replace(surface, material=place[surface.material]) for surface in surfaces]
@@ -285,7 +285,7 @@ def _follow(box: viser.GuiCheckboxHandle, handles: list[viser.LineSegmentsHandle
 
 
 def _plain(text: str) -> str:
-    """Text that Markdown shows as it is."""
+    """Escape a text for Markdown."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|" else c for c in text)
 
 
@@ -313,7 +313,7 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """Address to open in a browser."""
         host = self.server.get_host()
         shown = socket.gethostname() if host in {"0.0.0.0", "::"} else host  # noqa: S104
         return f"http://{shown}:{self.server.get_port()}"
@@ -430,7 +430,7 @@ class RunView:
             self._draw(poses[rows], colours)
 
     def play(self) -> None:
-        """Go through all steps, once; a second call while it goes does nothing."""
+        """Play all steps once; a second call meanwhile does nothing."""
         if not self._playing.acquire(blocking=False):
             return
         try:
@@ -472,7 +472,7 @@ class RunView:
         )
 
     def _modes(self) -> list[viser.CameraFrustumHandle]:
-        """A camera for each likely mode."""
+        """Add a camera for each likely mode."""
         handles = []
         for k, mode in enumerate(self.run.modes):
             if k and mode.probability < LEAST:

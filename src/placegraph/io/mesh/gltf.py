@@ -87,7 +87,7 @@ def _parse_json(path: Path, data: bytes) -> Json:
 
 
 def _split_chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
-    """JSON and binary chunk of a .glb file; raises `InputError` where it is none."""
+    """Return the JSON and the binary chunk of a .glb file; `InputError` where it is none."""
     if not len(data):
         raise InputError(f"{path} is empty; export it again.")
     if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
@@ -596,7 +596,7 @@ class _ModelReader:
 
 
 def _id_of(extras: Json) -> str:
-    """`extras.id` as text; empty where there is none."""
+    """Return `extras.id` as text; empty where there is none."""
     value = extras.get("id")
     if isinstance(value, float) and value.is_integer():
         value = int(value)

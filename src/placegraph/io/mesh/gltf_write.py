@@ -74,7 +74,7 @@ def encode_glb(
     generator: str = GENERATOR,
     turned: bool = True,
 ) -> bytes:
-    """Bytes of a .glb file; the same parts give the same bytes.
+    """Return the bytes of a .glb file; equal parts give equal bytes.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ class _Document:
         }  # fmt: skip
 
     def put(self, table: str, entry: dict[str, Any]) -> int:
-        """Append an entry to a table and return its row."""
+        """Add an entry to a table and return its row."""
         self.tables[table].append(entry)
         return len(self.tables[table]) - 1
 
     def view(self, data: bytes, **entry: int) -> int:
-        """Append bytes, aligned to 4, and return the row of their view."""
+        """Add bytes, aligned to 4, and return the row of their view."""
         self.data += bytes(-len(self.data) % 4)
         start = len(self.data)
         self.data += data
@@ -133,7 +133,7 @@ class _Document:
         )
 
     def accessor(self, values: NDArray[Any], kind: str, **entry: Any) -> int:  # noqa: ANN401  # JSON
-        """Append an array (n,) or (n, k) of float32, uint16 or uint32."""
+        """Add an array (n,) or (n, k) of float32, uint16 or uint32."""
         component = {"f": _FLOAT, "u": _UINT32 if values.itemsize == 4 else _UINT16}
         target = _INDICES if kind == "SCALAR" else _VERTICES
         return self.put(
@@ -148,13 +148,13 @@ class _Document:
         )
 
     def positions(self, points: NDArray[Any]) -> int:
-        """Append positions (n, 3) with their bounds, which the standard demands."""
+        """Add positions (n, 3) with their bounds, which the standard demands."""
         turned = (points @ self.gltf_from_map.T).astype("<f4")
         ends = {"min": turned.min(axis=0).tolist(), "max": turned.max(axis=0).tolist()}
         return self.accessor(turned, "VEC3", **ends)
 
     def material(self, material: Material) -> None:
-        """Append a material, and its image where it is new."""
+        """Add a material, and its image where it is new."""
         shading: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
         if material.factor != (1.0, 1.0, 1.0):
             shading["baseColorFactor"] = [*material.factor, 1.0]
@@ -174,7 +174,7 @@ class _Document:
         return self.put("textures", {"sampler": 0, "extensions": held})
 
     def part(self, part: Part) -> None:
-        """Append a node and its mesh."""
+        """Add a node and its mesh."""
         primitives = [self._surface(s) for s in part.surfaces if len(s.triangles)]
         if part.lines is not None and len(part.lines):
             ends = np.asarray(part.lines, np.float64).reshape(-1, 3)
@@ -202,7 +202,7 @@ class _Document:
         }
 
     def encoded(self, extras: Mapping[str, Any], generator: str) -> bytes:
-        """Header, JSON chunk and binary chunk."""
+        """Return header, JSON chunk and binary chunk."""
         repeat, linear, mipmaps = 10497, 9729, 9987
         scene = {"nodes": list(range(len(self.tables["nodes"])))}
         sampler = {"magFilter": linear, "minFilter": mipmaps, "wrapS": repeat, "wrapT": repeat}
@@ -228,7 +228,7 @@ class _Document:
 
 
 def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """(V, 4) uint16 linear intensities and opacity, as COLOR_0 wants them, of sRGB (V, 3)."""
+    """Convert sRGB (V, 3) to COLOR_0: (V, 4) uint16 linear intensities and opacity."""
     steps = np.arange(256) / 255.0
     linear = np.where(steps <= 0.04045, steps / 12.92, ((steps + 0.055) / 1.055) ** 2.4)
     table = np.rint(65535.0 * linear).astype("<u2")

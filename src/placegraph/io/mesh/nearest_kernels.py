@@ -11,7 +11,7 @@ from placegraph.core.jit import kernel
 
 @kernel
 def _key(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of a cell; cells that share it cost time, not truth."""
+    """Hash a cell; collisions only cost time."""
     return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
 
 

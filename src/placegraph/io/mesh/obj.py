@@ -136,7 +136,7 @@ class _Text:
 
 
 def _index_vertices(text: _Text, corner: Rows) -> tuple[Rows, Floats, Rows]:
-    """Vertex of each of the model's vertices, its texture coordinates (v down), and triangles.
+    """Return the source vertex of each model vertex, texture coordinates (v down), and triangles.
 
     A vertex that faces give several texture coordinates is there as often.
     """
@@ -181,7 +181,7 @@ class _Lines(NamedTuple):
 
 
 def _read_blocks(path: Path) -> Iterator[bytes]:
-    """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
+    """Yield complete lines, some megabytes at a time; a final backslash continues a line."""
     try:
         with check_regular(path).open("rb") as file:
             rest = file.read(3).removeprefix(b"\xef\xbb\xbf")
@@ -245,7 +245,7 @@ class _Parser:
         is_face = (a == ord("f")) & (b == _SPACE)
 
         def select(wanted: NDArray[np.bool_], keyword: int) -> _Lines:
-            """Lines of one kind, whose keywords have so many letters."""
+            """Parse lines of one kind, whose keywords have so many letters."""
             lengths = ends - starts + 1
             text = data[: ends[-1] + 1 if len(ends) else 0][np.repeat(wanted, lengths)].copy()
             rows = np.flatnonzero(wanted)
@@ -387,18 +387,18 @@ class _Parser:
 
 
 def _following(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
-    """Numbers after these places, or any where there is none."""
+    """Return the numbers after these positions."""
     after: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
     return after
 
 
 def _resolve(numbers: Rows, count: Rows) -> Rows:
-    """Rows from 0 of numbers from 1, or of negative ones from the last; negative: none."""
+    """Convert numbers from 1, or negative ones from the last, to rows from 0; negative: none."""
     return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
 
 
 def _read_pictures(text: _Text, face: Rows) -> tuple[tuple[Picture, ...], Rows]:
-    """Pictures of the materials that are used, and the picture of each triangle.
+    """Return the textures of the used materials, and the texture of each triangle.
 
     A texture that is missing leaves the material its `Kd`; a material that is missing is white.
     """
@@ -433,7 +433,7 @@ class _Material:
 
 
 def _read_materials(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
-    """Materials of an .mtl file: `Kd` and `map_Kd`; raises `InputError` for senseless colours."""
+    """Read materials of an .mtl file: `Kd` and `map_Kd`; `InputError` for invalid colours."""
     lines = read_bytes(path).decode("utf-8-sig", "replace").splitlines()
     materials: dict[str, _Material] = {}
     current = _Material()
@@ -472,7 +472,7 @@ def _parse_colour(path: Path, number: int, rest: str) -> tuple[float, float, flo
 
 
 def _skip_options(rest: str) -> str:
-    """Remainder of `map_Kd` without its options; a file's name may hold blanks."""
+    """Return `map_Kd` without its options; file names may hold blanks."""
     while rest:
         word, _, after = rest.partition(" ")
         if word not in _OPTION_VALUES:

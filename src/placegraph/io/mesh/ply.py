@@ -123,7 +123,7 @@ def read_ply(
 
 
 def _read_triangles(path: Path, face: Columns, count: int) -> tuple[Ints, Ints]:
-    """Triangles (T, 3) of the faces, polygons as fans, and the face of each."""
+    """Return triangles (T, 3) of the faces, polygons as fans, and the face of each."""
     names = ("vertex_indices", "vertex_index")
     found = next((face.lists[name] for name in names if name in face.lists), None)
     if found is None:
@@ -145,7 +145,7 @@ def _read_object_ids(
     face_of: Ints,
     wanted: str | None,
 ) -> Ints | None:
-    """Object id of each triangle, -1 where it has none; None where the file has no ids."""
+    """Return the object id of each triangle, -1 without one; None where the file has no ids."""
     names = OBJECT_PROPERTIES if wanted is None else (wanted.lower(),)
     for columns, by_face in ((face.single, True), (vertex.single, False)):
         known = {name.lower(): column for name, column in columns.items()}
@@ -179,7 +179,7 @@ def majority(ids: Ints) -> Ints:
 
 
 def _read_colours(path: Path, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
-    """(N, 3) uint8 of red, green, blue: integers as they are, fractions times 255."""
+    """Convert red, green, blue to (N, 3) uint8: integers unchanged, fractions times 255."""
     for prefix in ("", "diffuse_"):
         names = [f"{prefix}{c}" for c in ("red", "green", "blue")]
         if set(names) <= columns.keys():
@@ -261,7 +261,7 @@ def read_columns(path: Path) -> dict[str, Columns]:
 
 
 def _parse_header(lines: list[str]) -> tuple[str, list[_Element]]:
-    """Byte order ("": text) and elements; KeyError, ValueError or IndexError of senseless lines."""
+    """Return byte order ("": text) and elements; KeyError, ValueError or IndexError for invalid lines."""
     order: list[str] = []
     elements: list[_Element] = []
     for line in lines:
@@ -282,7 +282,7 @@ def _parse_header(lines: list[str]) -> tuple[str, list[_Element]]:
 
 
 def _parse_numbers(path: Path, body: bytes) -> NDArray[np.float64]:
-    """Numbers of the text after the header; raises `InputError` where a word is none."""
+    """Parse the numbers after the header; `InputError` for other words."""
     text = np.frombuffer(body.translate(_BLANKS), np.uint8)
     blank = text == ord(" ")
     words = int((blank[:-1] & ~blank[1:]).sum()) + int(bool(text.size and not blank[0]))
@@ -304,7 +304,7 @@ def _parse_numbers(path: Path, body: bytes) -> NDArray[np.float64]:
 
 
 def _read_element(element: _Element, data: bytes, at: int, order: str) -> tuple[Columns, int]:
-    """Columns of an element from byte `at` on, and where it ends; numbers of a text are float64.
+    """Return the columns of an element from byte `at` on, and its end; numbers of a text are float64.
 
     Rows as long as the first are read in one go, others one by one.
     """
@@ -370,7 +370,7 @@ def _read_one_by_one(
 
 
 def _read_length(data: bytes, at: int, dtype: str) -> int:
-    """Length of a list; raises IndexError where it is negative or lies beyond the file."""
+    """Check the length of a list; IndexError where it is negative or beyond the file."""
     kind = np.dtype(dtype)
     if at + kind.itemsize > len(data):
         raise IndexError(at)
@@ -381,7 +381,7 @@ def _read_length(data: bytes, at: int, dtype: str) -> int:
 
 
 def _cast(column: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Numbers in the type the header says; raises ValueError where they do not fit."""
+    """Cast numbers to the header's type; ValueError where they do not fit."""
     kind = np.dtype(dtype)
     if kind.kind != "f" and column.size and column.dtype.kind == "f":
         limits = np.iinfo(kind)

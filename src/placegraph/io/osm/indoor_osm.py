@@ -84,7 +84,7 @@ class IndoorShape(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class IndoorOsm:
-    """What a file says of rooms."""
+    """Ways, relations and nodes of an indoor file."""
 
     path: Path
     shapes: list[IndoorShape]
@@ -343,7 +343,7 @@ class _File:
 
 
 def _write(file: _File, room: IndoorShape, tags: dict[str, str]) -> None:
-    """A room: one way, or a multipolygon where it has holes."""
+    """Return the element of a room: a way, or a multipolygon if it has holes."""
     refs = [[file.node(at) for at in part[:-1]] for part in room.parts]
     closed = [[*ring, ring[0]] for ring in refs]
     if len(closed) == 1:
@@ -369,7 +369,7 @@ def _tags(tags: Mapping[str, str]) -> str:
 
 
 def _walls_at(door: IndoorShape, rooms: Sequence[IndoorShape]) -> tuple[list[int], Floats]:
-    """Rows of the rooms whose outlines a door is on, the nearest first, and its ends (2, 2) on it."""
+    """Return rows of the rooms whose outlines a door is on, the nearest first, and its ends (2, 2)."""
     line = door.parts[0][[0, -1]]
     middle = line.mean(axis=0)
     reach = 1.1 * BESIDE / _METRES / np.array([max(0.01, np.cos(np.radians(middle[1]))), 1.0])

@@ -75,7 +75,7 @@ class OsmColumns(NamedTuple):
 
 @dataclass
 class LeftOut:
-    """What of a file could not be used, by reason; filled while reading."""
+    """Numbers of unusable elements by reason, filled while reading."""
 
     counts: Counter[str] = field(default_factory=Counter)
     read: int = 0
@@ -146,7 +146,7 @@ def read_columns(
 
 @contextmanager
 def _as_pbf(path: Path) -> Iterator[Path]:
-    """A file as PBF: itself, or what osmium makes of it."""
+    """Yield a file as PBF, converted by osmium if necessary."""
     ending = _ending(path)
     if ending.endswith("pbf"):
         yield path

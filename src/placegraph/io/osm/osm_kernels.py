@@ -15,7 +15,7 @@ VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
 
 @kernel(inline="always")
 def varint(data, at, end):
-    """A whole number of up to 64 bits, and where the next byte is; -1 where it is cut off or longer."""
+    """Return an integer of up to 64 bits and the next position; -1 where it is cut off or longer."""
     value, shift = np.int64(0), np.int64(0)
     while at < end and shift < 70:
         byte = np.int64(data[at])
@@ -30,13 +30,13 @@ def varint(data, at, end):
 
 @kernel(inline="always")
 def signed(value):
-    """A number whose sign is its lowest bit (zigzag)."""
+    """Decode a zigzag number, whose sign is its lowest bit."""
     return ((value >> 1) & 0x7FFFFFFFFFFFFFFF) ^ -(value & 1)
 
 
 @kernel
 def field(data, at, end):
-    """Next field of a message: its number, its value or the length of its bytes, where it and the next begin.
+    """Return the next field: number, value or length in bytes, its position and the next one.
 
     The last is -1 where it reaches beyond the end; numbers of plain values are negative.
     """
@@ -60,7 +60,7 @@ def field(data, at, end):
 
 @kernel
 def fields(data, at, end):
-    """All fields of a message (F, 3): number (negative: a value), value or length, and where it begins.
+    """Return all fields of a message (F, 3): number (negative: a value), value or length, position.
 
     And whether the message is sound.
     """
@@ -78,7 +78,7 @@ def fields(data, at, end):
 
 @kernel(inline="always")
 def numbers(data, number, value, at, out, used):
-    """A field's numbers, packed or one alone, put behind the `used` ones; how many there are then, or -1."""
+    """Append a field's numbers, packed or single, to the `used` ones; return the new count, or -1."""
     if number < 0:
         out[used] = value
         return used + 1
@@ -93,7 +93,7 @@ def numbers(data, number, value, at, out, used):
 
 @kernel(inline="always")
 def version(data, at, end):
-    """Version in an element's `Info`; -1 where that is damaged."""
+    """Return the version in an element's `Info`; -1 where it is damaged."""
     found = np.int64(0)
     while at < end:
         number, value, _, at = field(data, at, end)
@@ -106,7 +106,7 @@ def version(data, at, end):
 
 @kernel
 def dense(data, at, end):
-    """Dense nodes: ids, versions, latitudes, longitudes, their tags as they follow, and if all is sound.
+    """Read dense nodes: ids, versions, latitudes, longitudes, raw tags, and whether all is valid.
 
     Ids and positions are differences no more.
     """
@@ -150,7 +150,7 @@ def dense(data, at, end):
 
 @kernel
 def tags_of(tags, nodes, n_strings):
-    """Tags of dense nodes as CSR: starts, and keys and values by turns; and whether they are sound."""
+    """Return tags of dense nodes as CSR: offsets, alternating keys and values, and whether they are valid."""
     starts, pairs, used, row = np.zeros(nodes + 1, np.int64), np.empty(len(tags), np.int64), 0, 0
     at = 0
     while at < len(tags):
@@ -174,7 +174,7 @@ def tags_of(tags, nodes, n_strings):
 
 @kernel
 def elements(data, groups, wanted, n_strings):
-    """Nodes, ways or relations of one kind, each a message of its own, of groups (G, 2) from where to where.
+    """Read nodes, ways or relations, one message each, from groups (G, 2) of byte ranges.
 
     `wanted` is the field of a group that holds them. Returns, a row each: id as it is written, version,
     where its message begins and how long it is; then starts and entries of its tags (keys and values by
@@ -234,7 +234,7 @@ def elements(data, groups, wanted, n_strings):
 
 @kernel
 def signed_of(values):
-    """Numbers whose signs are their lowest bits."""
+    """Decode zigzag numbers, whose signs are their lowest bits."""
     out = np.empty(len(values), np.int64)
     for i in range(len(values)):
         out[i] = signed(values[i])
@@ -243,7 +243,7 @@ def signed_of(values):
 
 @kernel
 def summed(starts, values):
-    """Values of each row of a CSR that were written as differences (zigzag), made whole."""
+    """Decode zigzag differences within each row of a CSR."""
     out = np.empty(len(values), np.int64)
     for row in range(len(starts) - 1):
         total = np.int64(0)
@@ -255,7 +255,7 @@ def summed(starts, values):
 
 @kernel
 def varints(values):
-    """Bytes of whole numbers, one after the other."""
+    """Encode integers as varints, one after the other."""
     out, at = np.empty(10 * len(values), np.uint8), 0
     for i in range(len(values)):
         value = values[i]
@@ -273,7 +273,7 @@ def varints(values):
 
 @kernel
 def placed(first, bounds, words, ids):
-    """Positions (K, 2) of nodes by id, and which are known; see `Nodes` for how `words` hold them.
+    """Look up positions (K, 2) of nodes by id, and which are known; `Nodes` explains `words`.
 
     What is looked for often stands behind what was found last.
     """
@@ -309,7 +309,7 @@ def placed(first, bounds, words, ids):
 
 @kernel
 def sampled(first, bounds, words, every):
-    """The first id of each chunk, and of `every` so many of its others one."""
+    """Return the first id of each chunk, and one of every `every` others."""
     found, n = np.empty(len(first) + bounds[-1] // every, np.int64), 0
     for chunk in range(len(first)):
         for at in range(0, bounds[chunk + 1] - bounds[chunk], every):
@@ -320,7 +320,7 @@ def sampled(first, bounds, words, every):
 
 @kernel
 def between(first, bounds, words, low, high):
-    """Ids and positions of all nodes from id `low` to before `high`, chunk after chunk."""
+    """Return ids and positions of all nodes with ids from `low` to below `high`."""
     ends, n = np.zeros((len(first), 2), np.int64), 0
     for chunk in range(len(first)):
         for side in range(2):
@@ -346,7 +346,7 @@ def between(first, bounds, words, low, high):
 
 @kernel
 def lines(starts, steps, known):
-    """Points of ways of what is known of the positions of their nodes, as `read_osm` has them.
+    """Return the points of ways whose nodes have known positions.
 
     Returns starts and points, and which ways lack some. What is whole has no point twice in a row; where
     one is missing, or all are one, all that are known stand.

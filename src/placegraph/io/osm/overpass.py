@@ -214,7 +214,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
 
 @contextmanager
 def _settings(ox: Any, **changes: object) -> Iterator[None]:  # noqa: ANN401 - the module osmnx
-    """Change settings of OSMnx for a while: they are global, and the user's."""
+    """Change global settings of OSMnx and restore them afterwards."""
     before = {name: getattr(ox.settings, name) for name in changes}
     try:
         vars(ox.settings).update(changes)
@@ -259,7 +259,7 @@ def query_of(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401
 
 
 def download(ox: Any, url: str, query: str, target: Path, report: Progress) -> None:  # noqa: ANN401
-    """Post the query and write the answer to a file as it comes; wait where the server is busy."""
+    """Post the query and stream the answer to a file; wait while the server is busy."""
     import requests
 
     settings = ox.settings

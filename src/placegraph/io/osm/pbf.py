@@ -45,7 +45,7 @@ class DamagedError(ValueError):
 
 
 class Blob(NamedTuple):
-    """Where a blob lies in its file."""
+    """Position of a blob in its file."""
 
     kind: bytes
     begins: int
@@ -141,13 +141,13 @@ def _fields(data: NDArray[np.uint8], at: int = 0, end: int | None = None) -> lis
 
 
 class Block:
-    """What a blob of a file holds."""
+    """Content of a blob of a file."""
 
     def __init__(self, data: NDArray[np.uint8]) -> None:
         self.data = data
         self.granularity, self.south, self.west = 100, 0, 0
         self.table = (0, 0)
-        """Where the table of strings begins, and ends."""
+        """First and last position of the table of strings."""
         self.groups: list[tuple[int, int]] = []
         for number, value, at in _fields(data):
             if number == 1:
@@ -204,7 +204,7 @@ class Block:
         return rows._replace(lists=((starts, kernels.summed(starts, refs)),))
 
     def relations(self) -> Rows:
-        """Its relations, with roles, ids and kinds (as `NODE`, `WAY` and `RELATION`) of their members."""
+        """Return relations, with roles, ids and kinds (`NODE`, `WAY`, `RELATION`) of their members."""
         rows, (roles, ids, kinds) = self._elements(RELATIONS)
         if not (np.array_equal(roles[0], ids[0]) and np.array_equal(ids[0], kinds[0])):
             raise DamagedError("members of a relation lack something")
@@ -249,7 +249,7 @@ def written(
     ids: Numbers, starts: Numbers, steps: NDArray[np.int32], known: NDArray[np.bool_],
     block: Block, messages: Numbers,
 ) -> bytes:  # fmt: skip
-    """A file of ways, the known ones of their points as nodes of their own, and relations of a block."""
+    """Write a file of ways, their known points as nodes of their own, and relations of a block."""
     blobs, numbers = [], 1 + np.arange(len(steps))
     for at in range(0, len(steps), NODES_A_BLOCK):
         rows = at + np.flatnonzero(known[at : at + NODES_A_BLOCK])
@@ -375,7 +375,7 @@ class NodeIndex:
         return found
 
     def close(self) -> None:
-        """Remove the file."""
+        """Delete the file."""
         self._ready = self._map = None
         with suppress(OSError):  # what was not written yet
             if self.file is not None:

@@ -61,7 +61,7 @@ class Reader:
         self.late = False  # whether there is a node behind a way
 
     def columns(self, index: Path | None) -> Iterator[OsmColumns]:
-        """Elements, block after block, relations last; those of blocks that were read before are not told."""
+        """Yield elements block by block, relations last; blocks that were read before are skipped."""
         head, *blobs = list(pbf.blobs(self.file)) or [pbf.Blob(b"", 0, 0)]
         needs, says = pbf.features(self.file, head)
         if b"HistoricalInformation" in needs:
@@ -85,7 +85,7 @@ class Reader:
             raise self._unordered("lists nodes behind the ways that need them")
 
     def _plan(self, blobs: list[pbf.Blob], *, ordered: bool) -> dict[pbf.Blob, None]:
-        """Blobs that hold relations, which are the last of a file in order; notes the ways they need."""
+        """Find the blobs of relations, the last ones of a sorted file, and note the ways they need."""
         found, members = [], [self.members]
         for blob in reversed(blobs):
             block = Block(pbf.inflated(self.file, blob))

@@ -167,7 +167,7 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
 def all_on_disk(
     extracts: Sequence[str | PathLike[str]], folder: Path, progress: Progress | None = None
 ) -> list[Path]:
-    """Paths of extracts, once those at URLs are fetched into a folder; all are looked for before that.
+    """Fetch extracts at URLs into a folder, after checking that all exist, and return all paths.
 
     Raises as `fetch_file`, and `InputError` where a file is missing.
     """
@@ -180,7 +180,7 @@ def all_on_disk(
 
 @contextmanager
 def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[Any]:  # noqa: ANN401
-    """An extract on this machine: of one at a URL a copy beside `out`, until it was read.
+    """Yield an extract on this machine; one at a URL is fetched to a temporary copy beside `out`.
 
     Raises as `fetch_file`; what is cut off stays for the same call. `MapLockedError` where another is at it.
     """
@@ -224,7 +224,7 @@ def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  
 def _read(
     url: str, system: Any, root: str, begun: int, anew: Callable[[], object]  # noqa: ANN401
 ) -> Iterator[bytes]:  # fmt: skip
-    """Chunks of a file from a byte on; of one that is only read whole, after `anew`, from its first."""
+    """Yield chunks of a file from a byte on; without ranges, after `anew`, from the first."""
     for first, how in ((begun, {}), (0, {"block_size": 0})):
         try:
             with system.open(root, "rb", **how) as file:

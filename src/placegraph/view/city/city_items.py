@@ -34,7 +34,7 @@ COASTLINE = "natural=coastline"
 
 
 def sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
-    """Rings whose even-odd inside is the sea in a rectangle.
+    """Return rings whose even-odd inside is the sea in a rectangle.
 
     Empty where there is no sea, or where the coast is too fragmentary to tell.
     """
@@ -69,7 +69,7 @@ def _sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
 
 
 def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
-    """Whether the rings hold the right hand of the coast in a rectangle, and not the left."""
+    """Return whether rings contain the right-hand side of the coast in a rectangle, not the left."""
     start = np.concatenate([chain[:-1] for chain in chains])
     delta = np.concatenate([np.diff(chain, axis=0) for chain in chains])
     length = np.hypot(*delta.T)
@@ -85,7 +85,7 @@ def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
 
 
 def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
-    """Whether points (N, 2) lie within rings, by the even-odd rule."""
+    """Return whether points (N, 2) lie within rings, by the even-odd rule."""
     odd = np.zeros(len(points), np.bool_)
     for ring in rings:
         (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
@@ -97,7 +97,7 @@ def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
 
 
 def _chains(objects: CityObjects) -> list[Floats]:
-    """Coastlines (n, 2) joined where one ends and the next begins."""
+    """Join coastlines (n, 2) where one ends and the next begins."""
     if COASTLINE not in objects.labels:
         return []
     label = objects.labels.index(COASTLINE)
@@ -139,7 +139,7 @@ def _prolonged(chain: Floats, bounds: Bounds) -> Floats:
 
 
 def _corners(bounds: Bounds) -> Floats:
-    """Corners (5, 2) of a rectangle, clockwise from its south-west."""
+    """Return the corners (5, 2) of a rectangle, clockwise from its south-west."""
     west, south, east, north = bounds
     return np.array(
         [(west, south), (west, north), (east, north), (east, south), (west, south)], np.float64
@@ -152,7 +152,7 @@ def _closed(pieces: list[Floats], bounds: Bounds) -> list[Floats]:
     side = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
 
     def along(point: Floats) -> float:
-        """Way from the south-west corner, clockwise along the border [m]."""
+        """Return the distance from the south-west corner, clockwise along the border [m]."""
         gaps = [abs(point[k % 2] - corners[k][k % 2]) for k in range(4)]
         k = int(np.argmin(gaps))
         return float(side[k] + np.hypot(*(point - corners[k])))
@@ -182,7 +182,7 @@ def _closed(pieces: list[Floats], bounds: Bounds) -> list[Floats]:
 
 
 def _is_seaward(chains: list[Floats], point: tuple[float, float]) -> bool:
-    """Whether a point lies on the right hand of the coast nearest to it."""
+    """Return whether a point lies on the right-hand side of the nearest coast."""
     nearest, seaward = np.inf, False
     for chain in chains:
         start, delta = chain[:-1], np.diff(chain, axis=0)
@@ -197,19 +197,19 @@ def _is_seaward(chains: list[Floats], point: tuple[float, float]) -> bool:
 
 
 def labels_of(objects: CityObjects, row: int) -> list[str]:
-    """Labels of an object, most specific first."""
+    """Return the labels of an object, most specific first."""
     start, end = objects.label_starts[row : row + 2]
     return [objects.labels[k] for k in objects.label_values[start:end]]
 
 
 def common_name(label: str) -> str:
-    """Words for a label: ``amenity=post_box`` is a post box, ``building=yes`` a building."""
+    """Return the words of a label: ``amenity=post_box`` is a post box, ``building=yes`` a building."""
     key, _, value = label.partition("=")
     return (key if value in ("yes", "*", "") else value).replace("_", " ")
 
 
 def extents(objects: CityObjects) -> Floats:
-    """Bounding boxes (N, 4) of the objects: west, south, east, north [m]."""
+    """Return the bounding boxes (N, 4) of the objects: west, south, east, north [m]."""
     starts = objects.point_starts[objects.part_starts[:-1]]
     if not len(starts):
         return np.zeros((0, 4))
@@ -219,7 +219,7 @@ def extents(objects: CityObjects) -> Floats:
 
 
 def city_bounds(objects: CityObjects) -> Bounds:
-    """Rectangle that holds all but the outermost hundredth of a city: west, south, east, north."""
+    """Return the rectangle around all but the outermost hundredth of a city: west, south, east, north."""
     west, south = np.percentile(objects.center, 0.5, axis=0).tolist()
     east, north = np.percentile(objects.center, 99.5, axis=0).tolist()
     margin = 30.0 + 0.02 * max(east - west, north - south)
@@ -227,7 +227,7 @@ def city_bounds(objects: CityObjects) -> Bounds:
 
 
 def rows_within(objects: CityObjects, bounds: Bounds) -> list[int]:
-    """Rows of the objects whose bounding boxes touch a rectangle, large ones first."""
+    """Return rows of the objects whose bounding boxes touch a rectangle, large ones first."""
     boxes = extents(objects)
     west, south, east, north = bounds
     hit = (
@@ -242,7 +242,7 @@ def rows_within(objects: CityObjects, bounds: Bounds) -> list[int]:
 
 
 def map_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
-    """Objects in a rectangle, cut to it, for a map drawn at `scale` [px/m]; large ones first."""
+    """Return objects cut to a rectangle, for a map drawn at `scale` [px/m], large ones first."""
     objects = city.objects
     found = (item_of(objects, row, bounds) for row in rows_within(objects, bounds))
     items = [item for item in found if item and PAINTS[item.paint].since <= scale]
@@ -253,7 +253,7 @@ def map_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
 def item_of(
     objects: CityObjects, row: int, bounds: Bounds, paint: str | None = None
 ) -> MapItem | None:
-    """One object, cut to a rectangle; None where nothing of it is to be drawn there."""
+    """Return one object cut to a rectangle; None where nothing of it is drawn there."""
     kind = int(objects.kind[row])
     paint = paint_of(labels_of(objects, row), kind) if paint is None else paint
     if not paint:
@@ -304,12 +304,12 @@ class Witness:
 
 
 def place_of(city: CityMap, mode: Place) -> Floats:
-    """East, north (2,) [m] of a mode."""
+    """Return east, north (2,) [m] of a mode."""
     return city.plane.to_plane((mode.longitude, mode.latitude))
 
 
 def row_of(objects: CityObjects, osm: str) -> int:
-    """Row of the object with OpenStreetMap's id, or -1."""
+    """Return the row of the object with OpenStreetMap's id, or -1."""
     kind, _, number = osm.partition("/")
     if kind not in ("node", "way", "relation") or not number.isdecimal() or len(number) > 18:
         return -1
@@ -319,7 +319,7 @@ def row_of(objects: CityObjects, osm: str) -> int:
 
 
 def witnesses(city: CityMap, mode: Place) -> list[Witness]:
-    """Objects that spoke for or against a mode, each once, weightiest first."""
+    """Return the objects that support or contradict a mode, each once, by decreasing weight."""
     objects, at = city.objects, place_of(city, mode)
     found: dict[str, Witness] = {}
     for evidence in sorted(mode.evidence, key=lambda e: -abs(e.weight)):
@@ -350,7 +350,7 @@ def witnesses(city: CityMap, mode: Place) -> list[Witness]:
 def heat_of(
     city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float
 ) -> HeatLayer | None:
-    """Posterior in a rectangle on a grid of `pixel` [m]; None where there is nothing of it."""
+    """Return the posterior in a rectangle on a grid of `pixel` [m]; None where it is empty."""
     support = estimate.support
     if not len(support):
         return None
@@ -379,7 +379,7 @@ def heat_of(
 
 
 def rivals(estimate: CityEstimate, most: int) -> tuple[Place, ...]:
-    """Modes that compete with the best one: a tenth as probable, or more."""
+    """Return the modes at least a tenth as probable as the best one."""
     if not estimate.modes:
         return ()
     least = 0.1 * estimate.modes[0].probability
@@ -398,7 +398,7 @@ def ellipse(city: CityMap, mode: Place) -> Floats:
 
 
 def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float = 160.0) -> Bounds:
-    """Rectangle that shows a mode and its evidence: west, south, east, north [m]."""
+    """Return the rectangle around a mode and its evidence: west, south, east, north [m]."""
     at = place_of(city, mode)
     shown = [ellipse(city, mode), *(w.at[None] for w in witnesses(city, mode))]
     offsets = np.abs(np.concatenate(shown) - at)
@@ -408,7 +408,7 @@ def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float 
 
 
 def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
-    """Lines from a mode to its witnesses, and marks on these."""
+    """Return lines from a mode to the objects of its evidence, and marks on these."""
     at = place_of(city, mode)
     marks: list[Mark] = []
     for witness in reversed(witnesses(city, mode)):  # the weightiest on top
@@ -422,7 +422,7 @@ def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
 
 
 def _outline(objects: CityObjects, witness: Witness, at: Floats, color: str) -> list[Mark]:
-    """Outline of a witness that is a line or an area, near the mode."""
+    """Return the outline, near the mode, of an object that is a line or an area."""
     if witness.row < 0 or objects.kind[witness.row] not in (LINE, AREA):
         return []
     far = max(SHOWN, float(np.abs(witness.at - at).max()) + 40.0)

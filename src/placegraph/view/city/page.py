@@ -125,20 +125,20 @@ class CityTiles:
         }
 
     def within(self, bounds: Bounds, level: int) -> list[tuple[int, int, int]]:
-        """Tiles (level, x, y) of a level that a rectangle touches."""
+        """Return the tiles (level, x, y) of a level that a rectangle touches."""
         side = SIDE * 2**level
         west, south, east, north = (int(np.floor(value / side)) for value in bounds)
         return [(level, x, y) for y in range(south, north + 1) for x in range(west, east + 1)]
 
     def cut(self, bounds: Bounds) -> Bounds:
-        """Part of a rectangle that lies in the city, or its nearest corner."""
+        """Return the part of a rectangle in the city, or its nearest corner."""
         low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
         west, south = np.clip(bounds[:2], low, high).tolist()
         east, north = np.clip(bounds[2:], low, high).tolist()
         return west, south, east, north
 
     def tile(self, level: int, x: int, y: int) -> Tile:
-        """One tile: tables of names and labels, and its layers in the order in which they are laid.
+        """Return one tile: tables of names and labels, and layers in painting order.
 
         A layer names its paint; of each shape it has OpenStreetMap's id, rows of the tables (-1
         for none), and parts: first point and steps, in units (x east, y north).
@@ -169,7 +169,7 @@ class CityTiles:
         return {"names": names.texts, "labels": labels.texts, "layers": layers}
 
     def _items(self, window: Bounds, level: int) -> Iterator[MapItem]:
-        """Items of a tile, cut to its window, large ones first."""
+        """Return the items of a tile, cut to its window, large ones first."""
         if self._sea:
             rings = [ring for ring in (clip_ring(r, window) for r in self._sea) if len(ring) > 3]
             if rings:
@@ -210,7 +210,7 @@ class _Table:
 
 
 def _coded(item: MapItem, corner: Floats, unit: float, level: int) -> list[list[int]]:
-    """Parts of an item as first point and steps [units]; empty where nothing is left of it."""
+    """Encode parts of an item as first point and steps [units]; empty where nothing is left."""
     match item:
         case Area(rings):
             parts, least = rings, 4
@@ -248,7 +248,7 @@ WINDS = ("north", "east", "south", "west")
 
 
 def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
-    """Sentences that are true somewhere in a city, of two or three things in as many directions."""
+    """Return example sentences for a city, of two or three objects in as many directions."""
     objects = city.objects
     rows = np.flatnonzero(objects.kind == POINT)
     rows = np.array([row for row in rows.tolist() if _worth(objects.label(row), paints[row])])
@@ -276,7 +276,7 @@ def _worth(label: str, paint: str) -> bool:
 
 
 def _said(here: Floats, at: Floats, names: Sequence[str]) -> str:
-    """What is seen from a place to the four winds; empty where there is too little."""
+    """Describe the objects around a place in the four directions; empty where there are too few."""
     delta = at - here
     distance = np.hypot(*delta.T)
     things: dict[str, str] = {}
@@ -355,20 +355,20 @@ def write_page(
 
 
 def told(estimate: CityEstimate) -> dict[str, Any]:
-    """An estimate as a page takes it: the dictionary, and the posterior's heaviest points."""
+    """Return an estimate for a page: its dictionary, and the posterior's heaviest points."""
     support = np.round(estimate.support, 6).tolist()
     return {"estimate": estimate.to_dict(), "support": support, "ranked": estimate.ranked}
 
 
 def part(name: str) -> str:
-    """A file of pages."""
+    """Return the text of a file of the page."""
     return (resources.files("placegraph.view") / "page" / name).read_text("utf-8")
 
 
 def _chosen(
     tiles: CityTiles, city: CityMap, estimate: CityEstimate
 ) -> Iterator[tuple[tuple[int, int, int], Tile]]:
-    """Tiles of a page: the whole city coarsely, then each level around what is shown first."""
+    """Return the tiles of a page: the whole city coarsely, then each level around the first view."""
     wanted = dict.fromkeys(tiles.within(tiles.bounds, tiles.top))
     shown = rivals(estimate, len(estimate.modes))
     for level in range(tiles.top - 1, -1, -1):
@@ -396,14 +396,14 @@ def _cut(title: str) -> str:
 
 
 def _joined() -> str:
-    """All modules as one script: imports and exports fall away, names are unique among them."""
+    """Join all modules into one script without imports and exports; their names are unique."""
     modules = "\n".join(map(part, (f"{name}.js" for name in SCRIPTS)))
     body = re.sub(r'^import [^;]+ from "[^"]+";\n', "", modules, flags=re.MULTILINE)
     return '"use strict";\n(() => {\n' + re.sub(r"^export ", "", body, flags=re.MULTILINE) + "})();"
 
 
 def _json(data: object) -> str:
-    """JSON that can stand in a script element, whatever names hold."""
+    """Return JSON that is safe in a script element."""
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
     for character, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026"),
                             ("\u2028", "\\u2028"), ("\u2029", "\\u2029")):  # fmt: skip

@@ -158,7 +158,7 @@ def _panel(
 def _marks(
     city: CityMap, estimate: CityEstimate, mode: Place | None, frame: Frame
 ) -> tuple[list[Item], OccupiedPlaces]:
-    """Evidence of a mode, all modes, and the places these take."""
+    """Return marks of a mode's evidence and of all modes, and the space they take."""
     taken = OccupiedPlaces()
     marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
     pins: list[Item] = []
@@ -173,7 +173,7 @@ def _marks(
 
 
 def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: OccupiedPlaces) -> list[Text]:
-    """Name what the evidence is, beside it."""
+    """Return names beside the objects of the evidence."""
     seen = witnesses(city, mode)
     face = face_for(w.words for w in seen)
     for witness in seen:
@@ -212,7 +212,7 @@ def _beside(
 
 
 def _furniture(sheet: Sheet, frame: Frame, corner: tuple[int, int]) -> None:
-    """Scale bar and north arrow of a map whose north-west corner lies at a corner [px]."""
+    """Draw the scale bar and north arrow of a map with its north-west corner at a corner [px]."""
     left, bottom = corner[0] + 14, corner[1] + frame.height - 14
     metres = round_length(0.2 * frame.width / frame.scale)
     sheet.bar((left, bottom), metres * frame.scale, length_words(metres))
@@ -220,20 +220,20 @@ def _furniture(sheet: Sheet, frame: Frame, corner: tuple[int, int]) -> None:
 
 
 def round_length(most: float) -> float:
-    """Longest of 1, 2, 5, 10, 20, 50 ... that is at most this [m]."""
+    """Return the largest of 1, 2, 5, 10, 20, 50 ... up to a limit [m]."""
     power = 10.0 ** np.floor(np.log10(max(most, 1e-3)))
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most * (1 + 1e-9)))
 
 
 def length_words(metres: float) -> str:
-    """Words for a length: ``50 m``, ``2 km``."""
+    """Format a length: ``50 m``, ``2 km``."""
     return f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
 
 
 def _card(
     sheet: Sheet, evidence: tuple[Evidence, ...], corner: tuple[int, int], width: int
 ) -> None:
-    """Statements and what they said, on a card."""
+    """Draw a card of statements and their verdicts."""
     lines = [(e.verdict, e.statement + (f" ({e.note})" if e.note else "")) for e in evidence[:8]]
     if len(evidence) > 8:
         lines.append(("", f"and {len(evidence) - 8} more"))

@@ -1,1 +1,1 @@
-"""What every picture is made of: canvas, painter, letters, sheets."""
+"""Drawing: canvas, painter, lettering, sheets."""

@@ -38,7 +38,7 @@ class Frame:
 
     @classmethod
     def around(cls, bounds: Bounds, width: int, height: int) -> Frame:
-        """Frame that shows at least these bounds: west, south, east, north [m]."""
+        """Return a frame that shows at least these bounds: west, south, east, north [m]."""
         west, south, east, north = bounds
         scale = min(width / max(east - west, 1.0), height / max(north - south, 1.0))
         return cls(((west + east) / 2, (south + north) / 2), scale, width, height)
@@ -51,7 +51,7 @@ class Frame:
         return east - half_width, north - half_height, east + half_width, north + half_height
 
     def to_px(self, points: Points) -> NDArray[np.float64]:
-        """East, north (..., 2) [m] to pixels (..., 2), x right, y down."""
+        """Convert east, north (..., 2) [m] to pixels (..., 2), x right, y down."""
         east_north: NDArray[np.float64] = np.asarray(points, np.float64)
         x = (east_north[..., 0] - self.center[0]) * self.scale + self.width / 2
         y = (self.center[1] - east_north[..., 1]) * self.scale + self.height / 2
@@ -185,7 +185,7 @@ def overlap(a: Bounds, b: Bounds) -> bool:
 
 
 def clip_line(points: Points, bounds: Bounds) -> list[Floats]:
-    """Pieces (n, 2) of a line (N, 2) that lie within bounds, by Liang and Barsky's parameters."""
+    """Clip a line (N, 2) to bounds (Liang and Barsky); return pieces (n, 2)."""
     line = np.asarray(points, np.float64)
     low, high = np.array(bounds[:2]), np.array(bounds[2:])
     if ((line >= low) & (line <= high)).all():
@@ -211,7 +211,7 @@ def clip_line(points: Points, bounds: Bounds) -> list[Floats]:
 
 
 def clip_ring(ring: Points, bounds: Bounds) -> Floats:
-    """Part (n, 2) of a closed ring (N, 2) in bounds, by Sutherland and Hodgman; may be empty."""
+    """Clip a closed ring (N, 2) to bounds (Sutherland and Hodgman); the result (n, 2) may be empty."""
     corners: Floats = np.asarray(ring, np.float64)
     sides = ((0, 1, bounds[0]), (1, 1, bounds[1]), (0, -1, bounds[2]), (1, -1, bounds[3]))
     for axis, sign, limit in sides:
@@ -262,15 +262,15 @@ class Face:
     file: str
 
     def font(self, size: float) -> ImageFont.FreeTypeFont:
-        """Font of a size [px]."""
+        """Return the font of a size [px]."""
         return _font(self.file, max(1, round(size)))
 
     def width(self, text: str, size: float) -> float:
-        """Width of a text [px]."""
+        """Return the width of a text [px]."""
         return self.font(32).getlength(self.drawable(text)) * size / 32
 
     def draws(self, text: str) -> bool:
-        """Whether the face has every letter of a text."""
+        """Return whether the face has every letter of a text."""
         return all(_has(self.file, letter) for letter in set(text) if not letter.isspace())
 
     def drawable(self, text: str) -> str:
@@ -288,7 +288,7 @@ class Face:
 
 @cache
 def _installed() -> tuple[Face, ...]:
-    """Faces that can be opened here."""
+    """Return the installed faces."""
     found = []
     for file in FACES:
         try:
@@ -315,6 +315,6 @@ def _font(file: str, size: int) -> ImageFont.FreeTypeFont:
 
 @lru_cache(maxsize=8192)
 def _has(file: str, letter: str) -> bool:
-    """Whether a letter has a picture of its own, other than that of a letter that is missing."""
+    """Return whether a letter has a glyph other than that of missing letters."""
     font = _font(file, 16)
     return bytes(font.getmask(letter)) != bytes(font.getmask("\U0010ffff"))

@@ -28,7 +28,7 @@ REPEAT = 420.0
 
 
 class OccupiedPlaces:
-    """Where lettering or a mark stands already: discs (x, y, radius) that cover it [px]."""
+    """Space taken by lettering and marks: discs (x, y, radius) [px]."""
 
     SIDE = 32.0
     """Discs are kept by squares of this side, no smaller than the sum of two radii [px]."""
@@ -57,7 +57,7 @@ class OccupiedPlaces:
 
 
 def covering(text: Text, width: float, scale: float) -> list[tuple[float, float, float]]:
-    """Discs (x, y, radius) [px] that cover a text; x grows to the right, y downwards."""
+    """Return discs (x, y, radius) [px] that cover a text; x grows to the right, y downwards."""
     x, y = text.at[0] * scale + text.shift[0], -text.at[1] * scale + text.shift[1]
     radius = 0.62 * text.size
     n = max(1, ceil(width / text.size))
@@ -77,7 +77,7 @@ def letter(
     skip: frozenset[int] = frozenset(),
     already: Iterable[Text] = (),
 ) -> list[Text]:
-    """Names for the items of a map drawn at `scale` [px/m], placed around what is `taken`.
+    """Place names for the items of a map drawn at `scale` [px/m], around `taken` space.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _wanted(
 
 
 def _extent(item: MapItem) -> float:
-    """Length of a line or of an area's box [m]; 0 for a point."""
+    """Return the length of a line or of an area's box [m]; 0 for a point."""
     match item:
         case Line(parts):
             return float(sum(np.hypot(*np.diff(part, axis=0).T).sum() for part in parts))
@@ -153,7 +153,7 @@ def _extent(item: MapItem) -> float:
 
 
 def _places(item: MapItem, name: str, size: float, width: float, scale: float) -> Iterator[Text]:
-    """Texts for the places where a name may stand, best first."""
+    """Yield candidate positions of a name, best first."""
     ink = PAINTS[item.paint].ink
     match item:
         case Dot(at):
@@ -175,7 +175,7 @@ def _places(item: MapItem, name: str, size: float, width: float, scale: float) -
 
 
 def _straight_stretches(line: Points, length: float) -> Iterator[tuple[Floats, float]]:
-    """Middles [m] and angles [rad] of the stretches of a line that can carry a name."""
+    """Yield middles [m] and angles [rad] of stretches of a line that fit a name."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     if along[-1] < length:
         return

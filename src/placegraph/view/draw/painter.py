@@ -43,7 +43,7 @@ SUPERSAMPLE = 2
 
 
 def heat(density: Floats) -> Image.Image:
-    """Colours (RGBA) of a density: from nothing over amber to red."""
+    """Colour a density (RGBA): from transparent over amber to red."""
     stops = np.array([0.02, 0.12, 0.4, 0.7, 1.0])
     colors = np.array(
         [(255, 205, 90, 0), (255, 190, 80, 70), (246, 138, 52, 125), (224, 74, 50, 150),
@@ -54,7 +54,7 @@ def heat(density: Floats) -> Image.Image:
 
 
 def likely(level: Floats) -> NDArray[np.uint8]:
-    """Colours (..., 4) RGBA of levels (...) from 0, unlikely, to 1, certain."""
+    """Return colours (..., 4) RGBA of levels (...) from 0, unlikely, to 1, certain."""
     stops = np.array([0.0, 0.35, 0.7, 1.0])
     colors = np.array(
         [(245, 190, 66, 150), (240, 128, 40, 200), (200, 38, 40, 235), (110, 8, 52, 255)],

@@ -1,4 +1,4 @@
-"""How things look: one table from map labels to paints, one palette for light and for dark.
+"""Style: one table from map labels to paints, one palette for light and dark.
 
 The style is quiet: the map is paper, and only what the estimate says is in colour. To change the
 looks, change the tables here; pictures and pages read them.
@@ -65,7 +65,7 @@ PALETTE: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """How one class of things is drawn. Colours are names of the palette; empty draws nothing."""
+    """Paint of one class of objects. Colours are names of the palette; empty draws nothing."""
 
     form: str
     """``area``, ``line``, ``crown`` (of a tree), or a symbol: ``disc``, ``square``, ``cross``."""
@@ -208,7 +208,7 @@ minor       highway=* waterway=* landuse=* name=*
 
 @cache
 def _rules(kind: int) -> dict[str, tuple[int, str]]:
-    """Order of the rule and paint, by label."""
+    """Return the order of the rule and the paint, by label."""
     rules: dict[str, tuple[int, str]] = {}
     paint = ""
     for order, line in enumerate(RULES[kind].splitlines()):
@@ -228,7 +228,7 @@ def paint_of(labels: Iterable[str], kind: int) -> str:
 
 
 def style_sheet() -> str:
-    """CSS variables of the palette, light and dark: as the system has it, or as `data-theme` says."""
+    """Return CSS variables of the palette, light and dark, chosen by the system or `data-theme`."""
     light, dark = (
         "".join(f"--{name}:{colors[k]};" for name, colors in PALETTE.items()) for k in (0, 1)
     )
@@ -240,6 +240,6 @@ def style_sheet() -> str:
 
 
 def clean(text: str) -> str:
-    """Escape a text, and leave out what is not to be printed (controls, changes of direction)."""
+    """Escape a text, and drop unprintable characters (controls, changes of direction)."""
     joiners = "\u200c\u200d"
     return escape("".join(c if c.isprintable() or c in joiners else " " for c in text))

@@ -84,7 +84,7 @@ def draw_anchors(
 
 
 def _turned(scene: SceneMap, anchor: Anchor) -> SceneMap:
-    """The map with its x axis to the east."""
+    """Return the map with its x axis to the east."""
     mesh = replace(
         scene.mesh, vertices=scene.mesh.vertices @ anchor.enu_from_map[:3, :3].T.astype(np.float32)
     )
@@ -94,7 +94,7 @@ def _turned(scene: SceneMap, anchor: Anchor) -> SceneMap:
 
 
 def _there(best: Anchor, anchor: Anchor, points: Floats) -> Floats:
-    """Points (..., 2) [m] of a map where an anchor has it, east and north (..., 2) of the best."""
+    """Convert points (..., 2) [m] of a map by an anchor to east and north (..., 2) of the best one."""
     flat = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
     there: Floats = replace(best, heading=0.0).to_map(anchor.to_earth(flat))[..., :2]
     return there
@@ -114,7 +114,7 @@ def _walls(scene: SceneMap, best: Anchor, anchor: Anchor) -> Iterator[Stroke | D
 
 
 def _around(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
-    """Bounds that hold all marks as well."""
+    """Extend bounds to hold all marks."""
     drawn = [mark.points if isinstance(mark, Stroke) else [mark.at] for mark in marks]
     corners = np.concatenate([np.reshape(bounds, (2, 2)), *drawn])
     west, south = (corners.min(axis=0) - MARGIN).tolist()
@@ -123,7 +123,7 @@ def _around(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
 
 
 def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
-    """Where the best candidate stands, and how likely each is."""
+    """Draw the position of the best candidate and the probability of each."""
     best = anchors[0]
     where = " ".join(x for x in (best.building, best.osm and f"({best.osm})") if x)
     level = f"level {best.level}" if best.level else ""
@@ -206,7 +206,7 @@ def write_diff(
 
 
 def marks_of(plan: RoomPlan, change: Change, rows: dict[str, int]) -> list[Mark]:
-    """One change as marks on the plan."""
+    """Return one change as marks on the plan."""
     color, before = COLOR[change.kind], rows.get(change.id, -1)
     if change.kind == "moved" and before >= 0 and change.after_from_before is not None:
         motion = change.after_from_before
@@ -237,13 +237,13 @@ def marks_of(plan: RoomPlan, change: Change, rows: dict[str, int]) -> list[Mark]
 
 
 def _rectangle(low: Floats, high: Floats) -> Floats:
-    """Closed ring (5, 2) around a box seen from above [m]."""
+    """Return a closed ring (5, 2) around a box seen from above [m]."""
     (west, south), (east, north) = low[:2], high[:2]
     return np.array([[west, south], [east, south], [east, north], [west, north], [west, south]])
 
 
 def _arrow(start: Floats, end: Floats, color: str) -> list[Mark]:
-    """Arrow between points (2,) [m]."""
+    """Return an arrow between points (2,) [m]."""
     way = end - start
     length = float(np.hypot(*way))
     if length < 1e-6:

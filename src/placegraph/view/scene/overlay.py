@@ -105,7 +105,7 @@ def overlay(
     *,
     before: tuple[Rendering, NDArray[np.float32]] | None = None,
 ) -> Image.Image:
-    """Four pictures in one: query, map, the map's edges on the query, and both as a checkerboard.
+    """Draw four pictures in one: query, map, the map's edges on the query, and a checkerboard of both.
 
     Under a right pose the lines lie on the query's own edges, and things go on from square to square.
 
@@ -145,7 +145,7 @@ def overlay(
 
 
 def _shown(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
-    """Colours of a rendering, of the query's size, dark where the map shows nothing."""
+    """Return a rendering's colours in the query's size, dark where the map is empty."""
     if query.shape != rendering.colour.shape:
         raise OptionError(
             f"query: shape {query.shape}, but the rendering has {rendering.colour.shape}; render it "
@@ -159,13 +159,13 @@ def _shown(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
 def _laid_over(
     query: NDArray[np.uint8], rendering: Rendering, normals: NDArray[np.float32]
 ) -> list[NDArray[np.uint8]]:
-    """Edges of the map on the query, and both as a checkerboard."""
+    """Return the map's edges on the query, and a checkerboard of both."""
     lines = outlined(query, edges(rendering, normals), borders(rendering))
     return [lines, checkerboard(query, _shown(query, rendering))]
 
 
 def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels (H, W) at edges of the map: of objects, of what stands before what, of walls.
+    """Find pixels (H, W) at edges of the map: of objects, occlusions and walls.
 
     `normals`: (H, W, 3) of the rendering.
     """
@@ -185,7 +185,7 @@ def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool
 
 
 def creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels (H, W) where faces meet in an edge; `normals`: (H, W, 3), NaN where there is nothing."""
+    """Find pixels (H, W) where faces meet; `normals`: (H, W, 3), NaN without a surface."""
     known = np.asarray(np.isfinite(normals).all(axis=-1))
     total = _box(np.where(known[..., None], normals, 0.0), 5)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
@@ -199,7 +199,7 @@ def creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def borders(rendering: Rendering) -> NDArray[np.bool_]:
-    """Pixels (H, W) where the map's colours change: all there is to see on a flat wall."""
+    """Find pixels (H, W) where the map's colours change, as on a flat wall."""
     seen = rendering.mask
     light = _box(rendering.colour.mean(axis=-1), 5) / 25.0
     light = np.where(_box(seen.astype(np.float64), 5) == 25.0, light, np.nan)
@@ -214,7 +214,7 @@ def borders(rendering: Rendering) -> NDArray[np.bool_]:
 def outlined(
     picture: NDArray[np.uint8], edge: NDArray[np.bool_], border: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Picture (H, W, 3), a little dimmed, with edges and borders (H, W) as bright lines on it."""
+    """Return a dimmed picture (H, W, 3) with edges and borders (H, W) as bright lines."""
     mixed: Floats = 0.8 * picture.astype(np.float64)
     for pixels, colour, opacity in ((border, FAINT, 0.6), (edge, LINE, 1.0)):
         halo = np.minimum(_box(pixels.astype(np.float64), 3), 1.0)[..., None]
@@ -225,7 +225,7 @@ def outlined(
 
 
 def checkerboard(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Squares of two pictures (H, W, 3) in turn."""
+    """Return a checkerboard of two pictures (H, W, 3)."""
     height, width = one.shape[:2]
     side = max(max(height, width) / SQUARES, 1.0)
     row, column = np.ogrid[:height, :width]
@@ -236,7 +236,7 @@ def checkerboard(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np
 def colours_of(
     objects: NDArray[np.int32], normals: NDArray[np.float32] | None = None
 ) -> NDArray[np.uint8]:
-    """Picture (H, W, 3) in which every object (H, W) has a colour of its own, -1 none.
+    """Return a picture (H, W, 3) with one colour for each object (H, W), -1: none.
 
     With `normals` (H, W, 3) faces that look elsewhere are darker.
     """
@@ -250,7 +250,7 @@ def colours_of(
 
 
 def _colour(row: int) -> tuple[float, float, float]:
-    """Colour of an object, unlike those of the rows beside it."""
+    """Return the colour of an object, unlike those of neighbouring rows."""
     hue = (row * _GOLDEN) % 1.0
     red, green, blue = hsv_to_rgb(hue, (0.45, 0.7, 0.85)[row % 3], (1.0, 0.8, 0.95)[row % 3])
     return 255.0 * red, 255.0 * green, 255.0 * blue
@@ -268,7 +268,7 @@ def _box(values: Floats, size: int) -> Floats:
 
 
 def _ridge(values: Floats) -> NDArray[np.bool_]:
-    """Where values (N, ...) are the largest of the five around them along the first axis."""
+    """Return whether values (N, ...) are the largest of the five around them along the first axis."""
     with np.errstate(invalid="ignore"):
         top = np.ones(values.shape, np.bool_)
         for k in (1, 2):

@@ -22,7 +22,7 @@ MOST = 2048
 
 
 def plan_of(scene: SceneMap, name: str = "") -> RoomPlan:
-    """Plan of a map's scene of a name, else of its first; raises `OptionError` where there is none."""
+    """Return the plan of a map's scene by name, else of its first; `OptionError` where it is unknown."""
     if name and name not in scene.scenes:
         known = ", ".join(scene.scenes[:5])
         raise OptionError(f"scene: the map has no {name[:80]!r}; it has {known}.")
@@ -30,7 +30,7 @@ def plan_of(scene: SceneMap, name: str = "") -> RoomPlan:
 
 
 def told(plan: RoomPlan) -> dict[str, Any]:
-    """What a page must know of a plan: bounds and things, all in the map's x and y [m].
+    """Describe a plan for a page: bounds and objects in the map's x and y [m].
 
     A thing has its id, label, name to be written (empty: none), box (low x, low y, high x, high y),
     whether it is a room, and how it is drawn (`RoomPlan.role`).
@@ -64,7 +64,7 @@ def _thing(plan: RoomPlan, row: int) -> dict[str, Any]:
 
 
 def picture(plan: RoomPlan, *, dark: bool = False) -> bytes:
-    """PNG of the plan's bounds, and of nothing around them."""
+    """Return a PNG of exactly the plan's bounds."""
     west, south, east, north = plan.bounds
     scale = min(FINE, MOST / max(east - west, north - south))
     size = (max(1, ceil(scale * length)) for length in (east - west, north - south))

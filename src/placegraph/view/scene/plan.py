@@ -57,7 +57,7 @@ MOST_FRAMES = 5000
 
 
 def levels(poses: Floats, weights: Floats) -> Floats:
-    """How likely (N,), 0 to 1, it is to be around each particle.
+    """Return the probability (N,), 0 to 1, around each particle, relative to the highest.
 
     `poses`: (N, 4), x, y, z [m], yaw [rad]; `weights`: (N,), of any sum. What counts is the weight
     of all particles in a cell around: after resampling the weight of one says nothing.
@@ -89,7 +89,7 @@ def levels(poses: Floats, weights: Floats) -> Floats:
 
 
 def swarm(poses: Floats, weights: Floats) -> ParticleMarks:
-    """Particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
+    """Return particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
     poses, weights = np.asarray(poses, np.float64), np.asarray(weights, np.float64)
     radius = float(np.interp(len(poses), [200, 1000, 5000], [2.0, 1.5, 0.7]))
     tick = 4.0 if len(poses) < 2500 else 0.0
@@ -97,7 +97,7 @@ def swarm(poses: Floats, weights: Floats) -> ParticleMarks:
 
 
 def core(poses: Floats, weights: Floats) -> Bounds:
-    """Rectangle that holds 96 % of the weight along either axis: low x, low y, high x, high y."""
+    """Return the rectangle with 96 % of the weight along either axis: low x, low y, high x, high y."""
     weights = weights if weights.sum() > 0.0 else np.ones(len(poses))
     box = []
     for axis in (0, 1):
@@ -109,7 +109,7 @@ def core(poses: Floats, weights: Floats) -> Bounds:
 
 
 def opening_of(camera: Camera | None) -> float:
-    """Horizontal field of view [rad]."""
+    """Return the horizontal field of view [rad]."""
     if camera is None:
         return OPENING
     return float(
@@ -118,7 +118,7 @@ def opening_of(camera: Camera | None) -> float:
 
 
 def wedge(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) -> Floats:
-    """Closed ring (A + 2, 2) [m] of what a camera at a pose (4,) sees on the plan."""
+    """Return the closed ring (A + 2, 2) [m] of the view of a camera at a pose (4,)."""
     at = np.asarray(pose[:2], np.float64)
     angles = pose[3] + np.linspace(-opening / 2, opening / 2, 65)
     far = plan.sight(at, angles, reach)
@@ -127,7 +127,7 @@ def wedge(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) ->
 
 
 def ellipse(mode: PoseMode) -> Floats:
-    """Closed ring (49, 2) [m] around a mode: `SIGMAS` standard deviations in the plane."""
+    """Return a closed ring (49, 2) [m] around a mode: `SIGMAS` standard deviations in the plane."""
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
     variances, axes = np.linalg.eigh(np.asarray(mode.covariance[:2, :2], np.float64))
     radii = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
@@ -138,7 +138,7 @@ def ellipse(mode: PoseMode) -> Floats:
 def way(
     map_from_camera: Floats, color: str, *, width: float = 2.0, looks: float = 0.0
 ) -> list[Mark]:
-    """A way (T, 4, 4) through the map: a line with a dot, and where it looks `looks` [m], a frame."""
+    """Return a trajectory (T, 4, 4) as a line with a dot, and a heading of `looks` [m], for each frame."""
     shown = map_from_camera[evenly(len(map_from_camera), MOST_FRAMES)]
     at = shown[:, :2, 3]
     marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
@@ -152,7 +152,7 @@ def way(
 
 
 def ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
-    """A ring of a radius [m] around a camera (4, 4), with a line where it looks."""
+    """Return a ring of a radius [m] around a camera (4, 4), with a line along its heading."""
     turn = np.linspace(0.0, 2.0 * np.pi, 33)
     at, forward = map_from_camera[:2, 3], map_from_camera[:2, 2]
     forward = forward / max(float(np.hypot(*forward)), 1e-6)
@@ -163,7 +163,7 @@ def ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
 
 
 def sight(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -> Mark:
-    """What a mode of an estimate (0 is the best) sees."""
+    """Return the view of a mode of an estimate (0 is the best)."""
     color, pose = POSE_COLOR[estimate.status], estimate.modes[number].pose
     best = number == 0
     return Stroke(
@@ -172,7 +172,7 @@ def sight(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -
 
 
 def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[Mark]:
-    """A mode of an estimate (0 is the best): its ellipse, or that with number and probability."""
+    """Return the marks of a mode (0 is the best): its ellipse, with number and probability if several."""
     mode, color = estimate.modes[number], POSE_COLOR[estimate.status]
     marks: list[Mark] = [Stroke(ellipse(mode), color, 1.6, (5.0, 3.0))]
     if not numbered:
@@ -183,7 +183,7 @@ def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[M
 
 
 def witnesses(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, str]]:
-    """Rows of the objects that spoke for or against a mode, and their verdicts, weightiest first.
+    """Return rows and verdicts of the objects that support or contradict a mode, by decreasing weight.
 
     Walls, floors and ceilings are everywhere, and left out.
     """
@@ -198,7 +198,7 @@ def witnesses(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, 
 
 
 def witness_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
-    """Lines from a mode to the objects that spoke for it (whole) or against it (dashed)."""
+    """Return lines from a mode to the objects that support it (solid) or contradict it (dashed)."""
     marks: list[Item] = []
     for row, verdict in reversed(witnesses(plan, mode)):
         ends = np.stack([mode.pose[:2], plan.middle(row)])
@@ -208,7 +208,7 @@ def witness_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
 
 
 def in_words(estimate: PoseEstimate) -> str:
-    """The best mode in numbers; empty where there is none."""
+    """Describe the best mode in numbers; empty where there is none."""
     best = estimate.best
     if best is None:
         return ""
@@ -223,7 +223,7 @@ def in_words(estimate: PoseEstimate) -> str:
 
 
 def error_in_words(estimate: PoseEstimate, truth: Floats) -> str:
-    """How far the last frame's pose is from the truth; empty where there is no pose."""
+    """Describe the error of the last frame's pose; empty where there is no pose."""
     if estimate.best is None or not len(truth):
         return ""
     off = np.linalg.inv(truth[-1]) @ estimate.best.map_from_camera
@@ -259,7 +259,7 @@ class Layout:
 
     @classmethod
     def of(cls, bounds: Bounds, steps: Sequence[int], *, width: int | None = None) -> Layout:
-        """Layout for a scene with these bounds and so many steps in each pass.
+        """Return the layout for a scene with these bounds and so many steps in each pass.
 
         One pass stands above the large panel, several stand to its left: then rows and columns of
         small panels and the large one are as high as each other.
@@ -292,13 +292,13 @@ class Layout:
         return cls(width, top + large[1] + FOOT, rows, columns, small, large, (0, top))
 
     def corner(self, row: int, column: int) -> tuple[int, int]:
-        """Upper left corner of a small panel."""
+        """Return the upper left corner of a small panel."""
         wide, tall = self.small
         return column * (wide + GAP), HEAD + row * (tall + CAPTION) + CAPTION
 
 
 def evenly(count: int, most: int) -> list[int]:
-    """At most so many of `count` indices, first and last among them, the others evenly between."""
+    """Return at most so many of `count` indices, evenly spaced, with the first and the last."""
     if count <= most:
         return list(range(count))
     if most == 1:
@@ -315,7 +315,7 @@ MOST_MOVES = 60
 
 
 class Drawing:
-    """What all pictures of one estimate share."""
+    """Data shared by all pictures of one estimate."""
 
     def __init__(
         self,
@@ -334,7 +334,7 @@ class Drawing:
         self.opening = opening_of(camera)
 
     def passes(self, sheet: Sheet, layout: Layout) -> None:
-        """A row of panels for each pass; late passes are seen from nearer by."""
+        """Draw a row of panels for each pass, later passes enlarged."""
         for row, k in enumerate(layout.rows):
             record = self.estimate.history[k]
             steps = evenly(len(record.steps), layout.columns)
@@ -352,7 +352,7 @@ class Drawing:
                 sheet.text((left + 6, top - CAPTION / 2), words, 12, "ink", room=frame.width - 12)
 
     def near(self, record: PassRecord, size: tuple[int, int]) -> Frame:
-        """Frame that holds all particles of a pass, but for stray ones."""
+        """Return a frame around all particles of a pass but outliers."""
         cores = [core(poses, weights) for _, poses, weights in record.steps if len(poses)]
         if not cores:
             return Frame.around(self.plan.bounds, *size)
@@ -366,7 +366,7 @@ class Drawing:
         return zoomed if zoomed.scale > 1.5 * whole.scale else whole
 
     def step(self, room: Picture, frame: Frame, record: PassRecord, step: int) -> Image.Image:
-        """Particles after one frame of a pass, and a ring around where that frame truly was."""
+        """Draw the particles after one frame of a pass, and a ring around the true pose."""
         index, poses, weights = record.steps[step]
         items: list[Item] = [room, swarm(poses, weights)]
         if self.truth is not None:
@@ -375,7 +375,7 @@ class Drawing:
         return paint_picture(items, frame, reduce=False)
 
     def result(self, frame: Frame) -> Image.Image:
-        """Modes, the objects that spoke for or against the best one, and the way that was gone."""
+        """Draw modes, the objects that support or contradict the best one, and the trajectory."""
         estimate, taken = self.estimate, OccupiedPlaces()
         color = POSE_COLOR[estimate.status]
         marks: list[Item] = []
@@ -403,11 +403,11 @@ class Drawing:
 
     @property
     def name(self) -> str:
-        """Of the scene that is drawn."""
+        """Name of the drawn scene."""
         return self.scene.scenes[self.which]
 
     def head(self, sheet: Sheet) -> None:
-        """Status, reason, the pose in numbers, and what was localized where."""
+        """Draw status, reason, the pose in numbers, and the names of capture and map."""
         estimate = self.estimate
         end = sheet.chip((14, 12), estimate.status.name, STATUS_COLOR[estimate.status])
         sheet.text((end + 12, 22), estimate.reason, 14, "ink", room=sheet.width - end - 26)
@@ -423,7 +423,7 @@ class Drawing:
         sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
 
     def foot(self, sheet: Sheet, frame: Frame, *, particles: bool, result: bool = True) -> None:
-        """Keys, as many as there is room for, scale bar and axes."""
+        """Draw as many keys as fit, scale bar and axes."""
         color = POSE_COLOR[self.estimate.status]
         best = self.estimate.best
         verdicts = {verdict for _, verdict in witnesses(self.plan, best)} if best else set[str]()
@@ -445,7 +445,7 @@ class Drawing:
                 x = draw((x, y), words=words)
 
     def moves(self, width: int) -> list[Image.Image]:
-        """Pictures of an animation."""
+        """Yield the pictures of an animation."""
         layout = Layout.of(self.plan.bounds, [], width=width)
         frame = Frame.around(self.plan.bounds, *layout.large)
         room = paint_room(self.plan, frame)
@@ -480,20 +480,20 @@ def names(
     *,
     small: bool = False,
 ) -> list[Item]:
-    """Names of the larger things of a plan, or of all, where there is room; `marked` ones first."""
+    """Return names of the larger objects of a plan, or of all, where they fit; `marked` ones first."""
     face = face_for(plain_words(label) for label in plan.scene.graph.labels)
     return [*plan.names(frame, face, taken, marked, small=small)]
 
 
 def measures(sheet: Sheet, frame: Frame) -> float:
-    """Scale bar and axes of a plan, at the right end of the strip below it; where they begin."""
+    """Draw scale bar and axes at the right end of the strip below a plan; return their left end."""
     x = sheet.width - 50.0
     sheet.axes((x, sheet.height - 10.0))
     return scale_bar(sheet, frame, x - 24.0)
 
 
 def scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
-    """Scale bar of a plan in the strip below it, to an end [px]; where it begins."""
+    """Draw a scale bar in the strip below a plan, up to an end [px]; return its left end."""
     metres = round_length(0.15 * frame.width / frame.scale)
     length = metres * frame.scale
     sheet.bar((end - length, sheet.height - 10.0), length, length_words(metres))
@@ -615,7 +615,7 @@ def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
 
 
 def _swatch(width: int, height: int) -> NDArray[np.uint8]:
-    """Picture (height, width, 3) of the colours that marks have, so that a palette holds them."""
+    """Return a picture (height, width, 3) of the marks' colours, for the palette."""
     ramp = likely(np.linspace(0.0, 1.0, width))[:, :3]
     named = [PALETTE[name][0] for name in (*POSE_COLOR.values(), TRUTH, "for", "against", "ink")]
     inks = np.array([ImageColor.getrgb(color) for color in named], np.uint8)

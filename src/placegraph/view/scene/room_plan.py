@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RoomPaint:
-    """How one class of things in rooms is drawn."""
+    """Paint of one class of objects in rooms."""
 
     role: str
     """``thing``, ``floor`` (lies below all), ``structure`` (cut as on an architect's plan), or
@@ -82,7 +82,7 @@ _PAINT_OF_WORD = {word: paint for paint, words in WORDS.items() for word in word
 
 
 def plain_words(label: str) -> str:
-    """Words of a label as one says them: ``CoffeeTable_01`` is a coffee table."""
+    """Return the words of a label: ``CoffeeTable_01`` is a coffee table."""
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", label)
     return " ".join(word for word in re.split(r"[\W_\d]+", apart.lower()) if word)
 
@@ -179,21 +179,21 @@ class RoomPlan:
         return tuple(paints)
 
     def role(self, row: int) -> str:
-        """How an object is drawn: ``scan``, or a role of the room style."""
+        """Return the role of an object in the room style, or ``scan``."""
         paint = self.paints[row]
         return SCAN if paint == SCAN else ROOM_PAINTS[paint].role
 
     def hangs(self, row: int) -> bool:
-        """Whether an object begins overhead."""
+        """Return whether an object begins overhead."""
         return bool(self.boxes[row, 0, 2] > self.floor + HANGING)
 
     def middle(self, row: int) -> Floats:
-        """Middle (2,) of an object's footprint [m]."""
+        """Return the middle (2,) of an object's footprint [m]."""
         middle: Floats = self.boxes[row, :, :2].mean(axis=0)
         return middle
 
     def colours(self, triangles: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Colours (M, 3), 0 to 255, of triangles (rows of `triangles`): texture's mean and corners."""
+        """Return colours (M, 3), 0 to 255, of triangles (rows): mean of texture and corners."""
         mesh = self.scene.mesh
         tints = np.array([texture.reshape(-1, 3).mean(axis=0) for texture in mesh.textures])
         rows = self.kept[triangles]
@@ -203,7 +203,7 @@ class RoomPlan:
 
     @cached_property
     def cuts(self) -> dict[str, Floats]:
-        """What stands and is cut: by paint, in the order of drawing, segments (S, 2, 2) [m]."""
+        """Return the segments (S, 2, 2) [m] of cut objects, by paint, in painting order."""
         cuts = {}
         paints = np.array(self.paints, dtype=np.str_)
         structure = (name for name, look in ROOM_PAINTS.items() if look.role == "structure")
@@ -216,7 +216,7 @@ class RoomPlan:
         return cuts
 
     def lifts(self) -> NDArray[np.float32]:
-        """What to add to each triangle's height (T,) before the uppermost is drawn [m].
+        """Return offsets (T,) [m] to the triangles' heights before the uppermost is drawn.
 
         -inf leaves a triangle out: ceilings, what hangs, and of what is cut all above the cut.
         """
@@ -239,7 +239,7 @@ class RoomPlan:
         return lifts
 
     def sight(self, at: Floats, angles: Floats, reach: float) -> Floats:
-        """How far (A,) [m] one sees from `at` (2,) at angles (A,) [rad]: to a wall, or to `reach`.
+        """Return the range of view (A,) [m] from `at` (2,) at angles (A,) [rad]: to a wall, or to `reach`.
 
         Seen on the plan: walls and closed doors stop a view, windows end the map, furniture is low.
         """
@@ -269,7 +269,7 @@ class RoomPlan:
         *,
         small: bool = False,
     ) -> list[Text]:
-        """Names of the larger things, each in the middle of its footprint where there is room.
+        """Return names of the larger objects, in the middle of their footprints where they fit.
 
         What is `marked`, by row, is named first and in that ink, whatever its size. `small`: what
         is small is named, too, beside its footprint.
@@ -303,7 +303,7 @@ class RoomPlan:
         return texts
 
     def _rooms(self, frame: Frame, face: Face, taken: OccupiedPlaces) -> list[Text]:
-        """Names of the rooms whose floors bear one, each in the middle of its floor."""
+        """Return names of the rooms, each in the middle of its floor."""
         texts = []
         for row in self.rows:
             room = self.scene.attributes[row].get("room", "")
@@ -319,13 +319,13 @@ class RoomPlan:
 
 
 def _beside(extent: Floats, width: float) -> list[tuple[float, float]]:
-    """Where a name may stand [px]: below, above, right, left of a footprint so large, or on it."""
+    """Return offsets of a name [px]: below, above, right, left of a footprint of this size, or on it."""
     aside, below = (extent[0] + width) / 2 + 4.0, extent[1] / 2 + 0.7 * SMALL
     return [(0.0, below), (0.0, -below), (aside, 0.0), (-aside, 0.0), (0.0, 0.0)]
 
 
 def _inside(text: Text, width: float, frame: Frame) -> bool:
-    """Whether a text, so wide [px], ends within the picture."""
+    """Return whether a text of this width [px] ends within the picture."""
     x, y = frame.to_px(np.asarray(text.at, np.float64)) + text.shift
     half = 0.6 * text.size
     return bool(width / 2 <= x <= frame.width - width / 2 and half <= y <= frame.height - half)
@@ -378,7 +378,7 @@ def _color(paint: str, *, dark: bool) -> tuple[int, ...]:
 
 
 def _fills(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
-    """Colour (N + 1, 3) of each object seen from above; the last row is the paper's."""
+    """Return the colour (N + 1, 3) of each object seen from above; the last row is the paper's."""
     fills = np.zeros((len(plan.scene) + 1, 3), np.float32)
     for row in plan.rows:
         flat = plan.role(row) in ("thing", "floor")
@@ -388,7 +388,7 @@ def _fills(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
 
 
 def _mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
-    """Pixels (rows, columns) of what is cut: its inside, or, of open surfaces, a line."""
+    """Return the pixels (rows, columns) of a section: its inside, or, for open surfaces, a line."""
     inside = np.zeros((frame.height, frame.width), np.bool_)
     if paint != SCAN:
         inside = solid(segments, frame)
@@ -406,7 +406,7 @@ def _mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
 def _light(
     height: NDArray[np.float32], owner: NDArray[np.int32], scale: float
 ) -> NDArray[np.float32]:
-    """Brightness (rows, columns): slopes to the light, shadows at the feet of things, outlines."""
+    """Return brightness (rows, columns): lit slopes, shadows around objects, outlines."""
     down, right = np.gradient(height * np.float32(scale))
     down += right
     down *= 0.06

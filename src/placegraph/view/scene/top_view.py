@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TopView:
-    """What is uppermost in each pixel of a frame."""
+    """Uppermost surface in each pixel of a frame."""
 
     triangle: NDArray[np.int32]
     """(rows, columns), row of the triangle, -1 where there is none."""
@@ -62,7 +62,7 @@ def look_down(
 
 
 def section(vertices: NDArray[np.float32], triangles: NDArray[np.int32], height: float) -> Floats:
-    """Where triangles meet a horizontal plane, as on an architect's plan.
+    """Cut triangles by a horizontal plane, as on an architect's plan.
 
     Returns segments (S, 2, 2), x, y [m]; what is solid lies to the left of a segment where the
     triangles face outwards.
@@ -84,7 +84,7 @@ def section(vertices: NDArray[np.float32], triangles: NDArray[np.int32], height:
 
 
 def solid(segments: Floats, frame: Frame) -> NDArray[np.bool_]:
-    """Pixels (rows, columns) enclosed by segments (S, 2, 2), x, y [m], as `section` makes them.
+    """Return the pixels (rows, columns) inside segments (S, 2, 2), x, y [m], of `section`.
 
     Enclosed by the winding number along both axes where these end at zero, so that a gap in an
     outline smears nothing; a wall that stands in another leaves no hole, and a room whose walls
@@ -97,7 +97,7 @@ def solid(segments: Floats, frame: Frame) -> NDArray[np.bool_]:
 
 
 def _winding(px: Floats, lines: int, length: int) -> NDArray[np.int32]:
-    """Winding number (lines, length) of pixels' centres, counted along lines of constant px[1].
+    """Return winding numbers (lines, length) of pixel centres, along lines of constant px[1].
 
     0 all along a line that some outline crosses in one direction only.
     """

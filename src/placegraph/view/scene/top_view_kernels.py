@@ -20,7 +20,7 @@ def _draw(
     triangle: NDArray[np.int32],
     level: NDArray[np.float32],
 ) -> None:
-    """Z-buffer; `corners` (V, 3) are x right, y down [px], z up [m]."""
+    """Fill a z-buffer; `corners` (V, 3) are x right, y down [px], z up [m]."""
     rows, columns = triangle.shape
     for t in range(len(triangles)):
         up = lift[t]
