@@ -49,7 +49,7 @@ def test_requests_are_asked_in_turn(asked, tmp_path):
         "POST", "/none", b"\x00\n\xff GET /x y 3\n", "multipart/form-data; boundary=a"
     )
     requests = [Request.of("/say", text="Bäckerei\n"), picture, Request("GET", "/healthz")]
-    told = server.asked(requests, tmp_path / "asked", at_once=1, seconds=1)
+    told = server.send(requests, tmp_path / "asked", at_once=1, seconds=1)
     kinds = [("POST", "/say", "application/json", requests[0].body),
              ("POST", "/none", picture.kind, picture.body),
              ("GET", "/healthz", "application/json", b"")]  # fmt: skip

@@ -39,8 +39,6 @@ def paired_interval(
 
     `pairs`: for every group (city) the values (n,) of both methods on the same queries. Queries are
     drawn anew within each group, both values of a query together; groups weigh the same.
-
-    Raises `OptionError`: where values are missing, or not of the same queries.
     """
     means, drawn = [], []
     for first, second in pairs:
@@ -87,11 +85,7 @@ class Reliability:
 
 
 def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reliability:
-    """Sort answers by confidence (N,) in [0, 1] into bins of equal mass; `right` (N,) is bool.
-
-    Raises `OptionError`: where there is nothing to sort, a confidence is not in [0, 1], or lengths
-    differ.
-    """
+    """Sort answers by confidence (N,) in [0, 1] into bins of equal mass; `right` (N,) is bool."""
     sure, true = np.asarray(confidence, np.float64), np.asarray(right, np.float64)
     if sure.ndim != 1 or sure.shape != true.shape or not len(sure) or bins < 1:
         raise OptionError("Calibration needs at least one answer, a confidence each, and a bin.")

@@ -78,7 +78,7 @@ def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, t
     assert [r.to_dict() for r in other.rows("monaco", city, town, protocols)] == [
         r.to_dict() for r in rows
     ]
-    assert asking.asked("toronto", protocols[0], PAPER_EDITS) == 0
+    assert asking.query_count("toronto", protocols[0], PAPER_EDITS) == 0
 
 
 def off_center(city, query):

@@ -80,8 +80,6 @@ class NoisyLabels:
 
     Which label a patch gets does not depend on any map. Synonyms are one label; labels without a
     vector are left out. `share`, `seed` and `name` are those of `NoisyEncoder`.
-
-    Raises `OptionError`: the vocabulary has no two labels.
     """
 
     def __init__(

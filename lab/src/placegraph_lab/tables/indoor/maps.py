@@ -36,8 +36,6 @@ def decimate(
 
     Returns `vertices`: (V', 3) float32 [m]; `triangles`: (T', 3) int32; `group`: (T',) int32, zeros
     where none was given.
-
-    Raises `OptionError`: where `target` is less than 1.
     """
     if target < 1:
         raise OptionError(f"target is {target}; it must be at least 1.")

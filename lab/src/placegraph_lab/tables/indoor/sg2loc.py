@@ -109,7 +109,7 @@ def _thinned(
     return [pairs[i] for i in sorted(drawn.tolist())]
 
 
-def kept(scene: Callable[[str], SceneMap]) -> Callable[[str], SceneMap]:
+def cache_maps(scene: Callable[[str], SceneMap]) -> Callable[[str], SceneMap]:
     return lru_cache(maxsize=12)(scene)
 
 
@@ -128,7 +128,7 @@ def of_house(data: Path, cache: Path) -> Set:
         Walk(path.name, "house", partial(_recorded, path), is_changed(path / "changes.json"))
         for path in sorted((data / "house").glob("seq[0-9]*"))
     ]
-    scene = kept(lambda _: indoor_maps.house(data, cache))
+    scene = cache_maps(lambda _: indoor_maps.house(data, cache))
     return Set("house", tuple(walks), scene, {"house": "house"}, 5.0, own_ids=True)
 
 
@@ -166,7 +166,7 @@ def _halves(
             build_scene(folder, path, capture=FromCapture(frames=span), floor=floor)
         return SceneMap.open(path)
 
-    return kept(scene)
+    return cache_maps(scene)
 
 
 def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
@@ -194,7 +194,7 @@ def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
         for name in list(drawn)[:walked]
         for later in (False, True)
     ]
-    scene = kept(lambda name: scene_of(drawn[name][1], name=name))
+    scene = cache_maps(lambda name: scene_of(drawn[name][1], name=name))
     return Set("homes", tuple(walks), scene, {name: name for name in drawn}, 5.0, frames=frames)
 
 
@@ -227,7 +227,7 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
         return SceneMap.open(path)
 
     rooms_of = {scan.id: room.reference for room in there for scan in room.scans}
-    return Set("3RScan", tuple(walks), kept(scene), rooms_of, 10.0)
+    return Set("3RScan", tuple(walks), cache_maps(scene), rooms_of, 10.0)
 
 
 def _has(root: Path, scan: str) -> bool:
@@ -249,7 +249,7 @@ def of_scannet(run: Run) -> Set:
         raise InputError(f"{scans.root}: no two scans of a room could be registered. {LAYOUT}")
     walks = [Walk(p.name, p.map, partial(scannet.recorded, scans.folder, p)) for p in known]
     rooms_of = {walk.map: walk.map.partition("_")[0] for walk in walks}
-    return Set("ScanNet", tuple(walks), kept(scans.scene), rooms_of, 30 / scannet.EVERY)
+    return Set("ScanNet", tuple(walks), cache_maps(scans.scene), rooms_of, 30 / scannet.EVERY)
 
 
 class _Scans:
@@ -386,14 +386,16 @@ class Asking:
                 self._warm.add(recipe)
                 short = replace(window, capture=window.capture[:2])
                 self.ask(of, its, of.scene(walk.map), short, walk.map)
-            return self.ask(of, its, *self._placed(of, walk, window, merged), walk.map)
+            return self.ask(of, its, *self._place_window(of, walk, window, merged), walk.map)
 
         left = len(self.journal.missing(keys))
         if left:
             self.run.say(f"{of.name}: {recipe}, {length} frames: {left} windows to ask")
         return [Reply.from_dict(row) for row in self.journal.filled(keys, ask)]
 
-    def _placed(self, of: Set, walk: Walk, window: Window, merged: int) -> tuple[SceneMap, Window]:
+    def _place_window(
+        self, of: Set, walk: Walk, window: Window, merged: int
+    ) -> tuple[SceneMap, Window]:
         if merged == 1:
             return of.scene(walk.map), window
         names = group(of, walk.map, merged)

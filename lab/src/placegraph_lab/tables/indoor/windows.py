@@ -75,10 +75,7 @@ def starts(count: int, length: int, every: int = EVERY, more: Sequence[int] = ()
 def house_windows(
     folder: Path, length: int, *, every: int = EVERY, sequences: Sequence[str] = ()
 ) -> list[Window]:
-    """Windows of all sequences of the house, or of those named.
-
-    Raises `InputError`: A file is missing or broken, or a sequence has fewer poses than frames.
-    """
+    """Windows of all sequences of the house, or of those named."""
     found = []
     for path in sorted(folder.glob("seq[0-9]*")):
         if sequences and path.name not in sequences:
@@ -101,10 +98,7 @@ def office_windows(
     stride: int = OFFICE_STRIDE,
     every: int = OFFICE_EVERY,
 ) -> list[Window]:
-    """Windows of the half of the office that the map was not made of; see `HALVES`.
-
-    Raises `InputError` as `house_windows` does.
-    """
+    """Windows of the half of the office that the map was not made of; see `HALVES`."""
     capture, truth = open_capture(path), true_poses(path)
     low, high = HALVES[half][1]
     span = (length - 1) * stride + 1
@@ -142,10 +136,7 @@ def covered(scene: SceneMap, window: Window, step: int = 3) -> Window:
 
 
 def sampled(capture: Capture, every: int) -> Capture:
-    """Frames of a capture whose number is a multiple of `every`: left-out frames shift nothing.
-
-    Raises `OptionError` where `every` is less than 1.
-    """
+    """Frames of a capture whose number is a multiple of `every`: left-out frames shift nothing."""
     if every < 1:
         raise OptionError(f"every is {every}; it is 1 or more.")
     return replace(capture, frames=tuple(f for f in capture if f.index % every == 0))

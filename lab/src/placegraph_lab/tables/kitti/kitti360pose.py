@@ -123,9 +123,6 @@ class Split:
 
         `network`: for the transformer; the shipped one where not given; `candidates`: how many
         cells edit distance looks at.
-
-        Raises `OptionError`: there is no such matcher; `MissingExtraError`: it needs a library that
-        is not installed.
         """
         if name not in MATCHERS:
             raise OptionError(f"There is no matcher {name!r}; choose one of {', '.join(MATCHERS)}.")

@@ -3,10 +3,7 @@
 A walk through the house, repeated until the bag is large enough, is written in every container and read
 by each reader: colour and depth of all frames, opening included.
 
-    placegraph-lab table bag_read
-    placegraph-lab table bag_read --quick
-
-Prints Markdown, writes JSON. Times are CPU seconds, the median of interleaved rounds; the page cache is warm.
+Times are CPU seconds, the median of interleaved rounds; the page cache is warm.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Does what people write find its place? 1,023 descriptions from Pittsburgh (RVS).
 
-    placegraph-lab table human_text
-
-The union of all landmarks is the map. Prints a Markdown table, writes JSON. Developed on the
+The union of all landmarks is the map. Developed on the
 even records only; the odd ones are reported beside them.
 """
 

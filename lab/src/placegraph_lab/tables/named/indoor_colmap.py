@@ -259,7 +259,7 @@ class Set:
     name: str
     folder: str
     made: slice
-    asked: slice
+    queries: slice
 
 
 SETS = (
@@ -316,14 +316,16 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def rows_of(asked: Set, data: Path, cache: Path, weights: Path, count: int, seed: int) -> list[Row]:
+def rows_of(
+    recording: Set, data: Path, cache: Path, weights: Path, count: int, seed: int
+) -> list[Row]:
     """Every method in one set, asked by `count` frames spread over it."""
-    folder = data / asked.folder
+    folder = data / recording.folder
     capture = open_capture(folder)
     has_truth = (folder / "trajectory.tum").exists()
     truth = true_poses(folder) if has_truth else capture.odometry
     every = range(len(capture))
-    made, asking = list(every[asked.made]), list(every[asked.asked])
+    made, asking = list(every[recording.made]), list(every[recording.queries])
     chosen = [asking[i] for i in np.unique(np.linspace(0, len(asking) - 1, count).astype(int))]
     frames = [replace(capture[i], odometry=np.eye(4)) for i in chosen]  # one frame has no way
     mapped, poses = [capture[i] for i in made], truth[made]
@@ -332,9 +334,9 @@ def rows_of(asked: Set, data: Path, cache: Path, weights: Path, count: int, seed
     def row(method: str, megabytes: float, ask: Ask) -> None:
         ask(frames[0])  # compiles
         answers = [_answer(frame, truth[i], ask) for frame, i in zip(frames, chosen, strict=True)]
-        out.append(Row(asked.name, method, megabytes, tuple(answers)))
+        out.append(Row(recording.name, method, megabytes, tuple(answers)))
 
-    scene, size, of_landmarks = _scene(asked, folder, cache)
+    scene, size, of_landmarks = _scene(recording, folder, cache)
     bare = replace(scene, landmarks=None)
     for senses, options in OURS.items():
         row(senses, size - of_landmarks, partial(_localize, bare, options, seed))
@@ -360,9 +362,9 @@ def _localize(
     return pose, found.status is Status.OK
 
 
-def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, float]:
-    made = asked.made
-    name = f"{asked.folder}_{made.start}_{made.stop}_{made.step}_landmarks"
+def _scene(recording: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, float]:
+    made = recording.made
+    name = f"{recording.folder}_{made.start}_{made.stop}_{made.step}_landmarks"
     path = place(cache, name)
     if not path.exists():
         build_scene(folder, path, capture=FromCapture(frames=made, landmarks=True))

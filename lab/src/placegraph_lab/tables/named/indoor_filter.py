@@ -1,8 +1,5 @@
 """Do a few frames find their pose? Errors, recall, status and time on the house and the office.
 
-    placegraph-lab table indoor_filter --quick
-    placegraph-lab table indoor_filter --only "instances: *" --windows 5,10
-
 Every answer is written down at once: run it again and it goes on where it was cut.
 `docs/benchmarks/indoor.md#do-a-few-frames-find-their-pose` explains the protocol.
 """

@@ -1,9 +1,5 @@
 """Does refining bring a pose to centimetres? Errors before and after, harm, covariances and time.
 
-    placegraph-lab table indoor_refine --quick
-    placegraph-lab table indoor_refine --only "house disturbed: *" --windows 10
-    placegraph-lab table indoor_refine --matchers auto,roma
-
 Every answer is written down at once: run it again and it goes on where it was cut.
 `docs/benchmarks/indoor.md#refinement` explains the protocol.
 """

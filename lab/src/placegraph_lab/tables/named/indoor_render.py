@@ -1,10 +1,7 @@
 """Table `indoor_render`: time of a picture of the map, by map, size, engine, samples and threads.
 
-    placegraph-lab table indoor_render
-    placegraph-lab table indoor_render --poses 8 --out render.json
-
 Poses are the true ones along all sequences of the house, and along the half of the office that its
-map was not made of. Prints a Markdown table and writes JSON.
+map was not made of.
 """
 
 from __future__ import annotations

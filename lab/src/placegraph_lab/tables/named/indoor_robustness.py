@@ -1,8 +1,5 @@
 """Table `indoor_robustness`: perturbations, bad input and absent scenes.
 
-    placegraph-lab table indoor_robustness --quick
-    placegraph-lab table indoor_robustness --only "house: drift*; office: drift*"
-
 Every answer is written down at once: run it again and it goes on where it was cut.
 `docs/benchmarks/indoor.md#what-goes-wrong` has the protocol.
 """
@@ -144,7 +141,7 @@ def samples(rows: Sequence[Row]) -> list[tuple[Outcome, bool]]:
     ]
 
 
-def fitted(outcomes: Sequence[Outcome]) -> ConfidenceModel:
+def fit_model(outcomes: Sequence[Outcome]) -> ConfidenceModel:
     """Logistic regression of being right, by Newton's method; no coefficient of a share is negative.
 
     Over answers without a rival: how far others may fit is another factor. Best poses with depth and
@@ -213,7 +210,7 @@ def _probability(outcomes: Outcome) -> float:
     return outcomes.agreement["probability"] or 0.0
 
 
-def honest(model: ConfidenceModel, found: Sequence[tuple[Outcome, bool]]) -> str:
+def honest(model: ConfidenceModel, answers: Sequence[tuple[Outcome, bool]]) -> str:
     """Tabulate the `OK` of coefficients: of windows that were fitted, that were held out, and others."""
     weights = np.array(model.coefficients)
     lines = []
@@ -222,7 +219,7 @@ def honest(model: ConfidenceModel, found: Sequence[tuple[Outcome, bool]]) -> str
         ("others", None, False),
     ]:
         some = [
-            t for t, may in found if may == tuned and (parity is None or t.number % 2 == parity)
+            t for t, may in answers if may == tuned and (parity is None or t.number % 2 == parity)
         ]
         if not some:
             continue
@@ -280,7 +277,7 @@ def indoor_robustness(
     ordered = [rows[case.name] for case in cases]
     if fit:
         found = samples(ordered)
-        model = fitted([outcomes for outcomes, may in found if may and outcomes.number % 2 == 0])
+        model = fit_model([outcomes for outcomes, may in found if may and outcomes.number % 2 == 0])
         print(f"{model}\n\n{honest(model, found)}")
         return
     print(report(ordered))

@@ -1,8 +1,5 @@
 """Table `indoor_speed`: time by stage and map, of the tracker, memory, cold starts.
 
-    placegraph-lab table indoor_speed
-    placegraph-lab table indoor_speed --only "localizing,start"
-
 `docs/benchmarks/indoor.md#speed` explains what is measured.
 """
 

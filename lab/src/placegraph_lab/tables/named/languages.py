@@ -1,9 +1,7 @@
 """Is every language read as well as English? The same statements, said in each.
 
-    placegraph-lab table languages
-
 Frames and words are those of the languages' own tables; their nouns stand in the form of the
-dictionary, so that some sentences are worse grammar than people's. Prints Markdown, writes JSON.
+dictionary, so that some sentences are worse grammar than people's.
 """
 
 from __future__ import annotations

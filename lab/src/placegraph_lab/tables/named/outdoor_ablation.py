@@ -213,20 +213,20 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def report(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
+def report(networks: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
     """Markdown: recall where cells are given and in the pipeline, then differences to ours."""
     rows = []
-    for name, runs in found.items():
+    for name, runs in networks.items():
         each = [recall(run) for run in runs]
         mean = {key: np.mean([r[key] for r in each], axis=0).tolist() for key in each[0]}
         best = [r["20 given"][0] for r in each]
         spread = min(best), max(best)
         rows.append({"name": name, "seeds": len(runs), "mean": mean, "spread": spread})
     text = lab.render(COLUMNS, rows)
-    others = [name for name in found if OURS in found and name != OURS]
+    others = [name for name in networks if OURS in networks and name != OURS]
     if others:
         header = ["", *(part for key in COMPARED for part in (f"{key} @1", "95 % interval"))]
-        leads = [[name, *lead(found[name], found[OURS], seed)] for name in others]
+        leads = [[name, *lead(networks[name], networks[OURS], seed)] for name in others]
         text += "\n\nMinus ours:\n\n" + lab.markdown(header, leads)
     return text
 

@@ -1,10 +1,7 @@
 """Does time grow with the map? Table IV of the paper: 447 to 1,000,000 cells, with candidates and without.
 
-    placegraph-lab table outdoor_candidates
-    placegraph-lab table outdoor_candidates --quick
-
 Parts of Vancouver around one held-out place, the whole of it, and copies of it in memory. The
-queries come from the smallest part and are the same at every size. Prints Markdown, writes JSON.
+queries come from the smallest part and are the same at every size.
 """
 
 from __future__ import annotations

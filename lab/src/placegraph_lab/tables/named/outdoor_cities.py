@@ -1,10 +1,8 @@
 """Whole cities: accuracy, seconds a query and megabytes. Table VI of the paper.
 
-    placegraph-lab table outdoor_cities
-
 Queries as in `outdoor_matchers`: from held-out tiles, or anywhere in a city never trained on, of
 six statements, viewpoints anywhere in a cell and near the middle of one; by the default, and by the
-paper's pipeline. Prints Markdown, writes JSON.
+paper's pipeline.
 """
 
 from __future__ import annotations

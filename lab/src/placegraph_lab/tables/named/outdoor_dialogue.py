@@ -1,9 +1,7 @@
 """Table `outdoor_dialogue`: questions until the place is found, informative against random ones.
 
-    placegraph-lab table outdoor_dialogue --cities vancouver,liechtenstein
-
 Texts of six statements without names leave many places; a simulated speaker, who sees the raw
-extract, answers. Prints a Markdown table and writes JSON.
+extract, answers.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """GOTPR's released network on its released graphs: the transformer's rows on OSM of Table II.
 
-    placegraph-lab table outdoor_gotpr data
-
 RELEASE is the folder `data` of github.com/donghwijung/GOTLoc with `scene_graphs` and
 `model_checkpoints`. `docs/howto-kitti360pose.md` says what is read of them.
 """
@@ -63,11 +61,7 @@ class BigGNN:
 
     @classmethod
     def open(cls, path: Path) -> BigGNN:
-        """Read a released checkpoint: a state dict, of which nothing is run.
-
-        Raises `InputError`: the file is missing or
-        no state dict; a key is missing, unknown or of another shape, or a weight is not a number.
-        """
+        """Read a released checkpoint: a state dict, of which nothing is run."""
         import torch
 
         state = read_state(torch, path, "GOTPR")
@@ -174,9 +168,6 @@ def recalls(
 
     Cells are those of the texts' drives; they are ranked by the cosine of the joint embeddings,
     the `candidates` nearest by `BigGNN.first`, or all where None.
-
-    Raises `InputError`: the graphs have vectors of another length than the network, or no cell is
-    of a drive of the texts.
     """
     for graphs in (texts, cells):
         if graphs.vectors.shape[1] != network.width:

@@ -1,7 +1,5 @@
 """Table II on KITTI360Pose: retrieval of the cell, and localization, for every matcher.
 
-    placegraph-lab table outdoor_kitti360pose k360_30-10_scG_pd10_pc4_spY_all --osm karlsruhe.osm.pbf
-
 DATA is the published folder, or what `placegraph city convert-kitti360pose` made of it. Prints
 Markdown tables with the published figures beside, writes every number as JSON.
 `docs/howto-kitti360pose.md` explains the protocol.
@@ -35,7 +33,7 @@ from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
 from placegraph_lab.tables.runner import Quick, Run, Seed, known, option, parts, table
 
 
-def opened(path: Path, run: Run) -> Kitti360Pose:
+def open_dataset(path: Path, run: Run) -> Kitti360Pose:
     """Data of a converted file, or of a folder, which is converted once."""
     if not path.is_dir():
         return Kitti360Pose.open(path)
@@ -123,7 +121,7 @@ def outdoor_kitti360pose(
         network = GraphTransformer.open(weights)
     names = known(parts(matchers), MATCHERS, "matcher")
     chosen = known(parts(readings), ("honest", "paper"), "reading")
-    kitti = opened(dataset, run)
+    kitti = open_dataset(dataset, run)
     run.one_core()
     asking = Asking(names, network, queries, slow, candidates, seed)
     sets = [kitti]

@@ -1,9 +1,7 @@
 """Table `outdoor_map_size` (Table V): bytes of 110 to 447 cells, and of whole cities.
 
-    placegraph-lab table outdoor_map_size
-
 The point cloud that a map replaces is the paper's, of 447 cells of 30 m that lie 10 m apart along
-a drive; it is not here and was not measured. Prints Markdown, writes JSON.
+a drive; it is not here and was not measured.
 """
 
 from __future__ import annotations

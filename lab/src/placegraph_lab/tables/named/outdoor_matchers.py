@@ -170,12 +170,14 @@ def _mean(rows: Sequence[Row], method: str, measure: str) -> list[float]:
     return mean_recall(rows, method, measure) if method in methods(rows) else [float("nan")] * 3
 
 
-def _detail(rows: Sequence[Row], shown: Sequence[str]) -> str:
+def _detail(rows: Sequence[Row], methods_: Sequence[str]) -> str:
     header = ["", "queries", *(f"{m} @1/3/5" for m in MEASURES), "median", "p50", "p95"]
-    lines = [_line(m, [r for r in rows if r.method == m]) for m in shown]
+    lines = [_line(m, [r for r in rows if r.method == m]) for m in methods_]
     for city in dict.fromkeys(r.city for r in rows):
         mine = [r for r in rows if r.city == city]
-        lines += [_line(f"{city}: {r.method}", [r]) for m in shown for r in mine if r.method == m]
+        lines += [
+            _line(f"{city}: {r.method}", [r]) for m in methods_ for r in mine if r.method == m
+        ]
     return lab.markdown(header, lines)
 
 
@@ -208,7 +210,7 @@ class Asking:
     journal: lab.Journal
     tick: Callable[[], None]
 
-    def asked(self, name: str, protocol: Protocol, method: str) -> int:
+    def query_count(self, name: str, protocol: Protocol, method: str) -> int:
         if method not in SLOW:
             return self.queries
         wanted = name in self.slow_cities and protocol == Protocol(anywhere=True)
@@ -227,7 +229,7 @@ class Asking:
             )  # fmt: skip
             asked, warming = spoken(n=self.queries, seed=self.seed), spoken(n=3, seed=self.seed + 1)
             for method in self.methods:
-                n = self.asked(name, protocol, method)
+                n = self.query_count(name, protocol, method)
                 key = f"{name}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
                 if n and key not in self.journal:
                     found = matcher(method, city, bins, setting, seed=self.seed)

@@ -39,8 +39,6 @@ def rate(work: Callable[[], int], *, seconds: float, least: int = 3) -> float:
     """Pairs a second: the median of runs that together take `seconds`, after one that warms up.
 
     `work`: judges some pairs and says how many they were; `least`: runs at the least.
-
-    Raises `OptionError`: where there is no time, or no run.
     """
     if not (seconds > 0.0 and least > 0):
         raise OptionError(f"seconds is {seconds}, least is {least}; give both above 0.")

@@ -1,9 +1,6 @@
 """Does a sentence find its place? Recall, calibration and time on real OpenStreetMap extracts.
 
-    placegraph-lab table outdoor_recall --split dev
-    placegraph-lab table outdoor_recall --cities monaco --quick
-
-Prints Markdown tables, writes every row as JSON. `docs/benchmarks.md` explains the protocol.
+`docs/benchmarks.md` explains the protocol.
 """
 
 from __future__ import annotations
@@ -65,20 +62,20 @@ def protocols(statements: Sequence[int], settings: Sequence[str]) -> list[Protoc
 
 
 def bounds(
-    city: str, bins: Bins, group: Sequence[Protocol], asked: dict[Protocol, list[Query]]
+    city: str, bins: Bins, group: Sequence[Protocol], queries: dict[Protocol, list[Query]]
 ) -> list[Row]:
     """Rows of the ceiling and of the oracle; the protocols look at the city in the same way."""
-    together = [q for p in group for q in asked[p]]
+    together = [q for p in group for q in queries[p]]
 
     contest = Contest.of(bins, together, names=group[0].setting == "names")
     ceilings = {"exact": ceiling(contest, None)}
     ceilings |= {f"{r:.0f} m": ceiling(contest, r) for r in RADII}
-    loud = [p.setting == "replaced" for p in group for _ in asked[p]]
+    loud = [p.setting == "replaced" for p in group for _ in queries[p]]
     quiet_guess, loud_guess = oracle(contest), oracle(contest, replaced=True)
     guess = np.where(np.array(loud)[:, None], loud_guess, quiet_guess)
     rows, end = [], 0
     for p in group:
-        part = slice(end, end := end + len(asked[p]))
+        part = slice(end, end := end + len(queries[p]))
         recall = {
             name: [type(c)(c.better[part], c.tied[part]).recall(k) for k in RANKS]
             for name, c in ceilings.items()

@@ -1,9 +1,7 @@
 """Does time grow slower than the map? Copies of one city side by side, labels shuffled.
 
-    placegraph-lab table outdoor_scale --copies 1,10,100
-
 The queries come from the first copy, which keeps its labels, and are the same on every map.
-Every build and every round of queries runs in a fresh process. Prints Markdown, writes JSON.
+Every build and every round of queries runs in a fresh process.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """Table `outdoor_track`: what is a way worth? A few sentences along a walk, against one place at a time.
 
-    placegraph-lab table outdoor_track
-    placegraph-lab table outdoor_track --cities monaco --walks 20
-
 Walks of 3 to 5 places, two sentences at each, made of the raw extracts; the last place is sought.
-Prints a Markdown table and writes JSON. `docs/benchmarks.md` explains the protocol of the sentences.
+`docs/benchmarks.md` explains the protocol of the sentences.
 """
 
 from __future__ import annotations
@@ -86,9 +83,6 @@ def make_walks(
 
     Every other walk is bent. The same seed gives the same walks in the settings that say the same
     things.
-
-    Raises `OptionError`: where the extract has too few places with that much to say; `InputError`:
-    where the extract cannot be read.
     """
     if not 1 <= min_places <= max_places:
         raise OptionError(f"A walk of {min_places} to {max_places} places is none; give 1 or more.")

@@ -1,10 +1,8 @@
 """Which vector store? Build time, query time, memory and recall against map size.
 
-    placegraph-lab table outdoor_vectors --sizes 447,1616,3409,5225,50000,1000000
-
 Clustered random unit vectors of 64 numbers; a query is a stored vector that noise has turned away,
 as a text is near its cell but never on it. One thread. faiss and usearch are measured where they
-are installed; placegraph needs neither. Prints Markdown, writes JSON.
+are installed; placegraph needs neither.
 """
 
 from __future__ import annotations

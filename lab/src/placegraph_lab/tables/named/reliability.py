@@ -1,11 +1,5 @@
 """Table `reliability`: what was done to break placegraph, and what became of it.
 
-    placegraph-lab table reliability --minutes 5
-    placegraph-lab table reliability --only fuzz --minutes 240 --seed 7
-    placegraph-lab table reliability --only fuzz,platforms --names ".run; one core"
-    placegraph-lab table reliability --minutes 0 --also elsewhere.json
-    placegraph-lab table reliability --minutes 0 --mended "fuzz/glTF/3; fuzz/.run/8"
-
 Every part works for so many minutes: mutated inputs, faults, load, properties, platforms. Each row is
 written down as soon as it is there, so that nothing is lost where a run is cut short, and takes the
 place of that of the same name and seed; all others stay. Prints Markdown, writes JSON; no minutes
@@ -95,10 +89,10 @@ def reliability(
     rows = written(path)
     if run.out is None and not quick:
         publish(rows)
-    print(shown(now if seconds else [row for row in rows if row.part in wanted]))
+    print(render_rows(now if seconds else [row for row in rows if row.part in wanted]))
 
 
-def shown(rows: list[Row]) -> str:
+def render_rows(rows: list[Row]) -> str:
     told = []
     for part in dict.fromkeys(row.part for row in rows):
         own = [row for row in rows if row.part == part]
@@ -110,7 +104,7 @@ def shown(rows: list[Row]) -> str:
 
 
 def publish(rows: list[Row], root: Path = lab.LAB.parent) -> None:
-    for name, pattern, new in ((PAGE, TABLE, shown(rows)), ("README.md", SUM, summed(rows))):
+    for name, pattern, new in ((PAGE, TABLE, render_rows(rows)), ("README.md", SUM, summed(rows))):
         before, after = pattern.split((root / name).read_text("utf-8"))
         write_output(root / name, f"{before}{new}{after}".encode())
 

@@ -231,10 +231,10 @@ def right(candidate: dict[str, Any]) -> bool:
     return bool(candidate["metres"] < RIGHT and np.radians(candidate["degrees"]) < TURN)
 
 
-def report(asked: Sequence[dict[str, Any]]) -> str:
+def report(answers: Sequence[dict[str, Any]]) -> str:
     lines, sure, true = [], [], []
     for row in (*BUILDINGS, *WALKS):
-        own = [a for a in asked if a["row"] == row]
+        own = [a for a in answers if a["row"] == row]
         kept = [a["candidates"] for a in own if "candidates" in a]
         if not kept:
             continue

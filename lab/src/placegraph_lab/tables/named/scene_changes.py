@@ -1,8 +1,5 @@
 """Are changes found? A map of the house, and walks through it after furniture was moved or taken away.
 
-    placegraph-lab table scene_changes
-    placegraph-lab table scene_changes --quick
-
 Poses are those that localizing finds; what was changed is known to the evaluation alone. Prints a
 Markdown table and writes every window as JSON. Every answer is written down at once: run it again
 and it goes on where it was cut.
@@ -155,24 +152,24 @@ def _meet(box: Floats, other: Floats) -> bool:
     return bool(np.all((box[0] <= other[1] + NEAR_NEW) & (other[0] <= box[1] + NEAR_NEW)))
 
 
-def figures(told: Sequence[WindowChanges]) -> dict[str, Any]:
+def figures(windows: Sequence[WindowChanges]) -> dict[str, Any]:
     """Sums and rates of some windows."""
 
     def total(name: str) -> int:
-        values = [getattr(t, name) for t in told]
+        values = [getattr(t, name) for t in windows]
         return sum(len(v) if isinstance(v, tuple | list) else v for v in values)
 
     def mean(name: str) -> float | None:
-        values = [c for t in told for c in getattr(t, name)]
+        values = [c for t in windows for c in getattr(t, name)]
         return float(np.mean(values)) if values else None
 
-    errors = np.array([e for t in told for e in t.errors]).reshape(-1, 2)
-    moved = {t.sequence for t in told if t.visible or t.right}
-    still = [t for t in told if t.sequence not in moved]
+    errors = np.array([e for t in windows for e in t.errors]).reshape(-1, 2)
+    moved = {t.sequence for t in windows if t.visible or t.right}
+    still = [t for t in windows if t.sequence not in moved]
     right, wrong, seen = total("right"), total("wrong"), total("visible")
     return {
-        "windows": len(told),
-        "lost": sum(t.status == "LOST" for t in told),
+        "windows": len(windows),
+        "lost": sum(t.status == "LOST" for t in windows),
         **{k: total(k) for k in ("visible", "found", "right", "wrong")},
         **{k: total(k) for k in ("moves", "moves_found", "removed", "removed_found")},
         "recall": total("found") / seen if seen else None,
@@ -183,7 +180,7 @@ def figures(told: Sequence[WindowChanges]) -> dict[str, Any]:
         "still_false": sum(len(t.wrong) + t.new_wrong for t in still),
         "appeared_right": total("new_right"),
         "appeared_wrong": total("new_wrong"),
-        "seconds": float(np.median([t.seconds for t in told])),
+        "seconds": float(np.median([t.seconds for t in windows])),
         "confidence_right": mean("right"),
         "confidence_wrong": mean("wrong"),
     }

@@ -1,7 +1,5 @@
 """Table `scene_maps`: how small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes.
 
-    placegraph-lab table scene_maps --every 13 --office-every 9 --sizes full,default,small,tiny
-
 Maps are built by `placegraph scene build`; all are asked about the same windows. Every answer is
 written down at once: run it again and it goes on where it was cut.
 """

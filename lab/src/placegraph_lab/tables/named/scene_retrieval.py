@@ -192,7 +192,7 @@ def _of_kind(kind: str) -> Callable[[Answer], bool]:
 LARGE = BOTH  # the row that is asked in the large library, too: what a library does by default
 
 
-def asked(run: lab.Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
+def read_walks(run: lab.Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
     """All scenes, and all walks through them, or of homes one each."""
     places, walks = house_rooms(run.data, run.cache)
     office, half = office_half(run.data, run.cache)
@@ -223,7 +223,7 @@ def scene_retrieval(
     if quick:
         rows, scenes, thin = rows[:1], 0, True
     journal = run.journal(fresh=fresh)
-    places, walks = asked(run, 0 if development else FIRST, thin=thin)
+    places, walks = read_walks(run, 0 if development else FIRST, thin=thin)
     study = Study(places, walks, run.cache, journal, run.say)
     measured, large = [], []
     for name in rows:

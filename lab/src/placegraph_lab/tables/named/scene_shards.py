@@ -1,8 +1,5 @@
 """100,000 scenes in shards: which one it is, how fast that is told, and how often the right one is.
 
-    placegraph-lab table scene_shards
-    placegraph-lab table scene_shards --scenes 5000 --queries 20
-
 Homes are drawn (`worlds.home`); 100,000 would take days, so that all but the first are drawn homes
 perturbed as scene graphs, without meshes: turned, half of their objects others. A query of frames is
 what panoramas of a scene show, with a share of the patches called wrongly; a text is six facts about a

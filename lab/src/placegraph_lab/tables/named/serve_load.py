@@ -75,13 +75,10 @@ class Served:
         """Return the resident memory of its processes [MB]; shared pages count in each."""
         return sum(int(_stat(p)[21]) for p in self.processes) * PAGE * 1e-6
 
-    def asked(
+    def send(
         self, requests: Iterable[Request], file: Path, *, at_once: int, seconds: int
     ) -> dict[str, Any]:
-        """Send requests in turn by wrk, so many at once; its figures, and the CPU time of each.
-
-        Raises `OptionError` where wrk is not installed.
-        """
+        """Send requests in turn by wrk, so many at once; its figures, and the CPU time of each."""
         if shutil.which("wrk") is None:
             raise OptionError("wrk is not installed; install it (apt-get install wrk).")
         file.write_bytes(b"".join(r.bytes for r in requests))
@@ -199,15 +196,15 @@ def loads(
 ) -> Iterator[dict[str, Any]]:
     """Sentences and pictures, few and many at once; the first seconds warm up and do not count."""
     asked = [Request.of("/v1/locate", text=text, map=CITY) for text in texts]
-    server.asked(asked, file, at_once=4, seconds=2)
+    server.send(asked, file, at_once=4, seconds=2)
     for at_once in (1, 4, 8):
-        yield {"asked": "sentences"} | server.asked(asked, file, at_once=at_once, seconds=seconds)
+        yield {"asked": "sentences"} | server.send(asked, file, at_once=at_once, seconds=seconds)
     files, gravity = sorted((walk / "rgb").iterdir()), open_capture(walk).gravity.tolist()
     plain = [picture(path) for path in files]
     leveled = [picture(path, [down]) for path, down in zip(files, gravity, strict=True)]
-    server.asked(plain, file, at_once=1, seconds=2)
+    server.send(plain, file, at_once=1, seconds=2)
     for name, images in (("pictures", plain), ("pictures and gravity", leveled)):
-        yield {"asked": name} | server.asked(images, file, at_once=2, seconds=seconds)
+        yield {"asked": name} | server.send(images, file, at_once=2, seconds=seconds)
 
 
 def picture(path: Path, gravity: list[list[float]] | None = None) -> Request:
@@ -240,7 +237,7 @@ def watched(
     ]
     rows = [{"requests": 0, "mb": server.memory()}]
     while rows[-1]["requests"] < requests:
-        seen = server.asked(mixed, file, at_once=4, seconds=seconds)
+        seen = server.send(mixed, file, at_once=4, seconds=seconds)
         total = rows[-1]["requests"] + seen["requests"]
         rows.append({"requests": total, "mb": server.memory(), "cpu_ms": seen["cpu_ms"]})
     return rows

@@ -382,7 +382,7 @@ def answerable(run: lab.Run, of: Spec, sets: list[Set]) -> list[Set]:
     return kept
 
 
-def asked(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
+def select_part(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
     """The part of a table that was asked for; `typer.BadParameter` where it has no such part."""
     words = lab.parts(lengths)
     if not all(word.isdecimal() and int(word) for word in words):
@@ -423,7 +423,7 @@ def numbered(table: int) -> lab.Table:
         quick: lab.Quick = False,
         fresh: lab.Fresh = False,
     ) -> None:
-        of = asked(spec, lengths, only, pace)
+        of = select_part(spec, lengths, only, pace)
         if quick:
             frames, of = 10, of._replace(lengths=of.lengths[:1])
         chosen = answerable(run, of, list(there(run, lab.parts(sets), split)))

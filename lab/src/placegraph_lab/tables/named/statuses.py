@@ -1,4 +1,4 @@
-"""Text sets that statuses are judged on: made by templates, written by people, and traps.
+"""Text sets that statuses are outcomes on: made by templates, written by people, and traps.
 
 A trap is a text of which nobody may be sure: it names a street or a business that the map lacks, is
 about another town, about none, or in words and languages that are not known.
@@ -66,7 +66,7 @@ TUNED, HELD_OUT = "tuned on", "held out"
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class LabelledText:
     """A text, and what is true of it."""
 
     text: str
@@ -83,7 +83,7 @@ class TextSet:
     name: str
     city: str
     half: str  # whether it was looked at while statuses were tuned
-    texts: tuple[Told, ...]
+    texts: tuple[LabelledText, ...]
 
     @property
     def radius(self) -> float:
@@ -92,12 +92,12 @@ class TextSet:
 
 
 def text_sets(
-    osm: Path, told: Path, maps: dict[str, CityMap], n: int, seed: int
+    osm: Path, folder: Path, maps: dict[str, CityMap], n: int, seed: int
 ) -> Iterator[TextSet]:
-    """All sets, `n` texts each but for what people wrote; extracts lie in `osm`, records in `told`."""
+    """All sets, `n` texts each but for what people wrote; extracts lie in `osm`, records in `folder`."""
     yield from templates(osm, n, seed)
-    yield from people(told)
-    yield from traps(osm, told, maps, n, seed)
+    yield from people(folder)
+    yield from traps(osm, folder, maps, n, seed)
 
 
 def templates(osm: Path, n: int, seed: int) -> Iterator[TextSet]:
@@ -110,11 +110,11 @@ def templates(osm: Path, n: int, seed: int) -> Iterator[TextSet]:
             )  # fmt: skip
 
 
-def _made(path: Path, protocol: Protocol, n: int, seed: int) -> tuple[Told, ...]:
+def _made(path: Path, protocol: Protocol, n: int, seed: int) -> tuple[LabelledText, ...]:
     made = make_queries(
         path, statements=protocol.statements, setting=protocol.setting, n=n, seed=seed
     )
-    return tuple(Told(q.text, (q.longitude, q.latitude)) for q in made)
+    return tuple(LabelledText(q.text, (q.longitude, q.latitude)) for q in made)
 
 
 def people(folder: Path) -> Iterator[TextSet]:
@@ -122,19 +122,21 @@ def people(folder: Path) -> Iterator[TextSet]:
     for city, file in TOLD.items():
         records = read_records(folder / file)
         for start in (False, True):
-            texts = tuple(Told(r.text, r.goal, r.start if start else None) for r in records)
+            texts = tuple(LabelledText(r.text, r.goal, r.start if start else None) for r in records)
             name = f"{city.title()}{', start known' if start else ''}"
             for first, half in enumerate((TUNED, HELD_OUT)):
                 yield TextSet("people", name, city, half, texts[first::2])
 
 
-def traps(osm: Path, told: Path, maps: dict[str, CityMap], n: int, seed: int) -> Iterator[TextSet]:
+def traps(
+    osm: Path, folder: Path, maps: dict[str, CityMap], n: int, seed: int
+) -> Iterator[TextSet]:
     """Texts of which nobody may be sure on the map that they are asked of."""
     for home, city in ABROAD.items():
         texts = _made(osm / MADE[home], PROTOCOLS[0], n, seed)
         yield _trap("templates of another town", city, [t.text for t in texts])
     for home, city in ASTRAY.items():
-        records = read_records(told / TOLD[home])[::2][:n]
+        records = read_records(folder / TOLD[home])[::2][:n]
         yield _trap("people's words about another town", city, [r.text for r in records])
     with TRAPS.open("rb") as file:
         kinds = tomllib.load(file)
@@ -151,19 +153,19 @@ def traps(osm: Path, told: Path, maps: dict[str, CityMap], n: int, seed: int) ->
 
 
 def _trap(name: str, city: str, texts: Sequence[str]) -> TextSet:
-    return TextSet("traps", name, city, HELD_OUT, tuple(Told(t) for t in texts))
+    return TextSet("traps", name, city, HELD_OUT, tuple(LabelledText(t) for t in texts))
 
 
 def _cycle(kind: dict[str, Any], n: int) -> list[str]:
     return [kind["frames"][i % len(kind["frames"])] for i in range(n)]
 
 
-def _mixed(made: Sequence[Told], frames: Sequence[str]) -> tuple[Told, ...]:
+def _mixed(made: Sequence[LabelledText], frames: Sequence[str]) -> tuple[LabelledText, ...]:
     mixed = []
-    for i, told in enumerate(made):
-        true = told.text.split(". ")[:2]
+    for i, text in enumerate(made):
+        true = text.text.split(". ")[:2]
         foreign = frames[i % len(frames)].replace("{name}", "Xyzal")
-        mixed.append(Told(". ".join([*true, foreign]), told.goal))
+        mixed.append(LabelledText(". ".join([*true, foreign]), text.goal))
     return tuple(mixed)
 
 
@@ -206,7 +208,7 @@ class Filler:
 NAMES = {id(IN_SIGHT): "IN_SIGHT", id(AT_A_PLACE): "AT_A_PLACE"}
 
 
-def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calibration]:
+def fit_calibrations(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calibration]:
     """Coefficients by what is claimed, over the texts of known places that may be tuned on."""
     drawn: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for asked in sets:
@@ -221,18 +223,18 @@ def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calib
     }
 
 
-def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
+def shares(city: CityMap, text: LabelledText) -> list[tuple[str, float, bool]]:
     """Return name, the best place's share and correctness of each radius that is claimed."""
     try:
-        asked = make_request(city, told.text, Hints(listener=told.start), Matching())
+        asked = make_request(city, text.text, Hints(listener=text.start), Matching())
         peaks = find_modes(found := search_views(asked), 1, SPACING)
     except PlacegraphError:
         return []
-    if not peaks or told.goal is None:
+    if not peaks or text.goal is None:
         return []
     claim: Claim = infer_claim(asked.understood)
     at = peaks[0].position
-    off = float(np.hypot(*(city.plane.to_plane(told.goal) - at)))
+    off = float(np.hypot(*(city.plane.to_plane(text.goal) - at)))
     radii = {MODE_RADIUS: "of_place", claim.radius: "of_radius"}
     return [
         (f"{NAMES[id(claim)]}.{name}", found.mass_within(at, radius), off <= radius)
@@ -298,28 +300,28 @@ class Verdict:
     off: float  # how far the best place is from the truth [m]; infinite where there is none
 
 
-def judge(city: CityMap, told: Told) -> Verdict:
+def locate_text(city: CityMap, text: LabelledText) -> Verdict:
     """Give a text to a map, and where the listener is, if that is told."""
     try:
-        found = city.locate(told.text, listener=told.start)
+        found = city.locate(text.text, listener=text.start)
     except PlacegraphError as error:
         return Verdict(type(error).__name__, 0.0, np.inf)
-    if found.best is None or told.goal is None:
+    if found.best is None or text.goal is None:
         return Verdict(found.status.name, found.best.probability if found.best else 0.0, np.inf)
-    off = float(distances(positions(found)[:1], *told.goal)[0])
+    off = float(distances(positions(found)[:1], *text.goal)[0])
     return Verdict(found.status.name, found.best.probability, off)
 
 
 @dataclass(frozen=True)
-class Judged:
+class SetOutcome:
     """A text set, and what became of it."""
 
-    asked: TextSet
+    text_set: TextSet
     verdicts: list[Verdict]
 
     @property
     def key(self) -> tuple[str, str]:
-        return self.asked.kind, self.asked.name
+        return self.text_set.kind, self.text_set.name
 
 
 def rates(verdicts: Sequence[Verdict], radius: float) -> dict[str, float]:
@@ -346,11 +348,11 @@ def calibrated(verdicts: Sequence[Verdict]) -> Reliability:
     return reliability([v.probability for v in verdicts], [v.off <= HIT for v in verdicts])
 
 
-def merged(judged: Iterable[Judged]) -> dict[tuple[str, str], dict[str, list[Verdict]]]:
+def merged(outcomes: Iterable[SetOutcome]) -> dict[tuple[str, str], dict[str, list[Verdict]]]:
     rows: dict[tuple[str, str], dict[str, list[Verdict]]] = {}
-    for one in judged:
+    for one in outcomes:
         halves = rows.setdefault(one.key, {})
-        halves.setdefault(one.asked.half, []).extend(one.verdicts)
+        halves.setdefault(one.text_set.half, []).extend(one.verdicts)
     return rows
 
 
@@ -360,24 +362,24 @@ def line(name: str, half: str, verdicts: Sequence[Verdict], radius: float) -> li
     return [name, half, f"{r['texts']:,.0f}", *(share(r[k]) for k in wanted)]
 
 
-def shown(judged: Sequence[Judged], kind: str) -> str:
+def render_kind(outcomes: Sequence[SetOutcome], kind: str) -> str:
     header = ["", "", "texts", "`OK`", "of these wrong", "`OK` and right", "right, not `OK`"]
     header += ["`LOST`", "calibration error"]
-    of_kind = [j for j in judged if j.asked.kind == kind]
+    of_kind = [j for j in outcomes if j.text_set.kind == kind]
     rows = [
         line(name, half, verdicts, RADIUS[kind])
         for (_, name), halves in merged(of_kind).items()
         for half, verdicts in halves.items()
     ]
     for half in (TUNED, HELD_OUT):
-        every = [v for j in of_kind for v in j.verdicts if j.asked.half == half]
+        every = [v for j in of_kind for v in j.verdicts if j.text_set.half == half]
         if every:
             rows.append(line("**all**", half, every, RADIUS[kind]))
     return markdown(header, rows)
 
 
 def maps(run: Run) -> dict[str, CityMap]:
-    """Every map, made anew: its making is part of what is judged."""
+    """Every map, made anew: its making is part of what is outcomes."""
     import placegraph as pg
 
     run.cache.mkdir(parents=True, exist_ok=True)
@@ -406,34 +408,34 @@ def statuses(
     cities = maps(run)
     sets = text_sets(run.osm, run.data / "text", cities, 20 if quick else texts, seed)
     if fit:
-        for name, trust in fitted(run.track(sets, "sets"), cities).items():
+        for name, trust in fit_calibrations(run.track(sets, "sets"), cities).items():
             print(f"{name}: Trust({trust.level:.2f}, {trust.slope:.2f})")
         return
     run.one_core()
-    judged = []
+    outcomes = []
     for asked in run.track(sets, "sets"):
         told = asked.texts[:50] if quick else asked.texts
-        judged.append(Judged(asked, [judge(cities[asked.city], t) for t in told]))
+        outcomes.append(SetOutcome(asked, [locate_text(cities[asked.city], t) for t in told]))
     for kind, title in KINDS.items():
-        print(f"### {title}\n\n{shown(judged, kind)}\n")
+        print(f"### {title}\n\n{render_kind(outcomes, kind)}\n")
     panels = {
         f"{title}, {half}": calibrated(verdicts)
         for kind, title in list(KINDS.items())[:2]
         for half in (TUNED, HELD_OUT)
-        if (verdicts := [v for j in judged if (j.asked.kind, j.asked.half) == (kind, half)
+        if (verdicts := [v for j in outcomes if (j.text_set.kind, j.text_set.half) == (kind, half)
                          for v in j.verdicts])
     }  # fmt: skip
     if not quick:
         diagrams(panels).save(PICTURE, optimize=True)
     run.save(
-        {"rows": [row(j) for j in judged], "diagrams": {k: bins(v) for k, v in panels.items()}}
+        {"rows": [row(j) for j in outcomes], "diagrams": {k: bins(v) for k, v in panels.items()}}
     )
 
 
-def row(judged: Judged) -> dict[str, Any]:
-    asked = judged.asked
+def row(outcomes: SetOutcome) -> dict[str, Any]:
+    asked = outcomes.text_set
     head = {k: getattr(asked, k) for k in ("kind", "name", "city", "half")}
-    return head | rates(judged.verdicts, asked.radius)
+    return head | rates(outcomes.verdicts, asked.radius)
 
 
 def bins(of: Reliability) -> dict[str, list[float]]:

@@ -158,7 +158,7 @@ class Row:
     peak: int = 0  # largest memory of this process so far [bytes]
 
 
-def asked(
+def time_queries(
     search: Search, queries: Floats, wanted: NDArray[np.int64]
 ) -> tuple[float, float, float, float]:
     """Median and 95th percentile of a query [ms], recall, and time of the processor [ms]."""
@@ -188,7 +188,7 @@ def embedded(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder
     store = EmbeddedStore.of_rows(content, origin=ORIGIN, bits=8)
     spent = time.perf_counter() - start
     del content
-    told = asked(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
+    told = time_queries(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
     store.save(folder / "some.vectors")
     opened = time.perf_counter()
     open_store(folder / "some.vectors", origin=ORIGIN).close()
@@ -210,7 +210,9 @@ def on_server(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folde
         store = load_store(uri, content, name="scale", origin=ORIGIN, timeout=60.0)
         spent = time.perf_counter() - start
         with store:
-            told = asked(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
+            told = time_queries(
+                lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted
+            )
         size = on_disk(folder) / len(vectors)
         return Row("Milvus 2.3.5, HNSW", len(vectors), len(vectors) / spent, *told, size)
     finally:
@@ -246,7 +248,7 @@ def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder:
     while not ready:  # its first answer waits for the index
         ready = bool(search(queries[0], 1))
     spent = time.perf_counter() - start
-    told = asked(search, queries, wanted)
+    told = time_queries(search, queries, wanted)
     client.close()
     size = on_disk(folder) / len(vectors)
     return Row("Milvus Lite 3, HNSW", len(vectors), len(vectors) / spent, *told, size)

@@ -1,10 +1,7 @@
 """Table `weight`: how heavy is the house? Files and lines of every part, functions, prose, starts and sizes.
 
-    placegraph-lab table weight
-    placegraph-lab table weight --no-starts --no-install
-
 Counts the core, each package, the lab, tests and docs, beside their budgets and beside commit fa2f326,
-when everything was one package. Prints Markdown, writes JSON.
+when everything was one package.
 """
 
 from __future__ import annotations

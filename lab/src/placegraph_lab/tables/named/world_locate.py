@@ -2,10 +2,6 @@
 
 A quarter of houses with addresses is drawn, and in each a home. Somebody in a room says address, room
 and two things (one number in ten is the next house's), and films three frames with depth.
-
-    placegraph-lab table world_locate --quick
-
-Prints a Markdown table and writes every answer as JSON.
 """
 
 from __future__ import annotations
@@ -158,10 +154,10 @@ def ask(world: World, visit_: Visit, row: str, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def report(asked: Sequence[dict[str, Any]]) -> str:
+def report(answers: Sequence[dict[str, Any]]) -> str:
     rows = []
     for row in ROWS:
-        own = [a for a in asked if a["row"] == row]
+        own = [a for a in answers if a["row"] == row]
         shares = [
             f"{np.mean([a[key] for a in own]):.0%}" for key in ("building", "room", "pose", "ok")
         ]

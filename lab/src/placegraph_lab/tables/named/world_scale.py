@@ -100,7 +100,7 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
     }
 
 
-def exhaustive(asked: Request) -> Posterior:
+def exhaustive(request: Request) -> Posterior:
     from placegraph.outdoor.search.posterior import (
         NO_MARGIN,
         Candidates,
@@ -108,8 +108,8 @@ def exhaustive(asked: Request) -> Posterior:
         score_candidates,
     )
 
-    every = Candidates.of_views(asked, np.arange(len(asked.city.views)))
-    return compute_posterior(asked, score_candidates(asked, every, NO_MARGIN))
+    every = Candidates.of_views(request, np.arange(len(request.city.views)))
+    return compute_posterior(request, score_candidates(request, every, NO_MARGIN))
 
 
 def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:

@@ -35,17 +35,17 @@ WORKED = (
 )  # fmt: skip
 
 
-def work_rows(crew: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def work_rows(timed: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield rows of the table of workers, seconds a text."""
-    alone = crew["by"][ALONE]["asks_s"]
-    for by, of in crew["by"].items():
+    alone = timed["by"][ALONE]["asks_s"]
+    for by, of in timed["by"].items():
         path, names = of["asks_s"] + of["works_s"], ("seconds", "asks_s", "works_s")
-        row = {"by": by, "shards": crew["shards"], "alike": crew["alike"], "trips": of["trips"]}
-        row |= {name: of[name] / crew["texts"] for name in names}
-        yield row | {"path_s": path / crew["texts"], "of_alone": path / alone}
+        row = {"by": by, "shards": timed["shards"], "alike": timed["alike"], "trips": of["trips"]}
+        row |= {name: of[name] / timed["texts"] for name in names}
+        yield row | {"path_s": path / timed["texts"], "of_alone": path / alone}
 
 
-def crew(world: Path, texts: list[str]) -> dict[str, Any]:
+def time_workers(world: Path, texts: list[str]) -> dict[str, Any]:
     """One process, one worker, two, and two of which one is killed; whether all answer alike."""
     from placegraph_scale.shards import WorldFile
 
@@ -130,7 +130,7 @@ PLANET = 1.5e9  # cells of the planet, as extrapolated from four extracts
 Texts = dict[str, list["Query"]]
 
 
-def told(reason: str) -> int:
+def count_touched(reason: str) -> int:
     return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
 
 
@@ -151,7 +151,7 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
             many = planet.locate(q.text)
             row["ms_shards"].append(1e3 * (time.process_time() - middle))
             row["ms"].append(1e3 * (middle - start))
-            row["touched"].append(told(many.reason) if many.modes else 0)
+            row["touched"].append(count_touched(many.reason) if many.modes else 0)
             if one.best is None or many.best is None:
                 row["same"] += one.best is None and many.best is None
                 continue
@@ -164,7 +164,7 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
     return rows
 
 
-def asked(world: Path, texts: Texts) -> dict[str, Any]:
+def time_texts(world: Path, texts: Texts) -> dict[str, Any]:
     """Time and shards of all texts in one process, after a few have opened what they need."""
     import placegraph as pg
 
@@ -183,7 +183,7 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
             start = time.process_time()
             estimate = planet.locate(q.text, **fix(kind, q))
             ms.append(1e3 * (time.process_time() - start))
-            touched.append(told(estimate.reason) if estimate.modes else 0)
+            touched.append(count_touched(estimate.reason) if estimate.modes else 0)
             right += estimate.best is not None and near(estimate.best, q)
         found[kind] = {"ms": ms, "touched": touched, "right": right / len(queries)}
     mapped = Path("/proc/self/maps").read_text("utf-8").count(f"{world}/shards/")
@@ -266,11 +266,11 @@ def world_shards(
     grown = []
     for n, world in zip(numbers, made, strict=True):
         run.say(f"{n} copies")
-        grown.append({"copies": int(n)} | sizes(world) | apart(asked, world, kept))
+        grown.append({"copies": int(n)} | sizes(world) | apart(time_texts, world, kept))
         print(lab.render(GROWN, [grown[-1] | grown[-1][kind] | {"kind": kind} for kind in kept]))
     run.say("workers")
     said = [q.text for q in texts["common words"][:20]]
-    crews = [crew(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
+    crews = [time_workers(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
     print(lab.render(WORKED, [row for one in crews for row in work_rows(one)]))
     capacity = model(grown)
     print(lab.markdown(["", "model", "measured", "planet, extrapolated"], capacity))

@@ -34,10 +34,7 @@ EXTRACTS = TRAINED | UNSEEN
 
 
 def names_of(cities: str) -> list[str]:
-    """Names of cities, given with commas; all where there are none.
-
-    Raises `OptionError`: where there is no such city.
-    """
+    """Names of cities, given with commas; all where there are none."""
     names = [c.strip() for c in cities.split(",") if c.strip()] or list(EXTRACTS)
     for name in names:
         if name not in EXTRACTS:
@@ -125,8 +122,6 @@ def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
 
     `around`: east and north (2,) [m]; the median of all objects if None. Smaller parts lie within
     larger ones around the same place.
-
-    Raises `OptionError`: where the city has fewer cells, or none are wanted.
     """
     if not 1 <= cells <= len(city.cells):
         raise OptionError(f"{cells:,} cells of a city that has {len(city.cells):,}.")

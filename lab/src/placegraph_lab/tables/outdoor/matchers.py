@@ -58,10 +58,10 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
     return Run(dict(zip(STAGES, np.diff(clock).tolist(), strict=True)), ranked)
 
 
-def matched(encoded: EncodedCity, said: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
+def matched(encoded: EncodedCity, text: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
     """Match a text with cells `rows` (K,) (Eq. 14-17), some thousands at once."""
     found = [
-        encoded.match(said, encoded.cells, rows[i : i + AT_ONCE])
+        encoded.match(text, encoded.cells, rows[i : i + AT_ONCE])
         for i in range(0, len(rows), AT_ONCE)
     ]
     return MatchScores(*(np.concatenate(column) for column in zip(*found, strict=True)))
@@ -205,7 +205,7 @@ def matcher(
 
 
 def ask(
-    asked: Matcher, city: CityMap, queries: Sequence[Query], *, top: int = max(RANKS)
+    matcher: Matcher, city: CityMap, queries: Sequence[Query], *, top: int = max(RANKS)
 ) -> list[Answer]:
     """Give queries to a matcher; a place is exact where its cell is the one that covers the truth.
 
@@ -214,7 +214,7 @@ def ask(
     answers = []
     for query in queries:
         start = time.perf_counter()
-        places = asked.rank(query, top)
+        places = matcher.rank(query, top)
         seconds = time.perf_counter() - start
         truth = city.cells.at(query.longitude, query.latitude)
         off = distances(places.positions, query.longitude, query.latitude)

@@ -118,10 +118,7 @@ class Score:
 
 
 def score(answers: Sequence[Answer]) -> Score:
-    """Summarize answers; one without any place misses at every rank.
-
-    Raises `OptionError`: where there are no answers.
-    """
+    """Summarize answers; one without any place misses at every rank."""
     if not answers:
         raise OptionError("There are no answers to score.")
     n = len(answers)

@@ -201,8 +201,6 @@ def read_raw(path: str | Path, bounds: Bounds | None = None) -> RawCity:
 
     Closed ways become areas by `is_area`, multipolygon relations by osmium's assembler; nodes
     that a clipped extract lacks are left out of their lines.
-
-    Raises `InputError`: where osmium cannot read the file, or it holds no tagged object.
     """
     import osmium
 
@@ -252,10 +250,7 @@ class Record:
 
 
 def read_records(path: str | Path) -> list[Record]:
-    """Read the records of a JSON-lines file; it lists points as latitude, longitude.
-
-    Raises `InputError`: where the file is missing, or a line is not a record.
-    """
+    """Read the records of a JSON-lines file; it lists points as latitude, longitude."""
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
     except OSError as error:

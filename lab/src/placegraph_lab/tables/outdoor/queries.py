@@ -104,9 +104,6 @@ def make_queries(
     `anywhere`: draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid
     of cells is then no longer told where to look; `where`: longitude and latitude (n, 2) [deg] to
     whether viewpoints may stand there (n,).
-
-    Raises `OptionError`: the extract has too few places with that much to say; `InputError`: the
-    extract cannot be read.
     """
     bins = load(osm_path)
     city, centers = bins.city, bins.centers(CELL)

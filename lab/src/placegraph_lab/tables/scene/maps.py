@@ -246,8 +246,6 @@ def run(arguments: Sequence[str]) -> Run:
     """Run `placegraph` with arguments.
 
     A small process starts it: Linux counts what a parent held as the peak of its child, too.
-
-    Raises `PlacegraphError`: the command fails.
     """
     done = subprocess.run(  # noqa: S603  # our own command line
         [sys.executable, "-c", _LAUNCHER, sys.executable, "-m", "placegraph.cli", *arguments],

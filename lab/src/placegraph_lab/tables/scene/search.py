@@ -282,7 +282,7 @@ class Study:
         self._scenes = Scenes(places)
 
     def row(self, name: str) -> Row:
-        encoders, walks = self._known(name)
+        encoders, walks = self._encode_walks(name)
         code = code_key((*INDOOR, *WORLDS, "placegraph_lab/tables/scene"))
         base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
         answers: dict[tuple[str, str, int], list[Answer]] = {}
@@ -291,7 +291,7 @@ class Study:
             by_place.setdefault(known.walk.place, []).append(known)
         for place, own in by_place.items():
             self.tell(f"{name}: {place}")
-            for kind, methods in _asked(name).items():
+            for kind, methods in _methods_by_pool(name).items():
                 names = pool(place, self._rivals(place), kind)
                 library = self._scenes.library(names, encoders)
                 for method in methods:
@@ -306,11 +306,11 @@ class Study:
         )
 
     def scale(self, name: str, rng: np.random.Generator, scenes: int) -> list[Scale]:
-        encoders, walks = self._known(name)
+        encoders, walks = self._encode_walks(name)
         self.tell(f"{name}: {scenes:,} scenes")
         return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
 
-    def _known(self, name: str) -> tuple[list[Encoder], list[Encoded]]:
+    def _encode_walks(self, name: str) -> tuple[list[Encoder], list[Encoded]]:
         encoders = [encoder_of(part) for part in ROWS[name]]
         self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
         for encoder in encoders:
@@ -341,7 +341,7 @@ class Study:
                     yield Answer(**self.journal[key])
 
 
-def _asked(row: str) -> dict[str, tuple[str, ...]]:
+def _methods_by_pool(row: str) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = dict.fromkeys(POOLS, WHOLE)
     if row in ABLATED:
         found["50"] = tuple(METHODS)

@@ -131,19 +131,19 @@ def describe(scenes: Sequence[Scene], row: int, rng: Generator, *, facts: int, w
 
 
 def _room(scene: Scene, rng: Generator) -> tuple[str, list[int]]:
-    rooms = [r for r in dict.fromkeys(scene.rooms) if r and len(_things(scene, r)) > 1]
+    rooms = [r for r in dict.fromkeys(scene.rooms) if r and len(_object_rows(scene, r)) > 1]
     if not rooms:
-        return "", [i for i, label in enumerate(scene.graph.labels) if _telling(label)]
+        return "", [i for i, label in enumerate(scene.graph.labels) if _has_meaning(label)]
     room = rooms[int(rng.integers(len(rooms)))]
-    return room, _things(scene, room)
+    return room, _object_rows(scene, room)
 
 
-def _things(scene: Scene, room: str) -> list[int]:
+def _object_rows(scene: Scene, room: str) -> list[int]:
     labels = scene.graph.labels
-    return [i for i, r in enumerate(scene.rooms) if r == room and _telling(labels[i])]
+    return [i for i, r in enumerate(scene.rooms) if r == room and _has_meaning(labels[i])]
 
 
-def _telling(label: str) -> bool:
+def _has_meaning(label: str) -> bool:
     words = split_label(label)
     return not is_nameless(label) and words[-1] not in STRUCTURE_WORDS
 
@@ -177,13 +177,13 @@ def _numbered(label: str, count: int, rng: Generator) -> str:
     return f"{_NUMBERS[count] if count < len(_NUMBERS) else count} {plural}"
 
 
-def report(asked: Sequence[RankedSentence]) -> str:
+def report(ranked: Sequence[RankedSentence]) -> str:
     header = ["facts", *[f"{among}, {wrong:.0%} wrong" for among in AMONG for wrong in WRONG]]
     rows = []
-    for facts in dict.fromkeys(a.facts for a in asked):
+    for facts in dict.fromkeys(a.facts for a in ranked):
         cells = [
             shares(
-                recall([a for a in asked if (a.facts, a.among, a.wrong) == (facts, among, wrong)])
+                recall([a for a in ranked if (a.facts, a.among, a.wrong) == (facts, among, wrong)])
             )
             for among in AMONG
             for wrong in WRONG
@@ -192,9 +192,9 @@ def report(asked: Sequence[RankedSentence]) -> str:
     return markdown(header, rows)
 
 
-def recall(asked: Sequence[RankedSentence]) -> list[float]:
+def recall(ranked: Sequence[RankedSentence]) -> list[float]:
     """Shares of sentences whose scene was among the first 1, 3 and 5."""
-    ranks = np.array([a.rank for a in asked])
+    ranks = np.array([a.rank for a in ranked])
     return [float((ranks <= k).mean()) if len(ranks) else float("nan") for k in AT]
 
 
@@ -219,12 +219,12 @@ def speed(scenes: Sequence[Scene], rng: Generator, *, library: int = 10_000) -> 
     }
 
 
-def figures(asked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
+def figures(ranked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
     """Recall of every row, with a sentence that came out last of it."""
-    keys = dict.fromkeys((a.facts, a.wrong, a.among) for a in asked)
+    keys = dict.fromkeys((a.facts, a.wrong, a.among) for a in ranked)
     out = []
     for facts, wrong, among in keys:
-        own = [a for a in asked if (a.facts, a.wrong, a.among) == (facts, wrong, among)]
+        own = [a for a in ranked if (a.facts, a.wrong, a.among) == (facts, wrong, among)]
         worst = max(own, key=lambda a: a.rank)
         out.append(
             {"facts": facts, "wrong": wrong, "among": among, "sentences": len(own)}
