@@ -12,7 +12,7 @@ from placegraph.core.threads import limit_threads
 from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.tum import read_tum
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
@@ -130,7 +130,7 @@ def _box(low, high):
 
 def _model(boxes, **columns):
     parts = [_box(*box) for box in boxes.values()]
-    things = tuple(Thing(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
+    things = tuple(ModelObject(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
     model = Model(
         path=Path("drawn.glb"),
         things=things,
@@ -142,7 +142,7 @@ def _model(boxes, **columns):
         colours=np.full((8 * len(parts), 3), 255, np.uint8),
         uv=np.zeros((8 * len(parts), 2)),
         picture_of=np.zeros(12 * len(parts), int),
-        pictures=(Picture(None, (0.2140411, 1.0, 0.0)),),
+        pictures=(Texture(None, (0.2140411, 1.0, 0.0)),),
     )
     return replace(model, **columns)
 

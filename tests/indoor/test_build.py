@@ -16,7 +16,7 @@ from placegraph.errors import InputError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.textures import Detail, linear_from_srgb, srgb_from_linear
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.io.mesh.model import Z_UP, Picture
+from placegraph.io.mesh.model import Z_UP, Texture
 
 ROOM = {"floor": ((0, 0, -0.1), (5, 4, 0)), "table": ((1, 1, 0), (2, 2, 0.7))}
 
@@ -246,38 +246,38 @@ def look(boxes, picture, **options):
 
 
 def test_a_flat_colour_is_one_texel(boxes):
-    texture, _ = look(boxes, Picture(None, (0.2140411, 1.0, 0.0)))
+    texture, _ = look(boxes, Texture(None, (0.2140411, 1.0, 0.0)))
     np.testing.assert_allclose(texture, [[[127.5, 255, 0]]], atol=0.5)
 
 
 def test_a_jpeg_of_the_right_size_is_cached_in_full_detail(boxes, rng):
     data = encoded(rng.integers(0, 256, (64, 64, 3)), "JPEG")
-    texture, blob = look(boxes, Picture(data), detail="full")
+    texture, blob = look(boxes, Texture(data), detail="full")
     assert blob == data
     assert texture.shape == (64, 64, 3)
-    _, small = look(boxes, Picture(data))
+    _, small = look(boxes, Texture(data))
     assert len(small) < len(data)
 
 
 def test_large_textures_become_small(boxes):
     gradient = np.repeat(np.linspace(0, 255, 600)[:, None, None], 300, 1).repeat(3, 2)
     for form in ("PNG", "JPEG"):
-        texture, _ = look(boxes, Picture(encoded(gradient, form)), detail=Detail(max_texture=100))
+        texture, _ = look(boxes, Texture(encoded(gradient, form)), detail=Detail(max_texture=100))
         assert texture.shape == (100, 50, 3)
         np.testing.assert_allclose(texture[:, 25, 0], np.linspace(1, 254, 100), atol=4)
 
 
 def test_the_base_colour_is_folded_in_as_light(boxes):
     gray = np.full((4, 4, 3), 188)  # half of the light
-    texture, _ = look(boxes, Picture(encoded(gray), (0.5, 1.0, 0.0)))
+    texture, _ = look(boxes, Texture(encoded(gray), (0.5, 1.0, 0.0)))
     np.testing.assert_allclose(texture, np.broadcast_to([137, 188, 0], (4, 4, 3)), atol=1)
 
 
 def test_mirrored_textures_are_laid_out_to_be_repeated(boxes):
     picture = [[[255, 0, 0], [0, 0, 255]]]
-    texture, _ = look(boxes, Picture(encoded(picture), mirrored=(True, False)))
+    texture, _ = look(boxes, Texture(encoded(picture), mirrored=(True, False)))
     assert texture[0, :, 0].tolist() == [255, 0, 0, 255]
-    texture, _ = look(boxes, Picture(encoded(picture), mirrored=(True, True)))
+    texture, _ = look(boxes, Texture(encoded(picture), mirrored=(True, True)))
     assert texture.shape == (2, 4, 3)
 
 
@@ -290,7 +290,7 @@ def test_pictures_of_any_mode(mode, boxes):
     )
     file = io.BytesIO()
     image.save(file, "TIFF" if mode == "CMYK" else "PNG")
-    assert look(boxes, Picture(file.getvalue()))[0].shape == (3, 3, 3)
+    assert look(boxes, Texture(file.getvalue()))[0].shape == (3, 3, 3)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
@@ -304,7 +304,7 @@ def test_broken_pictures_give_one_kind_of_error(data, boxes):
         damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     damaged = damaged[: data.draw(st.integers(0, len(whole)) | st.just(len(whole)))]
     try:
-        look(boxes, Picture(bytes(damaged), name="house.glb: images[3]"))
+        look(boxes, Texture(bytes(damaged), name="house.glb: images[3]"))
     except PlacegraphError as error:
         assert isinstance(error, InputError)  # noqa: PT017  # either is right
         assert "house.glb: images[3]" in str(error)  # noqa: PT017

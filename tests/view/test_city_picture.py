@@ -15,18 +15,18 @@ from placegraph.outdoor.city import build_city
 from placegraph.view import draw_city, write_picture
 from placegraph.view.city.city_items import (
     SIGMAS,
-    _inside,
+    _are_inside,
+    competing_modes,
     ellipse,
     evidence_marks,
-    heat_of,
+    evidence_objects,
+    find_row,
+    find_sea,
     mode_bounds,
-    place_of,
-    rivals,
-    row_of,
-    sea,
-    witnesses,
+    mode_position,
+    posterior_layer,
 )
-from placegraph.view.city.page import FINEST, SIDE, UNIT, CityTiles, examples
+from placegraph.view.city.page import MAX_LEVEL, SIDE, UNIT, CityTiles, example_sentences
 from placegraph.view.city.picture import length_words, round_length
 from placegraph.view.draw.canvas import Disc, Stroke
 from placegraph.view.draw.style import LAYER, PAINTS, PALETTE
@@ -39,7 +39,7 @@ BOUNDS = (0.0, 0.0, 1000.0, 1000.0)
 
 
 def objects(*lines, labels=("natural=coastline",)):
-    """Just what `sea` reads of a city's objects: coastlines, and a city that fills the bounds."""
+    """Just what `find_sea` reads of a city's objects: coastlines, and a city that fills the bounds."""
     corners = np.array([(0.0, 0.0), (1000.0, 1000.0)])
     lines = [np.array(line, np.float32) for line in lines]
     return SimpleNamespace(
@@ -53,12 +53,12 @@ def objects(*lines, labels=("natural=coastline",)):
 
 
 def is_sea(city, *points):
-    rings = sea(city, BOUNDS)
-    return [bool(wet) for wet in _inside(rings, np.array(points, np.float64))]
+    rings = find_sea(city, BOUNDS)
+    return [bool(wet) for wet in _are_inside(rings, np.array(points, np.float64))]
 
 
 def test_no_coast_no_sea():
-    assert sea(objects([(0, 0), (1, 1)], labels=("natural=tree",)), BOUNDS) == []
+    assert find_sea(objects([(0, 0), (1, 1)], labels=("natural=tree",)), BOUNDS) == []
 
 
 @pytest.mark.parametrize("northward", [True, False])
@@ -100,7 +100,7 @@ def test_two_shores_of_a_strait():
 
 
 def test_a_coast_that_contradicts_itself_gives_no_sea():
-    assert sea(objects([(500, -50), (500, 1050)], [(700, -50), (700, 1050)]), BOUNDS) == []
+    assert find_sea(objects([(500, -50), (500, 1050)], [(700, -50), (700, 1050)]), BOUNDS) == []
 
 
 # --- heat, ellipses and witnesses stand where the estimate says ---
@@ -108,15 +108,15 @@ def test_a_coast_that_contradicts_itself_gives_no_sea():
 
 def test_ellipse_holds_the_stated_deviations(city, sure):
     mode = sure.modes[0]
-    delta = ellipse(city, mode) - place_of(city, mode)
+    delta = ellipse(city, mode) - mode_position(city, mode)
     mahalanobis = np.einsum("ni,ij,nj->n", delta, np.linalg.inv(mode.covariance), delta)
     assert np.allclose(np.sqrt(mahalanobis), SIGMAS)
 
 
 def test_heat_peaks_at_the_heaviest_mode(city, sure):
-    mode = place_of(city, sure.modes[0])
+    mode = mode_position(city, sure.modes[0])
     bounds = (*(mode - 80.0).tolist(), *(mode + 80.0).tolist())
-    glow = heat_of(city, sure, bounds, 2.0)
+    glow = posterior_layer(city, sure, bounds, 2.0)
     assert glow.density.shape == (80, 80)
     row, column = np.unravel_index(np.argmax(glow.density), glow.density.shape)
     peak = np.array([bounds[0] + (column + 0.5) * 2.0, bounds[3] - (row + 0.5) * 2.0])
@@ -127,18 +127,18 @@ def test_heat_peaks_at_the_heaviest_mode(city, sure):
 def test_a_faint_posterior_is_faint(city, estimate_of):
     faint = estimate_of(Status.LOST, 0.01)
     bounds = mode_bounds(city, faint.modes[0])
-    assert heat_of(city, faint, bounds, 2.0).density.max() < 0.1
+    assert posterior_layer(city, faint, bounds, 2.0).density.max() < 0.1
 
 
 def test_no_heat_far_away(city, sure):
-    assert heat_of(city, sure, (9000.0, 9000.0, 9100.0, 9100.0), 2.0) is None
+    assert posterior_layer(city, sure, (9000.0, 9000.0, 9100.0, 9100.0), 2.0) is None
 
 
 def test_witnesses_are_the_objects_of_telling_statements(city, sure, town):
-    seen = witnesses(city, sure.modes[0])
+    seen = evidence_objects(city, sure.modes[0])
     assert [w.verdict for w in seen] == ["for", "against"]
     assert seen[0].words == '<script>alert("K")</script>'
-    here = place_of(city, sure.modes[0])
+    here = mode_position(city, sure.modes[0])
     bakery = city.plane.to_plane(town.position("K"))
     assert np.allclose(seen[0].at, bakery, atol=1.0)
     # the church is an area: its nearest corner, not its centre
@@ -148,7 +148,7 @@ def test_witnesses_are_the_objects_of_telling_statements(city, sure, town):
 def test_marks_join_witnesses_to_the_mode(city, sure):
     mode = sure.modes[0]
     marks = evidence_marks(city, mode)
-    at = place_of(city, mode)
+    at = mode_position(city, mode)
     joined = [m for m in marks if isinstance(m, Stroke) and np.allclose(m.points[0], at)]
     assert {(m.color, m.dash is None) for m in joined} == {("for", True), ("against", False)}
     assert sum(isinstance(m, Disc) for m in marks) == 2
@@ -156,19 +156,19 @@ def test_marks_join_witnesses_to_the_mode(city, sure):
 
 @pytest.mark.parametrize("osm", ["", "way", "way/", "way/-1", "star/1", "node/999999999"])
 def test_unknown_ids_have_no_row(city, osm):
-    assert row_of(city.objects, osm) == -1
+    assert find_row(city.objects, osm) == -1
 
 
 def test_ids_lead_to_their_rows(city):
     rows = list(range(len(city.objects)))
-    assert [row_of(city.objects, city.objects.osm(i)) for i in rows] == rows
+    assert [find_row(city.objects, city.objects.osm(i)) for i in rows] == rows
 
 
 def test_rivals_are_about_as_probable(estimate_of):
     estimate = estimate_of(Status.AMBIGUOUS, 0.5, 0.3, 0.02)
-    assert len(rivals(estimate, 4)) == 2
-    assert len(rivals(estimate, 1)) == 1
-    assert rivals(estimate_of(Status.LOST), 4) == ()
+    assert len(competing_modes(estimate, 4)) == 2
+    assert len(competing_modes(estimate, 1)) == 1
+    assert competing_modes(estimate_of(Status.LOST), 4) == ()
 
 
 # --- tiles: nothing is lost at the finest level, little is left at the coarsest ---
@@ -222,7 +222,7 @@ def test_coarser_levels_have_less_in_them(shared, tmp_path):
     assert counts == sorted(counts, reverse=True)
     assert counts[-1] < 0.9 * counts[0]
     assert len(tiles.within(tiles.bounds, tiles.top)) <= 4
-    small = [PAINTS[p].since > 1.5 * FINEST / 2**tiles.top
+    small = [PAINTS[p].since > 1.5 * MAX_LEVEL / 2**tiles.top
              for p, _, _ in shapes(tiles.tile(tiles.top, 0, 0))]  # fmt: skip
     assert not any(small)
 
@@ -230,7 +230,7 @@ def test_coarser_levels_have_less_in_them(shared, tmp_path):
 def test_examples_are_found_where_they_are_true(tmp_path):
     world = unpack(tmp_path)
     city = build_city(world / f"{TOWN}.osm", tmp_path / "town.city")
-    said = examples(city, CityTiles(city)._paints)
+    said = example_sentences(city, CityTiles(city)._paints)
     assert len(said) == 3
     for text in said:
         estimate = city.locate(text)
@@ -246,7 +246,7 @@ def test_examples_say_what_people_say(tmp_path):
     source = Town.parse(drawn).write_osm(tmp_path / "small.osm")
     city = build_city(source, tmp_path / "small.city")
     said = "A liquor store is north of me and a gift shop is to the south."
-    assert said in examples(city, CityTiles(city)._paints)
+    assert said in example_sentences(city, CityTiles(city)._paints)
 
 
 # --- pictures of estimates and cities ---

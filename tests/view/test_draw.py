@@ -12,7 +12,7 @@ from PIL import Image, ImageColor
 
 from placegraph.errors import InputError, OptionError
 from placegraph.view.draw.canvas import (
-    LONGEST,
+    MAX_LETTERS,
     Area,
     Disc,
     Dot,
@@ -22,14 +22,14 @@ from placegraph.view.draw.canvas import (
     Line,
     Stroke,
     Text,
+    choose_face,
     clip_line,
     clip_ring,
-    dashes,
-    face_for,
+    cut_dashes,
 )
-from placegraph.view.draw.lettering import REPEAT, OccupiedPlaces, covering, letter
-from placegraph.view.draw.painter import Sheet, heat, paint_picture, write_image
-from placegraph.view.draw.style import AREA, LINE, PAINTS, PALETTE, POINT, RULES, paint_of
+from placegraph.view.draw.lettering import REPEAT, OccupiedPlaces, covering_discs, place_names
+from placegraph.view.draw.painter import Sheet, colour_density, paint_picture, write_image
+from placegraph.view.draw.style import AREA, LINE, PAINTS, PALETTE, POINT, RULES, find_paint
 
 # --- cutting to a rectangle keeps what is inside, and nothing else ---
 
@@ -117,7 +117,7 @@ def test_a_clipped_box_has_the_area_of_the_overlap(x, y, width, height):
 def test_dashes_cover_their_share_of_a_line(points, drawn, blank):
     line = np.array(points, float)
     length = np.hypot(*np.diff(line, axis=0).T).sum()
-    pieces = dashes(line, float(drawn), float(blank))
+    pieces = cut_dashes(line, float(drawn), float(blank))
     total = sum(np.hypot(*np.diff(piece, axis=0).T).sum() for piece in pieces)
     assert abs(total - length * drawn / (drawn + blank)) <= drawn + blank
 
@@ -145,8 +145,8 @@ places = st.lists(st.tuples(st.integers(0, 300), st.integers(0, 300)), min_size=
 def test_names_of_points_never_overlap(at):
     names = Names(*(f"Name {k}" for k in range(len(at))))
     items = [Dot(np.array(point, float), "food", k) for k, point in enumerate(at)]
-    placed = letter(names, items, 1.0, BUILT_IN, OccupiedPlaces())
-    discs = [covering(t, BUILT_IN.width(t.text, t.size), 1.0) for t in placed]
+    placed = place_names(names, items, 1.0, BUILT_IN, OccupiedPlaces())
+    discs = [covering_discs(t, BUILT_IN.width(t.text, t.size), 1.0) for t in placed]
     for k, one in enumerate(discs):
         for other in discs[k + 1 :]:
             assert all(
@@ -155,8 +155,8 @@ def test_names_of_points_never_overlap(at):
 
 
 def test_a_lone_name_is_placed_beside_its_point():
-    [text] = letter(
-        Names("Café"), [Dot(np.zeros(2), "food", 0)], 1.0, face_for(["Café"]), OccupiedPlaces()
+    [text] = place_names(
+        Names("Café"), [Dot(np.zeros(2), "food", 0)], 1.0, choose_face(["Café"]), OccupiedPlaces()
     )
     assert (text.text, text.anchor, text.row) == ("Café", "l", 0)
     assert text.shift[0] > 4.0
@@ -165,14 +165,14 @@ def test_a_lone_name_is_placed_beside_its_point():
 def test_a_name_gives_way_to_what_is_taken():
     taken = OccupiedPlaces()
     taken.claim([(30.0, 0.0, 16.0)], force=True)
-    [text] = letter(Names("Cafe"), [Dot(np.zeros(2), "food", 0)], 1.0, BUILT_IN, taken)
+    [text] = place_names(Names("Cafe"), [Dot(np.zeros(2), "food", 0)], 1.0, BUILT_IN, taken)
     assert text.anchor == "r"
 
 
 def test_a_street_is_named_along_it_and_reads_from_the_left():
     for angle in np.linspace(0.0, 2.0 * np.pi, 13):
         line = np.array([(0.0, 0.0), (400.0 * np.cos(angle), 400.0 * np.sin(angle))])
-        [text] = letter(
+        [text] = place_names(
             Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, OccupiedPlaces()
         )
         assert -np.pi / 2 - 1e-9 <= text.angle <= np.pi / 2 + 1e-9
@@ -181,7 +181,7 @@ def test_a_street_is_named_along_it_and_reads_from_the_left():
 
 def test_a_long_street_is_named_again():
     line = np.array([(0.0, 0.0), (3000.0, 0.0)])
-    texts = letter(
+    texts = place_names(
         Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, OccupiedPlaces()
     )
     x = sorted(text.at[0] for text in texts)
@@ -194,29 +194,29 @@ def test_a_short_or_winding_street_is_not_named():
     zigzag = np.array([(10.0 * k, 30.0 * (k % 2)) for k in range(40)])
     names = Names("A name too long", "A name too long")
     items = [Line([short], "street", 0), Line([zigzag], "street", 1)]
-    assert letter(names, items, 1.0, BUILT_IN, OccupiedPlaces()) == []
+    assert place_names(names, items, 1.0, BUILT_IN, OccupiedPlaces()) == []
 
 
 def test_an_area_too_small_for_its_name_is_not_named():
     ring = np.array([(0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0), (0.0, 0.0)])
     item = [Area([ring], "park", 0)]
-    [text] = letter(Names("Park"), item, 1.0, BUILT_IN, OccupiedPlaces())
+    [text] = place_names(Names("Park"), item, 1.0, BUILT_IN, OccupiedPlaces())
     assert np.allclose(text.at, (100.0, 50.0))
-    assert letter(Names("Park"), item, 0.05, BUILT_IN, OccupiedPlaces()) == []
+    assert place_names(Names("Park"), item, 0.05, BUILT_IN, OccupiedPlaces()) == []
 
 
 def test_small_things_are_named_only_on_large_maps():
     item = [Dot(np.zeros(2), "food", 0)]
-    assert letter(Names("Cafe"), item, 0.2, BUILT_IN, OccupiedPlaces()) == []
-    assert letter(Names("Cafe"), item, 2.0, BUILT_IN, OccupiedPlaces())
+    assert place_names(Names("Cafe"), item, 0.2, BUILT_IN, OccupiedPlaces()) == []
+    assert place_names(Names("Cafe"), item, 2.0, BUILT_IN, OccupiedPlaces())
 
 
 def test_faces_draw_what_they_can():
     assert BUILT_IN.drawable("Cafe 12") == "Cafe 12"
     assert BUILT_IN.drawable("Bäckerei Größe") == "Backerei Grosse"
     assert BUILT_IN.drawable("北京") == ""
-    assert face_for(["plain"]) == BUILT_IN
-    best = face_for(["Größe", "Łódź"])
+    assert choose_face(["plain"]) == BUILT_IN
+    best = choose_face(["Größe", "Łódź"])
     assert best.draws("Größe") or best == BUILT_IN
 
 
@@ -281,7 +281,7 @@ def test_marks_are_painted():
 
 
 def test_heat_grows_with_density():
-    opacity = np.asarray(heat(np.linspace(0.0, 1.0, 50)[None]))[0, :, 3].astype(int)
+    opacity = np.asarray(colour_density(np.linspace(0.0, 1.0, 50)[None]))[0, :, 3].astype(int)
     assert opacity[0] == 0
     assert (np.diff(opacity) >= 0).all()
     assert opacity[-1] > 120
@@ -343,8 +343,8 @@ def test_a_line_is_cut_to_its_room_by_few_looks_at_it(monkeypatch):
 
 def test_of_a_name_without_end_so_much_is_drawn_as_a_picture_has_room_for():
     face = Face("")
-    assert face.drawable("a" * 100_000) == "a" * LONGEST
-    assert face.width("ä" * 100_000, 12.0) == face.width("ä" * LONGEST, 12.0)
+    assert face.drawable("a" * 100_000) == "a" * MAX_LETTERS
+    assert face.width("ä" * 100_000, 12.0) == face.width("ä" * MAX_LETTERS, 12.0)
 
 
 # --- one table of looks: complete, consistent, and legible ---
@@ -381,7 +381,7 @@ def contrast(a, b):
     ],
 )
 def test_paint_of(labels, kind, paint):
-    assert paint_of(labels, kind) == paint
+    assert find_paint(labels, kind) == paint
 
 
 def test_rules_name_paints_of_their_kind():

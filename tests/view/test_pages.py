@@ -17,9 +17,9 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.view import write_page
-from placegraph.view.city.page import SCRIPTS, TITLE, _cut, _json, part
-from placegraph.view.draw.style import PALETTE, clean, style_sheet
-from placegraph.view.scene.page import FINE, MOST, picture, plan_of, told
+from placegraph.view.city.page import SCRIPTS, TITLE, _clip, _json, read_part
+from placegraph.view.draw.style import PALETTE, escape_text, style_sheet
+from placegraph.view.scene.page import FINE, MAX_PIXELS, describe_plan, draw_png, open_plan
 from placegraph.view.scene.room_plan import ROOM_PAINTS
 
 # --- pages that open without a network, and in which names are only names ---
@@ -85,7 +85,7 @@ def test_names_and_texts_are_only_text(page, estimate):
 def test_scripts_are_whole_and_share_no_name():
     names = []
     for name in SCRIPTS:
-        script = part(f"{name}.js")
+        script = read_part(f"{name}.js")
         names += re.findall(
             r"^(?:export )?(?:class|const|function\*?|let) (\w+)", script, re.MULTILINE
         )
@@ -104,8 +104,8 @@ def test_titles_are_escaped_and_end_with_a_word(city, sure, tmp_path):
     _, reader = read(write_page(city, sure, tmp_path / "x.html", title="</title><script>{{css}}"))
     assert reader.text["title"].strip() == "</title><script>{{css}}"
     long = "A bakery is north of me. " * 9
-    assert _cut(long) == "A bakery is north of me. A bakery is north of me. A bakery is north …"
-    assert len(_cut("x" * 200)) <= TITLE + 3
+    assert _clip(long) == "A bakery is north of me. A bakery is north of me. A bakery is north …"
+    assert len(_clip("x" * 200)) <= TITLE + 3
 
 
 @pytest.mark.parametrize("name", ["</script>", "<!--", "a&b", "\u2028", '"\\'])
@@ -116,7 +116,7 @@ def test_json_survives_a_script_element(name):
 
 
 def test_cleaned_text_cannot_leave_its_place():
-    assert clean("<b>\u202e&\x00\"'") == "&lt;b&gt; &amp; &quot;&#x27;"
+    assert escape_text("<b>\u202e&\x00\"'") == "&lt;b&gt; &amp; &quot;&#x27;"
 
 
 def test_the_style_sheet_knows_every_color_twice_and_for_dark_by_choice():
@@ -124,7 +124,7 @@ def test_the_style_sheet_knows_every_color_twice_and_for_dark_by_choice():
     for name, (light, dark) in PALETTE.items():
         assert css.count(f"--{name}:{light};") >= 1
         assert css.count(f"--{name}:{dark};") >= 2
-    used = re.findall(r"var\(--([\w-]+)\)", part("style.css"))
+    used = re.findall(r"var\(--([\w-]+)\)", read_part("style.css"))
     assert set(used) <= PALETTE.keys()
 
 
@@ -177,11 +177,11 @@ def test_what_is_only_ranked_shows_no_percentage(city, sure, browser, tmp_path):
 def plan():
     scene = scene_of(BOXES, scene="room").anchored(Anchor(9.99, 53.55, 0.0, 0.3, building="Hall"))
     rooms = [{"room": "</script>"} if label == "floor" else {} for label in scene.graph.labels]
-    return plan_of(replace(scene, attributes=tuple(rooms)))
+    return open_plan(replace(scene, attributes=tuple(rooms)))
 
 
 def test_things_are_told_as_they_stand(plan):
-    page = told(plan)
+    page = describe_plan(plan)
     things = {thing["label"]: thing for thing in page["things"]}
     assert (things["floor"]["name"], things["floor"]["room"]) == ("</script>", True)
     assert (things["KitchenTable"]["name"], things["KitchenTable"]["room"]) == (
@@ -197,8 +197,8 @@ def test_things_are_told_as_they_stand(plan):
 
 @pytest.mark.parametrize("dark", [False, True])
 def test_the_picture_is_of_the_bounds_alone(plan, dark):
-    west, south, east, north = told(plan)["bounds"]
-    with Image.open(BytesIO(picture(plan, dark=dark))) as image:
+    west, south, east, north = describe_plan(plan)["bounds"]
+    with Image.open(BytesIO(draw_png(plan, dark=dark))) as image:
         pixels = np.asarray(image)
     assert pixels.shape[1] == pytest.approx(FINE * (east - west), abs=1)
     assert pixels.shape[0] == pytest.approx(FINE * (north - south), abs=1)
@@ -210,11 +210,11 @@ def test_the_picture_is_of_the_bounds_alone(plan, dark):
 
 def test_a_large_scene_has_a_picture_of_bounded_size():
     wide = scene_of({"floor": ((0, 0, -0.1), (400, 5, 0))}, scene="hall")
-    with Image.open(BytesIO(picture(plan_of(wide)))) as image:
-        assert image.width <= MOST + 1
+    with Image.open(BytesIO(draw_png(open_plan(wide)))) as image:
+        assert image.width <= MAX_PIXELS + 1
         assert image.height >= 1
 
 
 def test_a_scene_that_is_not_there_is_told():
     with pytest.raises(OptionError, match="no 'attic'; it has room"):
-        plan_of(scene_of(BOXES, scene="room"), "attic")
+        open_plan(scene_of(BOXES, scene="room"), "attic")

@@ -20,25 +20,25 @@ from placegraph.indoor.render import Rendering
 from placegraph.view import draw_anchors, write_overlay
 from placegraph.view.draw.canvas import Frame, Stroke, Text
 from placegraph.view.draw.style import PALETTE
-from placegraph.view.scene.change_plans import COLOR, marks_of, write_diff
+from placegraph.view.scene.change_plans import COLOR, change_marks, write_diff
 from placegraph.view.scene.overlay import (
     BEFORE,
     CAPTIONS,
+    EMPTY_COLOUR,
     FAINT,
     GAP,
     LINE,
-    NOTHING,
     REACH,
-    borders,
     checkerboard,
-    colours_of,
-    creases,
-    edges,
-    outlined,
-    overlay,
+    colour_objects,
+    draw_outlines,
+    draw_overlay,
+    find_colour_borders,
+    find_creases,
+    find_edges,
 )
 from placegraph.view.scene.room_plan import RoomPlan
-from placegraph.view.scene.top_view import look_down, section, solid
+from placegraph.view.scene.top_view import cut_section, fill_section, render_top_view
 from placegraph.world.outlines import find_footprints
 from placegraph_lab.worlds.flat.flat import Flat
 
@@ -143,7 +143,7 @@ def changes(scene):
 def test_an_arrow_leads_from_where_it_was_to_where_it_is(scene, changes):
     plan = RoomPlan(scene)
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
-    strokes = [m for m in marks_of(plan, changes["moved"], rows) if isinstance(m, Stroke)]
+    strokes = [m for m in change_marks(plan, changes["moved"], rows) if isinstance(m, Stroke)]
     assert {s.color for s in strokes} <= {COLOR["moved"], "paper"}
     line = next(s for s in strokes if len(s.points) == 2)
     middle = plan.middle(rows[changes["moved"].id])
@@ -152,7 +152,7 @@ def test_an_arrow_leads_from_where_it_was_to_where_it_is(scene, changes):
 
 @pytest.mark.parametrize("kind", ["vanished", "appeared", "relabelled"])
 def test_every_kind_has_marks_of_its_colour(scene, changes, kind):
-    marks = marks_of(RoomPlan(scene), changes[kind], {})
+    marks = change_marks(RoomPlan(scene), changes[kind], {})
     assert COLOR[kind] in {getattr(m, "color", "") for m in marks}
     words = [m.text for m in marks if isinstance(m, Text)]
     assert words == {"appeared": ["crate"], "relabelled": ["table"]}.get(kind, [])
@@ -212,7 +212,7 @@ def signed_area(segments):
 def test_the_highest_is_on_top():
     vertices, triangles = joined(box((0, 0, 0), (4, 4, 1)), box((2, 2, 0), (3, 3, 2)))
     frame = Frame((2.0, 2.0), 10.0, 60, 60)
-    view = look_down(vertices, triangles, np.zeros(len(triangles), np.float32), frame)
+    view = render_top_view(vertices, triangles, np.zeros(len(triangles), np.float32), frame)
     of_small = view.triangle >= 12
     assert (view.triangle >= 0).sum() == pytest.approx(1600, abs=82)
     assert of_small.sum() == pytest.approx(100, abs=22)
@@ -230,18 +230,18 @@ def test_a_lift_decides_what_is_on_top_and_leaves_out():
     frame = Frame((2.0, 2.0), 10.0, 40, 40)
     lift = np.zeros(24, np.float32)
     lift[12:] = 5.0
-    view = look_down(vertices, triangles, lift, frame)
+    view = render_top_view(vertices, triangles, lift, frame)
     assert view.triangle[20, 20] >= 12
     assert view.height[20, 20] == pytest.approx(1.0), "the lift is no part of the height"
     lift[:12] = -np.inf
-    assert look_down(vertices, triangles, lift, frame).triangle[2, 2] == -1
+    assert render_top_view(vertices, triangles, lift, frame).triangle[2, 2] == -1
 
 
 def test_walls_of_a_scan_are_lines():
     vertices = np.array([(0, 0, 0), (3, 1, 0), (3, 1, 2), (0, 0, 2)], np.float32)
     triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
     frame = Frame((1.5, 0.5), 20.0, 80, 40)
-    seen = look_down(vertices, triangles, np.zeros(2, np.float32), frame).triangle >= 0
+    seen = render_top_view(vertices, triangles, np.zeros(2, np.float32), frame).triangle >= 0
     rows, columns = np.nonzero(seen)
     along = np.polyfit(columns, rows, 1)
     assert along[0] == pytest.approx(-1 / 3, abs=0.02)
@@ -251,10 +251,12 @@ def test_walls_of_a_scan_are_lines():
 def test_nothing_of_nothing():
     frame = Frame((0.0, 0.0), 10.0, 20, 10)
     vertices, triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
-    assert (look_down(vertices, triangles, np.zeros(0, np.float32), frame).triangle == -1).all()
-    segments = section(vertices, triangles, 1.0)
+    assert (
+        render_top_view(vertices, triangles, np.zeros(0, np.float32), frame).triangle == -1
+    ).all()
+    segments = cut_section(vertices, triangles, 1.0)
     assert segments.shape == (0, 2, 2)
-    assert not solid(segments, frame).any()
+    assert not fill_section(segments, frame).any()
 
 
 @given(
@@ -262,10 +264,10 @@ def test_nothing_of_nothing():
 )
 def test_a_cut_box_is_its_footprint(x, y, wide, deep, angle):
     vertices, triangles = turned(box((x, y, 0), (x + wide, y + deep, 2)), angle)
-    segments = section(vertices, triangles, 1.0)
+    segments = cut_section(vertices, triangles, 1.0)
     assert signed_area(segments) == pytest.approx(wide * deep, rel=1e-4)
     frame = Frame(tuple(segments.mean(axis=(0, 1)).tolist()), 40.0, 160, 160)
-    inside = solid(segments, frame)
+    inside = fill_section(segments, frame)
     assert inside.sum() / 1600 == pytest.approx(wide * deep, abs=0.06 * (wide + deep))
 
 
@@ -273,27 +275,27 @@ def test_what_lies_above_or_below_is_not_cut():
     beam = box((0, 0, 2), (4, 1, 3))
     step = box((0, 2, 0), (4, 3, 0.5))
     vertices, triangles = joined(beam, step, box((1, 0.2, 0), (2, 0.8, 3)))
-    assert signed_area(section(vertices, triangles, 1.0)) == pytest.approx(0.6, rel=1e-5)
+    assert signed_area(cut_section(vertices, triangles, 1.0)) == pytest.approx(0.6, rel=1e-5)
 
 
 def test_walls_in_walls_leave_no_hole():
-    segments = section(*joined(box((0, 0, 0), (4, 1, 3)), box((1, 0.5, 0), (2, 3, 3))), 1.0)
+    segments = cut_section(*joined(box((0, 0, 0), (4, 1, 3)), box((1, 0.5, 0), (2, 3, 3))), 1.0)
     frame = Frame((2.0, 1.5), 20.0, 100, 80)
-    assert solid(segments, frame).sum() / 400 == pytest.approx(4 + 2, rel=0.05)
+    assert fill_section(segments, frame).sum() / 400 == pytest.approx(4 + 2, rel=0.05)
 
 
 def test_rooms_whose_walls_face_inwards_are_not_filled():
     vertices, triangles = box((0, 0, 0), (4, 3, 3))
-    segments = section(vertices, triangles[:, ::-1], 1.0)
+    segments = cut_section(vertices, triangles[:, ::-1], 1.0)
     assert signed_area(segments) == pytest.approx(-12.0, rel=1e-5)
-    assert not solid(segments, Frame((2.0, 1.5), 20.0, 100, 80)).any()
+    assert not fill_section(segments, Frame((2.0, 1.5), 20.0, 100, 80)).any()
 
 
 def test_a_gap_in_an_outline_smears_nothing():
-    segments = section(*box((0, 0, 0), (2, 2, 3)), 1.0)
+    segments = cut_section(*box((0, 0, 0), (2, 2, 3)), 1.0)
     right = segments[..., 0].min(axis=1) > 1.9
     frame = Frame((3.0, 1.0), 20.0, 200, 60)
-    inside = solid(segments[~right], frame)
+    inside = fill_section(segments[~right], frame)
     assert not inside[:, frame.width // 2 :].any()
 
 
@@ -328,49 +330,49 @@ def columns(marked):
 
 def test_walls_meet_in_one_line():
     drawn, normals = corner()
-    found = creases(normals)
+    found = find_creases(normals)
     assert columns(found) <= {W // 2 - 1, W // 2}
     assert found[REACH:-REACH].any(axis=1).all(), "from top to bottom"
     assert found.sum(axis=1).max() == 1, "a thin line"
-    assert columns(edges(drawn, normals)) <= {W // 2 - 1, W // 2}
+    assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
 
 
 def test_objects_and_jumps_are_outlined():
     flat = np.tile(np.array([0, 0, -1], np.float32), (H, W, 1))
     for drawn, _ in (corner(objects=1), corner(step=1.0)):
-        found = edges(drawn, flat)
+        found = find_edges(drawn, flat)
         assert columns(found) <= {W // 2 - 1, W // 2}
         assert found.any(axis=1).mean() > 0.9
-    assert not edges(corner(step=0.02)[0], flat)[:, : W // 2 - 4].any()
+    assert not find_edges(corner(step=0.02)[0], flat)[:, : W // 2 - 4].any()
 
 
 def test_a_hole_in_the_map_is_no_edge():
     drawn, normals = corner(hole=True)
-    assert columns(edges(drawn, normals)) <= {W // 2 - 1, W // 2}
-    assert not borders(drawn).any()
+    assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
+    assert not find_colour_borders(drawn).any()
 
 
 def test_borders_of_colours():
     drawn, _ = corner()
     drawn.colour[:, 30:] = 60
-    found = borders(drawn)
+    found = find_colour_borders(drawn)
     assert columns(found) <= {28, 29, 30, 31}
     assert found.any(axis=1).mean() > 0.85
     drawn.colour[:, 30:] = 178
-    assert not borders(drawn).any(), "too faint to see"
+    assert not find_colour_borders(drawn).any(), "too faint to see"
 
 
 def test_specks_are_left_out():
     drawn, normals = corner()
     drawn.objects[30, 20] = 5
-    assert columns(edges(drawn, normals)) <= {W // 2 - 1, W // 2}
+    assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
 
 
 def test_lines_are_drawn_on_the_query():
     query = np.full((H, W, 3), 100, np.uint8)
     edge, border = np.zeros((2, H, W), bool)
     edge[:, 20], border[:, 60] = True, True
-    shown = outlined(query, edge, border)
+    shown = draw_outlines(query, edge, border)
     assert (shown[:, 20] == LINE).all()
     nearer = np.abs(shown[0, 60].astype(float) - FAINT).max()
     assert nearer < np.abs(query[0, 60].astype(float) - FAINT).max()
@@ -389,31 +391,31 @@ def test_squares_in_turn():
 
 def test_objects_have_colours_of_their_own():
     ids = np.arange(-1, 199, dtype=np.int32).reshape(10, 20)
-    picture = colours_of(ids)
+    picture = colour_objects(ids)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 200
-    assert tuple(picture[0, 0]) == NOTHING
-    again = colours_of(ids[5:])
+    assert tuple(picture[0, 0]) == EMPTY_COLOUR
+    again = colour_objects(ids[5:])
     np.testing.assert_array_equal(again, picture[5:])
     apart = picture.reshape(-1, 3).astype(int)[1:]
     assert np.abs(apart[1:] - apart[:-1]).max(axis=1).min() > 40, "neighbours are told apart"
-    shaded = colours_of(ids, np.full((10, 20, 3), np.nan, np.float32))
+    shaded = colour_objects(ids, np.full((10, 20, 3), np.nan, np.float32))
     np.testing.assert_array_equal(shaded, picture)
 
 
 def test_four_pictures_in_one():
     drawn, normals = corner(hole=True)
     query = np.full((H, W, 3), (10, 200, 30), np.uint8)
-    sheet = np.asarray(overlay(query, drawn, normals))
+    sheet = np.asarray(draw_overlay(query, drawn, normals))
     assert sheet.shape[1] == 2 * W + GAP
     band = (sheet.shape[0] - GAP) // 2 - H
     assert (sheet[band : band + H, :W] == query).all()
     map_ = sheet[band : band + H, W + GAP :]
-    assert (map_[~drawn.mask] == NOTHING).all()
+    assert (map_[~drawn.mask] == EMPTY_COLOUR).all()
     assert (map_[drawn.mask] == 180).all()
     lower = sheet[2 * band + H + GAP :]
     assert (lower[:, :W] == LINE).all(axis=-1).any()
     assert {tuple(c) for c in lower[:, W + GAP :].reshape(-1, 3)} == {
-        (10, 200, 30), (180, 180, 180), NOTHING,
+        (10, 200, 30), (180, 180, 180), EMPTY_COLOUR,
     }  # fmt: skip
     assert (sheet[:band] < 100).any(), "captions"
     assert len(CAPTIONS) == 4
@@ -422,16 +424,16 @@ def test_four_pictures_in_one():
 def test_pictures_of_other_sizes_are_refused():
     drawn, normals = corner()
     with pytest.raises(OptionError, match="query's camera"):
-        overlay(np.zeros((H, W - 1, 3), np.uint8), drawn, normals)
+        draw_overlay(np.zeros((H, W - 1, 3), np.uint8), drawn, normals)
 
 
 def test_two_more_pictures_show_the_pose_before():
     drawn, normals = corner()
     query = np.full((H, W, 3), (10, 200, 30), np.uint8)
-    plain = np.asarray(overlay(query, drawn, normals))
+    plain = np.asarray(draw_overlay(query, drawn, normals))
     before, before_normals = corner(objects=1)
     before.colour[:] = 90
-    sheet = np.asarray(overlay(query, drawn, normals, before=(before, before_normals)))
+    sheet = np.asarray(draw_overlay(query, drawn, normals, before=(before, before_normals)))
     tall = (len(plain) + GAP) // 2  # a row with its caption and the gap
     assert len(sheet) == 3 * tall - GAP
     captions = tall - GAP - H
@@ -441,7 +443,7 @@ def test_two_more_pictures_show_the_pose_before():
     assert {tuple(c) for c in last[:, W + GAP :].reshape(-1, 3)} == {(10, 200, 30), (90, 90, 90)}
     assert len(BEFORE) == 2
     with pytest.raises(OptionError, match="query's camera"):
-        overlay(query[:-1], drawn, normals, before=(before, before_normals))
+        draw_overlay(query[:-1], drawn, normals, before=(before, before_normals))
 
 
 # --- of an estimate ---

@@ -14,23 +14,23 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation
-from placegraph.view.draw.canvas import Frame, face_for
-from placegraph.view.draw.lettering import OccupiedPlaces, covering
+from placegraph.view.draw.canvas import Frame, choose_face
+from placegraph.view.draw.lettering import OccupiedPlaces, covering_discs
 from placegraph.view.draw.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.plan import (
     CAPTION,
     FOOT,
     HEAD,
-    MOST_FRAMES,
+    MAX_FRAMES,
     Layout,
-    core,
-    evenly,
-    levels,
-    swarm,
-    way,
-    wedge,
-    witnesses,
+    core_bounds,
+    evidence_rows,
+    particle_levels,
+    particle_marks,
+    spread_evenly,
+    trajectory_marks,
+    view_ring,
 )
 from placegraph.view.scene.room_plan import (
     ROOM_PAINTS,
@@ -145,13 +145,13 @@ def test_a_scan_without_labels_shows_its_own_colours():
 
 def named(plan, count, **options):
     """Names on a plan 1200 px wide, and the discs that cover each."""
-    face = face_for(["chair", "mug"])
+    face = choose_face(["chair", "mug"])
     frame = Frame.around(plan.bounds, 1200, 800)
     texts = plan.names(frame, face, OccupiedPlaces(), **options)
     assert len(texts) <= count
     wide = [face.width(text.text, text.size) for text in texts]
     discs = [
-        np.array(covering(text, width, frame.scale))
+        np.array(covering_discs(text, width, frame.scale))
         for text, width in zip(texts, wide, strict=True)
     ]
     return texts, discs, frame
@@ -216,7 +216,7 @@ def test_sight_ends_at_walls(x, y, angle):
 
 def test_a_wedge_opens_where_the_camera_looks(plan):
     pose = np.array([2.0, 3.0, 1.5, np.pi / 2])
-    ring = wedge(plan, pose, 1.0, reach=1.2)
+    ring = view_ring(plan, pose, 1.0, reach=1.2)
     assert (ring[0] == ring[-1]).all()
     middle = ring[1:-1].mean(axis=0)
     assert middle[0] == pytest.approx(2.0, abs=1e-6)
@@ -257,12 +257,12 @@ def test_levels_tell_crowds_from_stray_ones():
     stray = np.column_stack(
         [rng.uniform(0, 30, (300, 2)), np.full(300, 1.6), rng.uniform(-3, 3, 300)]
     )
-    level = levels(np.concatenate([crowd, stray]), np.full(600, 1 / 600))
+    level = particle_levels(np.concatenate([crowd, stray]), np.full(600, 1 / 600))
     assert level.min() >= 0.0
     assert level.max() <= 1.0
     assert level[:300].min() > level[300:].mean() + 0.2
     light = np.concatenate([np.full(300, 1e-9), np.full(300, 1.0)])
-    assert levels(np.concatenate([crowd, stray]), light)[:300].mean() < 0.1
+    assert particle_levels(np.concatenate([crowd, stray]), light)[:300].mean() < 0.1
 
 
 @given(st.integers(-3, 3), st.floats(-50, 50), st.floats(0.1, 10))
@@ -271,17 +271,21 @@ def test_levels_know_no_origin_and_no_unit(turns, shift, factor):
     poses = np.column_stack([rng.normal(0, 1, (50, 2)), np.ones(50), rng.uniform(-3, 3, 50)])
     weights = rng.uniform(0.1, 1, 50)
     moved = poses + np.array([shift, shift, 0.0, turns * 2 * np.pi])
-    assert levels(moved, weights * factor) == pytest.approx(levels(poses, weights), abs=1e-6)
+    assert particle_levels(moved, weights * factor) == pytest.approx(
+        particle_levels(poses, weights), abs=1e-6
+    )
 
 
 def test_nothing_has_levels_too():
-    assert levels(np.zeros((0, 4)), np.zeros(0)).shape == (0,)
-    assert (levels(np.zeros((3, 4)), np.zeros(3)) == 0.0).all()
+    assert particle_levels(np.zeros((0, 4)), np.zeros(0)).shape == (0,)
+    assert (particle_levels(np.zeros((3, 4)), np.zeros(3)) == 0.0).all()
 
 
 def test_particles_appear_where_they_are():
     frame = Frame((0.0, 0.0), 20.0, 200, 100)
-    item = swarm(np.array([(2.0, 1.0, 1.5, 0.0), (-3.0, -1.5, 1.5, 0.0)]), np.array([0.9, 0.1]))
+    item = particle_marks(
+        np.array([(2.0, 1.0, 1.5, 0.0), (-3.0, -1.5, 1.5, 0.0)]), np.array([0.9, 0.1])
+    )
     image = np.asarray(paint_picture([item], frame)).astype(int)
     paper = ImageColor.getrgb(PALETTE["land"][0])
     rows, columns = np.nonzero(np.abs(image - paper).max(axis=2) > 40)
@@ -298,12 +302,12 @@ def test_a_core_leaves_out_stray_particles():
     rng = np.random.default_rng(0)
     poses = np.column_stack([rng.uniform(1, 2, (1000, 2)), np.ones((1000, 2))])
     poses[:5] = 500.0
-    west, south, east, north = core(poses, np.ones(1000))
+    west, south, east, north = core_bounds(poses, np.ones(1000))
     assert 1.0 <= west < 1.1
     assert 1.9 < north <= 2.0
     assert east <= 2.0
     assert south >= 1.0
-    assert core(poses, np.zeros(1000)) == (west, south, east, north)
+    assert core_bounds(poses, np.zeros(1000)) == (west, south, east, north)
 
 
 # --- pictures of estimates ---
@@ -397,8 +401,8 @@ def test_the_way_is_drawn_where_it_went(scene, tmp_path):
 
 
 def test_a_long_way_is_thinned():
-    marks = way(np.broadcast_to(np.eye(4), (3 * MOST_FRAMES, 4, 4)), "mode")
-    assert len(marks) == 1 + MOST_FRAMES
+    marks = trajectory_marks(np.broadcast_to(np.eye(4), (3 * MAX_FRAMES, 4, 4)), "mode")
+    assert len(marks) == 1 + MAX_FRAMES
 
 
 def test_the_truth_has_a_colour_of_its_own(scene, tmp_path):
@@ -430,9 +434,9 @@ def test_the_same_estimate_gives_the_same_bytes(scene, tmp_path):
 
 
 def test_witnesses_are_things(plan):
-    assert witnesses(plan, BEST) == [(5, "for"), (6, "against")], "walls are everywhere"
+    assert evidence_rows(plan, BEST) == [(5, "for"), (6, "against")], "walls are everywhere"
     stranger = mode(0, 0, 0, 1.0, evidence=refs((99, "for", 3.0), (5, "silent", 1.0)))
-    assert witnesses(plan, stranger) == []
+    assert evidence_rows(plan, stranger) == []
 
 
 def test_an_animation_ends_with_the_result(scene, tmp_path):
@@ -503,7 +507,7 @@ def test_panels_do_not_overlap(wide, deep, steps):
 
 @given(st.integers(0, 200), st.integers(1, 20))
 def test_evenly(count, most):
-    chosen = evenly(count, most)
+    chosen = spread_evenly(count, most)
     assert chosen == sorted(set(chosen))
     assert len(chosen) == min(count, most)
     assert all(0 <= k < count for k in chosen)

@@ -7,7 +7,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.core.estimate import Status
-from placegraph.demo.flat import TWIN, WINDOW, furnish
+from placegraph.demo.flat import TWIN_FLAT, WINDOW, write_scenes
 from placegraph.demo.world import FLAT, TOWNS
 from placegraph.errors import (
     InputError,
@@ -83,7 +83,7 @@ def town(demo_world, tmp_path_factory):
     shutil.copytree(demo_world, folder)
     for name in TOWNS[1:]:
         pg.build_city(folder / f"{name}.osm", folder / f"{name}.city")
-    furnish(folder, demo_world / f"{FLAT}.scene")
+    write_scenes(folder, demo_world / f"{FLAT}.scene")
     return pg.open_world(folder)
 
 
@@ -96,7 +96,7 @@ def frames(demo_world):
 def test_in_the_library_on_its_street_by_the_window(town, frames):
     found = town.locate(WINDOW, frames)
     best = found.best
-    assert (found.status, best.scene, best.building) == (Status.OK, TWIN, "Bücherhalle")
+    assert (found.status, best.scene, best.building) == (Status.OK, TWIN_FLAT, "Bücherhalle")
     assert (best.room, best.level) == ("living room", "1")
     assert any("window" in e.statement and e.verdict == "for" for e in best.evidence)
 
@@ -104,7 +104,7 @@ def test_in_the_library_on_its_street_by_the_window(town, frames):
 def test_identical_flats_are_told_apart_by_the_sentence(town, frames):
     alone = town.locate(None, frames)
     assert alone.status is Status.AMBIGUOUS
-    assert {m.scene for m in alone.modes} == {FLAT, TWIN}
+    assert {m.scene for m in alone.modes} == {FLAT, TWIN_FLAT}
     told = town.locate("I am in the hotel, by the window", frames)
     assert (told.status, told.best.scene) == (Status.OK, FLAT)
 

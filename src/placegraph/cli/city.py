@@ -189,9 +189,9 @@ def build(
 def _source(given: list[str], bbox: str | None, confidence: float) -> Any:  # noqa: ANN401
     """Return the path of one extract, or an `Overture` source of all that is given."""
     from placegraph.core.plugins import load_module
-    from placegraph.io.osm.urls import of_osm
+    from placegraph.io.osm.urls import is_osm_url
 
-    if not any(map(of_osm, given)):
+    if not any(map(is_osm_url, given)):
         overture = load_module("placegraph_io.overture", "overture")
         if all(map(overture.is_overture, given)):
             box = None if bbox is None else overture.Box.of(numbers_of(bbox, "--bbox", (4,), EDGES))

@@ -14,7 +14,7 @@ from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
 from placegraph.cli.scene_options import MapFile
 from placegraph.errors import OptionError
-from placegraph.io.osm.indoor_osm import levels_of
+from placegraph.io.osm.indoor_osm import parse_levels
 
 if TYPE_CHECKING:
     from placegraph.core.geo import Anchor
@@ -106,7 +106,7 @@ def anchor(
         )
     if place is not None and not building:
         raise OptionError("--in needs --building: the name of the building that the map is of.")
-    if level and not levels_of(level):
+    if level and not parse_levels(level):
         raise OptionError(f"--level is {level!r}; give a number as OpenStreetMap does, as 1 or -1.")
     scene = SceneMap.open(map_file)
     with progress_of(hidden=quiet or as_json) as tell:

@@ -207,7 +207,7 @@ def _write(
     from PIL import Image
 
     from placegraph.view.draw.painter import write_image
-    from placegraph.view.scene.overlay import colours_of, overlay
+    from placegraph.view.scene.overlay import colour_objects, draw_overlay
 
     if len(scene) >= _MOST:
         raise OptionError(
@@ -220,10 +220,10 @@ def _write(
         "colour": Image.fromarray(drawn.colour),
         "depth": Image.fromarray(units.astype(np.uint16)),
         "objects": Image.fromarray((drawn.objects + 1).astype(np.uint16)),
-        "objects_preview": Image.fromarray(colours_of(drawn.objects, normals)),
+        "objects_preview": Image.fromarray(colour_objects(drawn.objects, normals)),
     }
     if frame is not None:
-        pictures["overlay"] = overlay(frame.rgb(), drawn, normals)
+        pictures["overlay"] = draw_overlay(frame.rgb(), drawn, normals)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from placegraph.demo.flat import lost_in_a_flat, lost_in_the_world
-from placegraph.demo.town import lost_in_a_town
+from placegraph.demo.flat import locate_in_flat, locate_in_world
+from placegraph.demo.town import locate_in_town
 from placegraph.demo.world import unpack
 
 PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
@@ -19,8 +19,8 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
     ordinary files, as a user's own; at the end it holds a world for `open_world`.
     """
     world = unpack(out / "world")
-    commands = lost_in_a_town(world, out, say) + lost_in_a_flat(world, out, say)
-    commands += lost_in_the_world(world, out, say)
+    commands = locate_in_town(world, out, say) + locate_in_flat(world, out, say)
+    commands += locate_in_world(world, out, say)
     say(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
     say("\nThe same by hand:")
     for command in commands:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import vector_from_rotation
-from placegraph.demo.town import say_evidence
+from placegraph.demo.town import print_evidence
 from placegraph.demo.world import FLAT, TOWN, TOWNS
 from placegraph.io.capture.capture import Capture
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROOMS = ("a kitchen with two sinks", "a bedroom with a bookcase, and a plant next to the sofa")
 
 
-def lost_in_a_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
     """Build the flat, localize a film of a walk through it, say what changed, find it among homes.
 
     Returns the commands that do the same.
@@ -122,7 +122,7 @@ def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
     say(f"{estimate.status.name}: {estimate.reason}")
     for mode in estimate.modes[:3]:
         say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
-    say_evidence(estimate, say)
+    print_evidence(estimate, say)
     if estimate.refinement is not None:
         say(f"  {estimate.refinement.reason}")
 
@@ -156,11 +156,11 @@ def _pose(pose: NDArray[np.float64]) -> str:
     return f"x {x:.2f} m, y {y:.2f} m, z {z:.2f} m, yaw {np.degrees(yaw):.1f}°"
 
 
-TWIN = f"{FLAT}_twin"
+TWIN_FLAT = f"{FLAT}_twin"
 """A flat as the first, in another house."""
-STANDS = {
+SCENE_PLACES = {
     FLAT: (TOWN, "Hotel Hansa", "2", 0.0),
-    TWIN: (TOWN, "Bücherhalle", "1", np.pi),
+    TWIN_FLAT: (TOWN, "Bücherhalle", "1", np.pi),
     "home1": (TOWN, "Die Kajüte", "0", np.pi),
     "home2": (TOWN, "Stadtbibliothek", "2", 0.0),
     "home3": (TOWNS[1], "Stadtbücherei", "1", np.pi / 2),
@@ -181,7 +181,7 @@ QUESTIONS = (
 """Text, and whether three frames are shown."""
 
 
-def lost_in_the_world(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_world(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
     """Place rooms in the buildings of two towns, and ask for place, room and pose at once.
 
     Returns the commands that do the same.
@@ -193,9 +193,9 @@ def lost_in_the_world(world: Path, out: Path, say: Callable[[str], None]) -> lis
 
     for town in TOWNS:
         build_city(world / f"{town}.osm", world / f"{town}.city")
-    furnish(world, out / f"{FLAT}.scene")
+    write_scenes(world, out / f"{FLAT}.scene")
     library = SceneLibrary()
-    for name in STANDS:
+    for name in SCENE_PLACES:
         library.add(name, world / f"{name}.scene")
     library.save(world / "homes.library")
     opened = open_world(world)
@@ -209,17 +209,19 @@ def lost_in_the_world(world: Path, out: Path, say: Callable[[str], None]) -> lis
     ]
 
 
-def furnish(world: Path, flat: Path) -> None:
+def write_scenes(world: Path, flat: Path) -> None:
     """Write the flat, its twin and the homes into a folder, each where it stands on Earth."""
     from placegraph.indoor.scene_map import SceneMap
 
-    for name, (town, building, level, heading) in STANDS.items():
-        scene = SceneMap.open(flat if name in (FLAT, TWIN) else world / f"{name}.scene")
-        placed = standing(scene, world / f"{town}.osm", building, level, heading)
+    for name, (town, building, level, heading) in SCENE_PLACES.items():
+        scene = SceneMap.open(flat if name in (FLAT, TWIN_FLAT) else world / f"{name}.scene")
+        placed = place_in_building(scene, world / f"{town}.osm", building, level, heading)
         placed.save(world / f"{name}.scene")
 
 
-def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:
+def place_in_building(
+    scene: SceneMap, town: Path, building: str, level: str, heading: float
+) -> SceneMap:
     """Return the scene with an anchor in the middle of a building of a town, found by name."""
     from placegraph.world.outlines import find_footprints
 

@@ -26,7 +26,7 @@ ON_THE_WAY = (
 """Said one after the other: the way tells the two squares apart."""
 
 
-def lost_in_a_town(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_town(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
     """Build the town and locate what was said in it; return the commands that do the same."""
     from placegraph.outdoor.city import build_city
     from placegraph.view import draw_city, write_page, write_picture
@@ -49,7 +49,7 @@ def lost_in_a_town(world: Path, out: Path, say: Callable[[str], None]) -> list[s
         say(f"\n“{text}”\n{estimate.status.name}: {estimate.reason}")
         for mode in estimate.modes[:3]:
             say(f"  {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
-        say_evidence(estimate, say)
+        print_evidence(estimate, say)
         if question:
             say(f"  To be sure: {question.text}")
     _way(city, say)
@@ -67,7 +67,7 @@ def _way(city: CityMap, say: Callable[[str], None]) -> None:
         say(f"    {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
 
 
-def say_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
+def print_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
     """Print every statement with the objects that support or contradict it."""
     for e in estimate.evidence:
         things = ", ".join(o.name or o.label for o in e.objects)

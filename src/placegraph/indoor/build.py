@@ -30,7 +30,7 @@ from placegraph.indoor.mapping.clean import (
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.sources import ReadOptions, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.mesh.model import Model, Thing
+from placegraph.io.mesh.model import Model, ModelObject
 
 FAR = 5000.0  # Farther from the origin [m] coordinates lose what can be seen, and this is told
 
@@ -214,7 +214,7 @@ def _merge_relations(
     )
 
 
-def _note_oddities(mesh: Mesh, objects: Sequence[Thing], notes: list[str]) -> None:
+def _note_oddities(mesh: Mesh, objects: Sequence[ModelObject], notes: list[str]) -> None:
     """Note an object that is nearly everything, very many of them, and coordinates from afar."""
     reach = float(np.abs(mesh.bounds()).max())
     if reach > FAR:

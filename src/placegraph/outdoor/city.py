@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from placegraph.core.files import resolve_path
 from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
-from placegraph.io.osm.urls import is_url, name_of, on_disk
+from placegraph.io.osm.urls import fetch_temporarily, file_name, is_url
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.options import CellOptions
 
@@ -206,11 +206,11 @@ def build_city(
     from placegraph.outdoor.map.extract import read_extract
 
     fetching = None if progress is None else lambda step, n, _total: progress(step, n)
-    with on_disk(osm_path, Path(out_path), fetching) as path:
+    with fetch_temporarily(osm_path, Path(out_path), fetching) as path:
         plane, objects, left_out = read_extract(path, vocabulary, progress)
     city = CityMap.create(
         plane, objects, cell_size=edge, stride=step, edge_distance=reach,
-        source=", ".join(map(name_of, paths)), left_out=left_out,
+        source=", ".join(map(file_name, paths)), left_out=left_out,
     )  # fmt: skip
     city.save(out_path, index=index)
     return city

@@ -23,7 +23,7 @@ WIDTH = 640
 """Of a picture [px]."""
 COLOURS = 96
 """Of a picture: a notebook keeps it as text."""
-MOST = 12
+MAX_ROWS = 12
 """Rows of a table."""
 
 
@@ -36,7 +36,7 @@ def html(thing: object) -> str:
     if isinstance(thing, Scene):
         return _picture(lambda path: draw_scene(thing, path, width=WIDTH)) + _line(thing)  # type: ignore[arg-type]
     if isinstance(thing, SceneLibrary):
-        graphs = {name: thing.entry(name).signature.graph for name in thing.names[:MOST]}
+        graphs = {name: thing.entry(name).signature.graph for name in thing.names[:MAX_ROWS]}
         rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
         return _line(thing) + _table(("scene", "objects", "among them"), rows, len(thing))
     return _line(thing)
@@ -55,14 +55,14 @@ def _estimate(estimate: Estimate[Any]) -> str:
 
 def _modes(modes: Sequence[Any]) -> str:
     """Return a table of the modes' numbers and names, without matrices."""
-    plain = [mode.to_dict() for mode in modes[:MOST]]
+    plain = [mode.to_dict() for mode in modes[:MAX_ROWS]]
     keys = [k for k, v in plain[0].items() if isinstance(v, str | float | int)] if plain else []
     return _table(keys, [[mode.get(k, "") for k in keys] for mode in plain], len(modes))
 
 
 def _evidence(estimate: Estimate[Any]) -> str:
     rows = [(e.verdict, e.statement, f"{e.weight:+.1f}", e.note) for e in estimate.evidence]
-    return _table(("", "evidence of the best", "nat", ""), rows[:MOST], len(rows))
+    return _table(("", "evidence of the best", "nat", ""), rows[:MAX_ROWS], len(rows))
 
 
 def _picture(draw: Callable[[Path], object]) -> str:

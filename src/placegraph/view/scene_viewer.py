@@ -21,8 +21,8 @@ from placegraph.core.geometry import quaternion_from_rotation
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.mapping.export import make_materials, make_path_lines, split_surfaces
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
-from placegraph.view.draw.painter import likely
-from placegraph.view.scene.plan import OPENING, levels
+from placegraph.view.draw.painter import colour_levels
+from placegraph.view.scene.plan import OPENING, particle_levels
 from placegraph.view.scene.room_plan import ROOM_PAINTS, room_paint
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class SceneView:
     def __init__(self, server: viser.ViserServer, scene: SceneMap) -> None:
         self.server, self.scene = server, scene
         graph = scene.graph
-        self.titles = _titles(graph.names, graph.labels, graph.ids)
+        self.titles = _make_titles(graph.names, graph.labels, graph.ids)
         roles = [ROOM_PAINTS[room_paint(label)].role for label in graph.labels]
         self.shown = [role != "ceiling" for role in roles]
         """Whether each object is to be seen; ceilings would hide what is below."""
@@ -105,22 +105,30 @@ class SceneView:
     def described(self, row: int) -> str:
         """Describe an object in Markdown."""
         graph = self.scene.graph
-        lines = [f"**{_plain(self.titles[row])}**", "", f"- label: {_plain(graph.labels[row])}"]
-        lines.append(f"- id: {_plain(graph.ids[row])}")
+        lines = [
+            f"**{_escape_markdown(self.titles[row])}**",
+            "",
+            f"- label: {_escape_markdown(graph.labels[row])}",
+        ]
+        lines.append(f"- id: {_escape_markdown(graph.ids[row])}")
         if graph.extents is not None:
             size = " x ".join(f"{length:.2f}" for length in graph.extents[row])
             lines.append(f"- size: {size} m")
         place = ", ".join(f"{v:.2f}" for v in graph.positions[row])
         lines.append(f"- middle: {place} m")
         told = self.scene.attributes[row].items()
-        lines += [f"- {_plain(key)}: {_plain(value)}" for key, value in told]
+        lines += [f"- {_escape_markdown(key)}: {_escape_markdown(value)}" for key, value in told]
         for source, relation, target in zip(
             graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True
         ):
             if source == row:
-                lines.append(f"- {_plain(relation)} {_plain(self.titles[target])}")
+                lines.append(
+                    f"- {_escape_markdown(relation)} {_escape_markdown(self.titles[target])}"
+                )
             elif target == row:
-                lines.append(f"- {_plain(self.titles[source])} is {_plain(relation)} it")
+                lines.append(
+                    f"- {_escape_markdown(self.titles[source])} is {_escape_markdown(relation)} it"
+                )
         return "\n".join(lines)
 
     # ------------------------------------------------------------------------------- what is drawn
@@ -139,7 +147,7 @@ class SceneView:
         surfaces = split_surfaces(self.scene.mesh, len(self.scene))
         handles = []
         for row, own in enumerate(surfaces):
-            handle = self.server.scene.add_glb(f"/objects/{row}", glb_data=_glb(own, made))
+            handle = self.server.scene.add_glb(f"/objects/{row}", glb_data=_object_glb(own, made))
             handle.on_click(partial(self._clicked, row))
             handles.append(handle)
         return handles
@@ -256,7 +264,7 @@ class SceneView:
             self.visible.value = self.shown[self.picked]
 
 
-def _titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> list[str]:
+def _make_titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> list[str]:
     """Return the title of each object: its name, with its id where others share it."""
     said = [name or label for name, label in zip(names, labels, strict=True)]
     counts = Counter(said)
@@ -266,7 +274,7 @@ def _titles(names: Iterable[str], labels: Iterable[str], ids: Iterable[str]) -> 
     ]
 
 
-def _glb(surfaces: list[Surface], made: list[Material]) -> bytes:
+def _object_glb(surfaces: list[Surface], made: list[Material]) -> bytes:
     """Return the .glb of a single object, in the map's axes."""
     used = sorted({surface.material for surface in surfaces})
     place = {row: i for i, row in enumerate(used)}
@@ -284,7 +292,7 @@ def _follow(box: viser.GuiCheckboxHandle, handles: list[viser.LineSegmentsHandle
     box.on_update(update)
 
 
-def _plain(text: str) -> str:
+def _escape_markdown(text: str) -> str:
     """Escape a text for Markdown."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|" else c for c in text)
 
@@ -425,7 +433,7 @@ class RunView:
             f"{len(poses):,} particles"
         )
         rows = np.linspace(0, len(poses) - 1, min(len(poses), MOST)).round().astype(np.int64)
-        colours = likely(levels(poses, weights))[rows, :3].astype(np.uint8)
+        colours = colour_levels(particle_levels(poses, weights))[rows, :3].astype(np.uint8)
         with self.server.atomic():
             self._draw(poses[rows], colours)
 

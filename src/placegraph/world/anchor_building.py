@@ -16,7 +16,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import distance_transform
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm import segment_distances
-from placegraph.io.osm.indoor_osm import level_text, levels_of
+from placegraph.io.osm.indoor_osm import format_level, parse_levels
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, AnchorFit
 from placegraph.world.outlines import (
     DOOR,
@@ -393,7 +393,7 @@ def fit_building(
             f"The walls fit in {len(order)} ways; add --capture, --pose or --pair to tell which."
         )
     levels = good[order[0]][0].levels
-    if level and levels and not set(levels_of(level)) & set(levels):
+    if level and levels and not set(parse_levels(level)) & set(levels):
         notes.append(f"The building has levels {levels[0]:g} to {levels[-1]:g}, not {level}.")
     shown = {good[k][0].osm: good[k][0] for k in order}
     told = (replace(anchors[k], probability=min(1.0, float(shares[k]))) for k in order)
@@ -410,7 +410,7 @@ def _make_anchor(footprint: Footprint, fit: WallFit, level: str) -> Anchor:
         [*(-(turned.T @ fit.shift)), 0.0]
     )
     levels, off = footprint.levels, fit.off[np.isfinite(fit.off)]
-    told = level or (level_text(levels[0]) if len(levels) == 1 else "")
+    told = level or (format_level(levels[0]) if len(levels) == 1 else "")
     return replace(
         there, height=0.0, covariance=covariance,
         building=footprint.name.split(";")[0], osm=footprint.osm, level=told, method="building",

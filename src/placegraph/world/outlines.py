@@ -22,7 +22,7 @@ from placegraph.indoor.map.rooms import find_rooms
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm import find_ends, segment_distances
 from placegraph.indoor.mapping.outlines import area, trace_cells
-from placegraph.io.osm.indoor_osm import levels_of
+from placegraph.io.osm.indoor_osm import parse_levels
 from placegraph.io.osm.osm import POINT, read_osm
 
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
@@ -73,10 +73,10 @@ class Footprint:
     @property
     def levels(self) -> tuple[float, ...]:
         """Levels that the building has, as far as its tags say."""
-        if told := levels_of(self.tags.get("level", "")):
+        if told := parse_levels(self.tags.get("level", "")):
             return told
-        count = levels_of(self.tags.get("building:levels", ""))
-        lowest = levels_of(self.tags.get("building:min_level", "0"))
+        count = parse_levels(self.tags.get("building:levels", ""))
+        lowest = parse_levels(self.tags.get("building:min_level", "0"))
         return tuple(np.arange(lowest[0] if lowest else 0.0, count[-1])) if count else ()
 
 
@@ -139,8 +139,8 @@ def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
         raise OptionError(f"--building {name!r}: {len(found)} bear that name; give an id ({ids}).")
     doors = [t for t in things if t.point and {"entrance", "door"} & t.tags.keys()]
     if level:
-        there = set(levels_of(level))
-        doors = [t for t in doors if there & set(levels_of(t.tags.get("level", "0")))]
+        there = set(parse_levels(level))
+        doors = [t for t in doors if there & set(parse_levels(t.tags.get("level", "0")))]
     return [
         _make_footprint(building, tags, buildings, doors, grain)
         for building, tags in found.values()

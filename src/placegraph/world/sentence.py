@@ -26,7 +26,7 @@ from placegraph.core.estimate import Evidence
 from placegraph.indoor.language import read as read_inside
 from placegraph.indoor.language.likeness import EXACT, match_labels, room_kind, table
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
-from placegraph.io.osm.indoor_osm import levels_of
+from placegraph.io.osm.indoor_osm import parse_levels
 from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
 from placegraph.outdoor.likelihood.query import ends
@@ -103,7 +103,7 @@ class FloorStatement:
 
     def ratio(self, level: str, storeys: int = 0) -> float:
         """Log-likelihood ratio of a level, or of one of so many storeys above; 0 where it is not known."""
-        base = levels_of(level)
+        base = parse_levels(level)
         if not base:
             return 0.0
         there = {low + n for low in base for n in range(storeys + 1)}

@@ -15,7 +15,7 @@ from tests.io.damage import DAMAGE, any_json, damaged, refusing
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
 from placegraph.io.mesh.gltf import read_glb
-from placegraph.io.mesh.model import Picture
+from placegraph.io.mesh.model import Texture
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 2, 0]]
 QUAD = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
@@ -42,7 +42,7 @@ def test_a_node_is_an_object_turned_to_z_up(glb):
     np.testing.assert_array_equal(model.vertices, [[0, 0, 0], [1, 0, 0], [0, 0, 2]])
     np.testing.assert_array_equal(model.triangles, [[0, 1, 2]])
     assert (model.colours == 255).all()
-    assert model.pictures == (Picture(None),)
+    assert model.pictures == (Texture(None),)
     upright = read_glb(glb.path, up="z")
     np.testing.assert_array_equal(upright.vertices, TRIANGLE)
     glb.node(glb.primitive([[0, 0, 5], [1, 0, 5], [0, 2, 5]]))

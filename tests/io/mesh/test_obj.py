@@ -13,7 +13,7 @@ from tests.io.damage import DAMAGE, damaged, refusing
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
 from placegraph.io.mesh import obj as obj_lines
-from placegraph.io.mesh.model import fans
+from placegraph.io.mesh.model import triangulate_fans
 from placegraph.io.mesh.obj import is_obj, read_obj
 
 ROOM = """\
@@ -226,7 +226,7 @@ def test_only_input_errors_of_spoilt_files(tmp_path, text):
 
 @given(st.lists(st.integers(0, 7), max_size=20))
 def test_fans_cover_polygons(lengths):
-    corner, face = fans(np.array(lengths, np.int64))
+    corner, face = triangulate_fans(np.array(lengths, np.int64))
     starts = np.cumsum([0, *lengths])
     expected = [
         [starts[f], starts[f] + i, starts[f] + i + 1]

@@ -11,8 +11,8 @@ from placegraph.errors import InputError
 from placegraph.io.osm.indoor_osm import (
     IndoorShape,
     encode_rooms,
-    level_text,
-    levels_of,
+    format_level,
+    parse_levels,
     read_indoor_osm,
     room_names,
 )
@@ -157,8 +157,8 @@ def test_doors_are_nodes_of_outlines_or_passages(tmp_path):
     ],
 )  # fmt: skip
 def test_levels(text, levels):
-    assert levels_of(text) == levels
+    assert parse_levels(text) == levels
 
 
 def test_a_level_as_text():
-    assert [level_text(v) for v in (0.0, -1.0, 0.5)] == ["0", "-1", "0.5"]
+    assert [format_level(v) for v in (0.0, -1.0, 0.5)] == ["0", "-1", "0.5"]

@@ -462,7 +462,7 @@ def test_any_tags_and_ids_survive(tmp_path_factory, nodes, ways):
     folder = tmp_path_factory.mktemp("copy")
     answer, target = folder / "answer.osm", folder / "town.osm.pbf"
     answer.write_bytes(HEAD + "\n".join(lines).encode() + b"\n</osm>\n")
-    counts = overpass.copied(answer, target, lambda _step, _n: None)
+    counts = overpass.copy_file(answer, target, lambda _step, _n: None)
     assert dict(counts) == {k: len(v) for k, v in (("n", nodes), ("w", ways)) if v}
     assert raw(target) == {
         **{("n", n): (tags, (-9.7654321, 47.1234567)) for n, tags in nodes.items()},
@@ -476,6 +476,6 @@ def tags_of(tags):
 
 @given(st.binary(max_size=300))
 def test_gist_is_one_short_line(text):
-    line = overpass.gist(text)
+    line = overpass.shorten(text)
     assert len(line) <= 200
     assert "\n" not in line

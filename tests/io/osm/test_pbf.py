@@ -155,31 +155,33 @@ def test_bytes_that_are_no_message(content):
     """Python's own arrays say where compiled code would reach beyond the end."""
     data = np.frombuffer(content, np.uint8)
     n = len(data)
-    fields, good = kernels.fields.py_func(data, 0, n)
+    fields, good = kernels.read_fields.py_func(data, 0, n)
     assert good or not len(fields)
     assert all(
         0 <= at <= n and at + size <= n for kind, size, at in fields if kind > 0 and size < n
     )
-    kernels.dense.py_func(data, 0, n)
+    kernels.read_dense_nodes.py_func(data, 0, n)
     for kind in (pbf.NODES, pbf.WAYS, pbf.RELATIONS):
-        head, starts, entries, good = kernels.elements.py_func(data, np.array([[0, n]]), kind, 3)
+        head, starts, entries, good = kernels.read_elements.py_func(
+            data, np.array([[0, n]]), kind, 3
+        )
         assert len(starts) == len(head) + 1
         assert (starts[-1] <= entries.shape[1]).all()
 
 
 @given(values=st.lists(st.integers(-(2**63), 2**63 - 1)))
 def test_numbers_are_written_and_read(values):
-    data = np.frombuffer(kernels.varints(np.array(values, np.int64)).tobytes(), np.uint8)
+    data = np.frombuffer(kernels.encode_varints(np.array(values, np.int64)).tobytes(), np.uint8)
     at = 0
     for value in values:
-        found, at = kernels.varint(data, at, len(data))
+        found, at = kernels.decode_varint(data, at, len(data))
         assert found == value
     assert at == len(data)
 
 
 def written(path, blobs, head=b"OsmSchema-V0.6"):
-    heads = pbf.blob_of(b"OSMHeader", pbf.text(4, head))
-    path.write_bytes(heads + b"".join(pbf.blob_of(b"OSMData", blob) for blob in blobs))
+    heads = pbf.encode_blob(b"OSMHeader", pbf.text(4, head))
+    path.write_bytes(heads + b"".join(pbf.encode_blob(b"OSMData", blob) for blob in blobs))
     return path
 
 
@@ -234,7 +236,7 @@ def test_a_relation_whose_id_osmium_cannot_have_is_left_out(number, tmp_path):
 def in_order(path, blobs):
     """A file that says that its elements are in order."""
     heads = pbf.text(4, b"OsmSchema-V0.6") + pbf.text(5, b"Sort.Type_then_ID")
-    told = [pbf.blob_of(b"OSMHeader", heads), *(pbf.blob_of(b"OSMData", b) for b in blobs)]
+    told = [pbf.encode_blob(b"OSMHeader", heads), *(pbf.encode_blob(b"OSMData", b) for b in blobs)]
     path.write_bytes(b"".join(told))
     return path
 
@@ -255,7 +257,7 @@ def test_dense_nodes_that_are_none_and_positions_beyond_all_bounds(tmp_path):
 
 
 def test_a_message_of_countless_fields_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(pbf, "MOST_FIELDS", 9)
+    monkeypatch.setattr(pbf, "MAX_FIELDS", 9)
     way = pbf.text(2, pbf.text(3, b"\x08\x01"))
     with pytest.raises(InputError, match="more than 9 fields"):
         by_us(written(tmp_path / "a.osm.pbf", [pbf.text(1, pbf.text(1, b"") * 10) + way]))
@@ -265,15 +267,15 @@ def test_ways_of_a_small_file_are_shared_out_over_its_blobs(monkeypatch, tmp_pat
     monkeypatch.setattr(pbf, "NODES_A_BLOCK", 8)
     n = 12
     block = pbf.Block(np.frombuffer(pbf.text(1, b""), np.uint8))
-    made = pbf.written(
+    made = pbf.encode_pbf(
         np.arange(n), 4 * np.arange(n + 1), np.zeros((4 * n, 2), np.int32),
         np.ones(4 * n, np.bool_), block, np.zeros((0, 2), np.int64),
     )  # fmt: skip
     path = tmp_path / "a.osm.pbf"
     path.write_bytes(made)
     with path.open("rb") as file:
-        _, *blobs = pbf.blobs(file)
-        ways = [pbf.Block(pbf.inflated(file, blob)) for blob in blobs]
+        _, *blobs = pbf.list_blobs(file)
+        ways = [pbf.Block(pbf.inflate(file, blob)) for blob in blobs]
         counts = [len(block.ways().ids) for block in ways if pbf.WAYS in block.holds]
     assert sum(counts) == n
     assert max(counts) <= 3
@@ -308,8 +310,8 @@ def test_many_in_no_order_are_merged_run_by_run(tmp_path, monkeypatch):
     rng, most = np.random.default_rng(3), []
     ids = rng.permutation(np.append(np.arange(0, 9000, 3), 2**34 + 3 * np.arange(40)))
     steps = np.stack([ids % 1000, ids % 77], 1).astype(np.int32)
-    sort = pbf._in_order
-    monkeypatch.setattr(pbf, "_in_order", lambda i, s: (most.append(len(i)), sort(i, s))[1])
+    sort = pbf._is_sorted
+    monkeypatch.setattr(pbf, "_is_sorted", lambda i, s: (most.append(len(i)), sort(i, s))[1])
     nodes = NodeIndex(tmp_path / "a", at_once=200)
     for at in range(0, len(ids), 50):
         nodes.add(ids[at : at + 50], steps[at : at + 50])

@@ -10,7 +10,7 @@ import pytest
 import placegraph as pg
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
 from placegraph.io.osm import urls
-from placegraph.io.osm.urls import fetch_file, size_of
+from placegraph.io.osm.urls import fetch_file, remote_size
 from placegraph_scale.build import build_world
 from placegraph_scale.options import BuildOptions
 
@@ -194,13 +194,13 @@ def test_a_city_is_taken_up_and_tells_no_key(server, extract, tmp_path, monkeypa
 def test_what_is_not_there_or_no_extract(server, tmp_path):
     base = server.url.partition("/town")[0]
     with pytest.raises(InputError, match="not there"):
-        size_of(f"{base}/gone.osm")
+        remote_size(f"{base}/gone.osm")
     with pytest.raises(ServiceError, match="403"):
-        size_of(f"{base}/secret.osm")
+        remote_size(f"{base}/secret.osm")
     with pytest.raises(InputError, match="unknown ending"):
-        size_of(f"{base}/town.zip")
+        remote_size(f"{base}/town.zip")
     with pytest.raises(ServiceError, match="cannot be read"):
-        size_of("http://127.0.0.1:9/town.osm")
+        remote_size("http://127.0.0.1:9/town.osm")
     for url, said in (
         ("memory:///none/a.osm", "not there"),
         ("memory:///empty.osm", "is empty"),
@@ -211,13 +211,13 @@ def test_what_is_not_there_or_no_extract(server, tmp_path):
         with pytest.raises(InputError, match=said):
             fetch_file(url, tmp_path)
     with pytest.raises(OptionError, match="knows this URL"):
-        size_of("nonsense://a.osm")
+        remote_size("nonsense://a.osm")
 
 
 @pytest.mark.parametrize("url", ["zip://a.osm::file:///none.zip", "github://a.osm"])
 def test_what_file_systems_say_of_a_url_is_typed(url):
     with pytest.raises(OptionError, match="cannot be opened"):
-        size_of(url)
+        remote_size(url)
 
 
 def test_a_city_of_a_damaged_extract_names_its_url(tmp_path):
@@ -252,4 +252,4 @@ def test_a_full_disk(remote, tmp_path):
 def test_what_is_not_installed(gone, url, monkeypatch):
     monkeypatch.setitem(sys.modules, gone, None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
-        size_of(url)
+        remote_size(url)

@@ -22,7 +22,7 @@ from placegraph.indoor.library.library import SceneLibrary
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Capture, Frame
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_io.graphs.spark_dsg import box_corners, box_piece, join_pieces
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
@@ -79,8 +79,8 @@ def box_model(boxes: Mapping[str, Any]) -> Model:
     corners = [box_corners(s.mean(axis=0), s[1] - s[0], np.eye(3)) for s in spans]
     columns: dict[str, Any] = dict(join_pieces([box_piece(c, i) for i, c in enumerate(corners)]))
     return Model(
-        path=Path("boxes"), things=tuple(Thing(str(i), label) for i, label in enumerate(boxes, 1)),
-        picture_of=np.zeros(12 * len(boxes), np.int64), pictures=(Picture(None),),
+        path=Path("boxes"), things=tuple(ModelObject(str(i), label) for i, label in enumerate(boxes, 1)),
+        picture_of=np.zeros(12 * len(boxes), np.int64), pictures=(Texture(None),),
         **columns,
     )  # fmt: skip
 

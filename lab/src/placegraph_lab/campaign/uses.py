@@ -295,11 +295,11 @@ def nominatim(_bench: Bench, path: Path, _rng: Generator) -> None:
     """Find a place by an answer of Nominatim."""
     import osmnx as ox
 
-    from placegraph.io.osm.overpass import find, rings
+    from placegraph.io.osm.overpass import find_area, rings
 
     with patch("osmnx._nominatim.time"):  # osmnx waits a second before each request
         ox.settings.nominatim_url = serve_bytes(path.read_bytes())
-        _, outline = find(ox, "Mühlenend")
+        _, outline = find_area(ox, "Mühlenend")
     rings(outline)
 
 
@@ -307,9 +307,9 @@ def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
     """Download an answer of Overpass, and write it as PBF."""
     import osmnx as ox
 
-    from placegraph.io.osm.overpass import copied, download
+    from placegraph.io.osm.overpass import copy_file, download
 
     answer = bench.file("answer.osm")
     url = serve_bytes(path.read_bytes())
     download(ox, f"{url}/interpreter", "", answer, lambda *_: None)
-    copied(answer, bench.file("answer.osm.pbf"), lambda *_: None)
+    copy_file(answer, bench.file("answer.osm.pbf"), lambda *_: None)

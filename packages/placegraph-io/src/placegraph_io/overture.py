@@ -37,7 +37,7 @@ from placegraph.io.osm.osm import (
     OsmElement,
     one_line,
 )
-from placegraph.io.osm.urls import of_osm
+from placegraph.io.osm.urls import is_osm_url
 
 Tags = dict[str, str]
 
@@ -504,7 +504,7 @@ class Overture:
 
 def is_overture(path: str) -> bool:
     """Return whether a path or URL looks like one of Overture, and not like an OpenStreetMap file."""
-    if path.lower().endswith(SUFFIXES) or ("://" in path and not of_osm(path)):
+    if path.lower().endswith(SUFFIXES) or ("://" in path and not is_osm_url(path)):
         return True
     return Path(path).is_dir() and any(next(Path(path).rglob(f"*{end}"), None) for end in SUFFIXES)
 

@@ -13,7 +13,7 @@ from tests.io.damage import any_json, damaged
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph_io.graphs import spark_dsg
 from placegraph_io.graphs.spark_dsg import is_spark_dsg, node_name, read_spark_dsg
 from placegraph_io.graphs.spark_dsg_write import encode_spark_dsg, node_id
@@ -270,7 +270,9 @@ def drawn(things=3):
     return Model(
         path=Path("drawn"),
         things=tuple(
-            Thing(f"id {k}", ("chair", "table")[k % 2], f"näme {k}", {"room": "hall", "n": str(k)})
+            ModelObject(
+                f"id {k}", ("chair", "table")[k % 2], f"näme {k}", {"room": "hall", "n": str(k)}
+            )
             for k in range(things)
         ),
         vertices=vertices,
@@ -279,7 +281,7 @@ def drawn(things=3):
         colours=np.arange(3 * len(vertices)).reshape(-1, 3).astype(np.uint8),
         uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(4 * things, np.int64),
-        pictures=(Picture(None),),
+        pictures=(Texture(None),),
         relations=((0, "on", 1), (1, "below", 0), (1, "next to", 2)),
         floor=-0.25,
     )
@@ -334,7 +336,7 @@ def test_the_layout_is_the_one_of_1_1_3():
 
 def test_a_thing_without_triangles_is_written_without_a_box(tmp_path):
     model = drawn()
-    model = replace(model, things=(*model.things, Thing("bare", "ghost")))
+    model = replace(model, things=(*model.things, ModelObject("bare", "ghost")))
     path = tmp_path / "ours.json"
     path.write_bytes(encode_spark_dsg(model, ["hall"] * 4))
     back = read_spark_dsg(path)

@@ -29,8 +29,8 @@ from typing import Any, TypeVar
 from placegraph.core.files import lock_file, write_error, write_file
 from placegraph.core.threads import count_processors, end_with_parent
 from placegraph.errors import InputError, MapError, OptionError, ServiceError
-from placegraph.io.osm.osm import checked_osm
-from placegraph.io.osm.urls import all_on_disk, is_url, size_of
+from placegraph.io.osm.osm import check_osm
+from placegraph.io.osm.urls import fetch_all, is_url, remote_size
 from placegraph_scale.folder import SHARDS, WorldFile, bring, digest_of
 from placegraph_scale.options import BuildOptions
 from placegraph_scale.shards.words import WordCounts, finish
@@ -109,13 +109,13 @@ def build_world(
     if not extracts:
         raise OptionError("No extract is given; name at least one.")
     for path in extracts:  # before anything is made
-        _ = size_of(str(path)) if is_url(path) else checked_osm(Path(path))
+        _ = remote_size(str(path)) if is_url(path) else check_osm(Path(path))
     try:
         (target / SHARDS).mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)
         with lock_file(work / "journal.jsonl"):
             build = _Build(target, options, tell)
-            build.begin(all_on_disk(extracts, work / EXTRACTS, tell))
+            build.begin(fetch_all(extracts, work / EXTRACTS, tell))
             build.split()
             build.tiles()
             tell("counting words", 0, None)

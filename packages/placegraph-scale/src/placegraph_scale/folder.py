@@ -14,7 +14,7 @@ from placegraph.core.geo import MAX_ZOOM, tile_bounds
 from placegraph.core.mapfile import DIGEST_SIZE
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.io.osm.osm import one_line
-from placegraph.io.osm.urls import is_missing, is_url, system_of
+from placegraph.io.osm.urls import is_missing, is_url, open_file_system
 from placegraph.maps import WORLD
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> World
         fsspec is not installed; or knows no such URL.
 
     """
-    system, root = system_of(url)
+    system, root = open_file_system(url)
     try:
         known = {s["file"]: s for s in json.loads(system.cat_file(f"{root}/{NAME}"))["shards"]}
     except (OSError, ValueError, LookupError, TypeError):
@@ -192,7 +192,7 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
         fsspec is not installed; or knows no such URL.
 
     """
-    system, root = system_of(url)
+    system, root = open_file_system(url)
     folder = Path(folder)
     try:
         told = system.cat_file(f"{root}/{NAME}")

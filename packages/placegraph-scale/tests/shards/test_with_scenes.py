@@ -7,7 +7,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.core.estimate import Status
-from placegraph.demo.flat import STANDS, TWIN, WINDOW, furnish
+from placegraph.demo.flat import SCENE_PLACES, TWIN_FLAT, WINDOW, write_scenes
 from placegraph.demo.world import FLAT, TOWN
 from placegraph.errors import MapError, OptionError
 from placegraph_lab.worlds.shards import write_shards
@@ -31,10 +31,10 @@ def folders(demo_world, tmp_path_factory):
     plain, shards = (tmp_path_factory.mktemp(name) for name in ("plain", "shards"))
     made = tmp_path_factory.mktemp("made") / "world"
     shutil.copytree(demo_world, made)
-    furnish(made, demo_world / f"{FLAT}.scene")
+    write_scenes(made, demo_world / f"{FLAT}.scene")
     city = pg.build_city(made / f"{TOWN}.osm", plain / f"{TOWN}.city")
     write_shards(city, shards / "WORLD", 15)
-    for name, (town, *_) in STANDS.items():
+    for name, (town, *_) in SCENE_PLACES.items():
         for there in (plain, shards / "WORLD") if town == TOWN else ():
             shutil.copy(made / f"{name}.scene", there)
     return plain, shards / "WORLD"
@@ -95,7 +95,7 @@ def test_frames_are_answered_as_by_plain_maps(both, frames, asked):
 def test_place_room_and_pose(both, frames):
     found = both[1].locate(WINDOW, frames)
     best = found.best
-    assert (found.status, best.scene, best.building) == (Status.OK, TWIN, "Bücherhalle")
+    assert (found.status, best.scene, best.building) == (Status.OK, TWIN_FLAT, "Bücherhalle")
     assert (best.room, best.level) == ("living room", "1")
     assert any("window" in e.statement and e.verdict == "for" for e in best.evidence)
 
@@ -123,7 +123,7 @@ def test_a_shard_where_scenes_stand_may_be_gone(folders, frames, tmp_path):
     assert found.status is Status.AMBIGUOUS
     assert found.notes
     assert all(".city" in note for note in found.notes)
-    assert {m.scene for m in found.modes} == {FLAT, TWIN}
+    assert {m.scene for m in found.modes} == {FLAT, TWIN_FLAT}
 
 
 def test_scenes_in_library_shards_and_beside_the_folder(both, folders, frames, tmp_path):
@@ -164,7 +164,7 @@ def test_by_the_command_line_and_a_server(folders, demo_world, run):
     told = run(
         "locate", folders[1], WINDOW, "--capture", demo_world / "window", "--json", "--quiet"
     )
-    assert TWIN in told.out
+    assert TWIN_FLAT in told.out
     places = Places([folders[1]])
     assert {entry.kind for entry in places.entries()} == {"world", "scene"}
     for name in ("WORLD", None):

@@ -19,7 +19,7 @@ from placegraph import view
 from placegraph.errors import RequestError
 from placegraph.view.city.page import TOP_LEVEL, CityTiles
 from placegraph.view.draw.style import style_sheet
-from placegraph.view.scene.page import picture, plan_of, told
+from placegraph.view.scene.page import describe_plan, draw_png, open_plan
 from placegraph_serve.places import Places, state_of
 
 if TYPE_CHECKING:
@@ -99,14 +99,14 @@ def drawing_router(places: Places) -> APIRouter:
             number, tiles = tiles_of(name)
             return _packed(request, kept.get((number,), lambda: _bytes(tiles.index())))
         key = name, scene, state_of(entry.path)
-        made = kept.get(key, lambda: _bytes(told(plan_of(places.scene(name), scene))))
+        made = kept.get(key, lambda: _bytes(describe_plan(open_plan(places.scene(name), scene))))
         return _packed(request, made)
 
     @router.get("/v1/maps/{name}/drawing.png")
     def floor(name: str, scene: str = "", *, dark: bool = False) -> Response:
         """Picture of a scene from above, of just its bounds, to be laid on a map."""
         key = name, scene, dark, state_of(places.entry(name).path)
-        made = kept.get(key, lambda: picture(plan_of(places.scene(name), scene), dark=dark))
+        made = kept.get(key, lambda: draw_png(open_plan(places.scene(name), scene), dark=dark))
         return Response(made, media_type="image/png", headers=_KEPT_BY_CLIENTS)
 
     @router.get("/v1/maps/{name}/drawing/{level}/{x}/{y}")

@@ -80,7 +80,7 @@ def options_in(asked: dict[str, Any]) -> dict[str, Any]:
 def answered(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
     """The body of an answer."""
     from placegraph.core.estimate import CityEstimate
-    from placegraph.view.city.page import told as as_drawn
+    from placegraph.view.city.page import page_estimate as as_drawn
     from placegraph.world.estimate import WorldEstimate
 
     of_city = isinstance(estimate, CityEstimate)

@@ -19,7 +19,7 @@ from placegraph.io.capture.images import FREE_PIXELS, PIXELS_A_BYTE, open_image,
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from placegraph.io.mesh.model import Picture
+    from placegraph.io.mesh.model import Texture
 
 _LARGEST_SIDE = 1 << 14  # texels a side
 
@@ -105,7 +105,7 @@ def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def encode_pictures(
-    pictures: Sequence[Picture], detail: Detail, needed: NDArray[np.float64] | None = None
+    pictures: Sequence[Texture], detail: Detail, needed: NDArray[np.float64] | None = None
 ) -> tuple[bytes, ...]:
     """Return encoded textures of a model's pictures: made small, base colour folded in.
 
@@ -188,7 +188,7 @@ def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.ui
         return tuple(pool.map(decoded, range(len(blobs))))
 
 
-def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
+def _encode_picture(picture: Texture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
     from PIL import Image
 
     factor = np.clip(np.array(picture.factor, np.float64), 0.0, 1.0)

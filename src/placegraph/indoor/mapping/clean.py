@@ -17,7 +17,7 @@ from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh, iterate_slices
 from placegraph.indoor.map.textures import Detail
 from placegraph.indoor.mapping.atlas.bake import ColourOf
 from placegraph.indoor.mapping.simplify import simplify
-from placegraph.io.mesh.model import Z_UP, Model, Picture, Thing
+from placegraph.io.mesh.model import Z_UP, Model, ModelObject, Texture
 
 TALLEST = 60.0  # What is higher than this is not in metres, unless a scale is given [m]
 FLATTEST, WIDEST = 0.3, 300.0  # What is neither wide nor high by this, or wider, is told [m]
@@ -101,7 +101,7 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
 
 def clean_model(
     model: Model, left_out: Counter[str]
-) -> tuple[Mesh, list[Thing], list[Picture], Any]:
+) -> tuple[Mesh, list[ModelObject], list[Texture], Any]:
     """Drop triangles without area, and what no triangle needs.
 
     Textures are placeholders of one texel. Returns also the things and pictures that are left, and
@@ -205,7 +205,7 @@ _SAMPLED = 500_000  # triangles that are looked at for it
 
 def reduce_mesh(
     mesh: Mesh,
-    pictures: Sequence[Picture],
+    pictures: Sequence[Texture],
     colour_of: ColourOf | None,
     detail: Detail,
     left_out: Counter[str],
@@ -233,7 +233,7 @@ def reduce_mesh(
     return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs
 
 
-def _vertex_colours(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
+def _vertex_colours(mesh: Mesh, pictures: Sequence[Texture], detail: Detail) -> ColourOf:
     from placegraph.indoor.mapping.atlas.colours import mesh_colours
 
     flat = textures.decode_textures(textures.encode_pictures(pictures, detail), "a material")

@@ -21,9 +21,9 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.osm import export_shapes
-from placegraph.io.mesh.gltf import OWN
+from placegraph.io.mesh.gltf import EXTRAS_KEY
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph.io.mesh.ply import write_ply
 from placegraph.io.osm.indoor_osm import OSMAG_ENDINGS, encode_rooms
 
@@ -77,14 +77,14 @@ def paint_vertices(scene: Scene) -> Model:
     edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
     return Model(
         path=Path(scene.source or "scene"),
-        things=tuple(Thing(*columns) for columns in objects),
+        things=tuple(ModelObject(*columns) for columns in objects),
         vertices=mesh.vertices[row].astype(np.float64),
         triangles=triangles,
         thing_of=mesh.object_of.astype(np.int64),
         colours=_tint_vertices(mesh, triangles, mesh.colours[row]),
         uv=np.zeros((len(row), 2)),
         picture_of=np.zeros(len(triangles), np.int64),
-        pictures=(Picture(None),),
+        pictures=(Texture(None),),
         relations=tuple(edges),
         floor=float(scene.floors[0]) if len(scene.floors) == 1 else None,
     )
@@ -272,12 +272,17 @@ def encode_scene(scene: Scene, paths: Paths | None = None) -> bytes:
 def _make_extras(scene: Scene, row: int) -> dict[str, Any]:
     """Make the extras of an object's node; attributes whose names are taken stand under a key of ours."""
     label, attributes = scene.graph.labels[row], scene.attributes[row]
-    hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
+    hidden = {key: attributes[key] for key in ("label", "id", EXTRAS_KEY) if key in attributes}
     own: dict[str, Any] = {"attributes": hidden} if hidden else {}
     if not scene.graph.names[row]:
         own["name"] = ""
     plain = {key: value for key, value in attributes.items() if key not in hidden}
-    return {**plain, "label": label, "id": scene.graph.ids[row], **({OWN: own} if own else {})}
+    return {
+        **plain,
+        "label": label,
+        "id": scene.graph.ids[row],
+        **({EXTRAS_KEY: own} if own else {}),
+    }
 
 
 def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:

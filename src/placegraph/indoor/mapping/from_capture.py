@@ -20,7 +20,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Landmarks
 from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS
 from placegraph.io.capture.capture import Capture, load_capture
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
@@ -103,7 +103,7 @@ def read_capture(
         path=path, things=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
         thing_of=segments.object_of.astype(np.int64), colours=fused.colours,
         uv=np.zeros((len(fused.vertices), 2)),
-        picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Picture(None),),
+        picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Texture(None),),
         floor=floor,
     )  # fmt: skip
     poses = np.array([f.odometry for f in capture.frames])
@@ -181,9 +181,9 @@ def _fuse_frames(
         raise InputError(f"{path}: {error}") from error
 
 
-def make_things(segments: Segments) -> tuple[Thing, ...]:
+def make_things(segments: Segments) -> tuple[ModelObject, ...]:
     """Make the model's objects from segments."""
-    return tuple(map(Thing, segments.ids, segments.labels, segments.names))
+    return tuple(map(ModelObject, segments.ids, segments.labels, segments.names))
 
 
 def _write_notes(

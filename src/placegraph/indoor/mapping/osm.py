@@ -29,13 +29,13 @@ from placegraph.indoor.mapping.outlines import (
     trace_cells,
     triangulate,
 )
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph.io.osm.indoor_osm import (
     ROOMS,
     IndoorOsm,
     IndoorShape,
-    level_text,
-    levels_of,
+    format_level,
+    parse_levels,
     read_indoor_osm,
     room_names,
 )
@@ -98,7 +98,7 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
     if nowhere:
         levels = tuple(sorted({*levels, 0.0}))
         notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
-    known = ", ".join(map(level_text, levels))
+    known = ", ".join(map(format_level, levels))
     if level is None and len(levels) > 1:
         raise OptionError(
             f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g})."
@@ -157,7 +157,7 @@ def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
         longitude=float(middle[0]), latitude=float(middle[1]), height=0.0, heading=0.0,
         covariance=np.diag(np.square(SIGMA)),
         building=house.tags.get("name", "") if house else "", osm=house.osm if house else "",
-        level=level_text(level), method="OpenStreetMap's rooms",
+        level=format_level(level), method="OpenStreetMap's rooms",
     )  # fmt: skip
 
 
@@ -172,7 +172,7 @@ def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
     house = next((s for s in plan.shapes if s.osm == anchor.osm), None)
     if house is not None:
         tall = parse_length(house.tags.get("height", ""))
-        levels = levels_of(house.tags.get("building:levels", ""))
+        levels = parse_levels(house.tags.get("building:levels", ""))
         if tall and levels and levels[-1] > 0:
             height = tall / levels[-1] - SLAB
             if _LOW <= height <= _HIGH:
@@ -341,7 +341,7 @@ def read_rooms(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -
     wanted = (
         None
         if given is None
-        else levels_of(f"{given:g}" if isinstance(given, float) else str(given))
+        else parse_levels(f"{given:g}" if isinstance(given, float) else str(given))
     )
     if wanted is not None and len(wanted) != 1:
         raise OptionError(f"level is {given!r}; give one, as 1 or -1 or 0.5.")
@@ -362,7 +362,7 @@ class _ModelBuilder:
     """Things with their triangles, as they come."""
 
     def __init__(self) -> None:
-        self.things: list[Thing] = []
+        self.things: list[ModelObject] = []
         self.vertices: list[Floats] = []
         self.triangles: list[NDArray[np.int64]] = []
         self.thing_of: list[int] = []
@@ -371,7 +371,7 @@ class _ModelBuilder:
     def add_object(
         self, label: str, name: str = "", attributes: dict[str, str] | None = None
     ) -> None:
-        self.things.append(Thing(str(len(self.things)), label, name, attributes or {}))
+        self.things.append(ModelObject(str(len(self.things)), label, name, attributes or {}))
 
     def add(self, vertices: Floats, triangles: NDArray[np.int64]) -> None:
         """Add triangles to the last object."""
@@ -421,7 +421,7 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
         path=path, things=tuple(parts.things), vertices=vertices, triangles=triangles,
         thing_of=np.array(parts.thing_of, np.int64),
         colours=np.full((len(vertices), 3), 255, np.uint8), uv=np.zeros((len(vertices), 2)),
-        picture_of=np.zeros(len(triangles), np.int64), pictures=(Picture(None),), floor=0.0,
+        picture_of=np.zeros(len(triangles), np.int64), pictures=(Texture(None),), floor=0.0,
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import read_label_table
 from placegraph.io.formats import Format
-from placegraph.io.mesh.model import Model, Thing
+from placegraph.io.mesh.model import Model, ModelObject
 from placegraph.io.osm.indoor_osm import is_indoor_osm
 
 Up = Literal["auto", "y", "z"]
@@ -162,7 +162,9 @@ def _label(model: Model, table: Mapping[str, Entry] | None) -> Model:
             f"({_list_some(t.id for t in model.things)}); is it the table of another mesh?"
         )
     things = tuple(
-        t if e is None else Thing(t.id, e.label, e.name or t.name, t.attributes | e.attributes)
+        t
+        if e is None
+        else ModelObject(t.id, e.label, e.name or t.name, t.attributes | e.attributes)
         for t, e in zip(model.things, entries, strict=True)
     )
     return replace(model, things=things)

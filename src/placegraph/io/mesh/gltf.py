@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError
-from placegraph.io.mesh.model import Z_UP, Model, Picture, Thing, read_bytes
+from placegraph.io.mesh.model import Z_UP, Model, ModelObject, Texture, read_bytes
 
 Json = dict[str, Any]
 
-OWN = "placegraph"
+EXTRAS_KEY = "placegraph"
 """Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
 `name` "" of an object whose node is called by its label."""
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -40,7 +40,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _CLAMP, _MIRROR = 33071, 33648
 _EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds
 _SRGB_WRITERS = ("trimesh", "open3d")  # write COLOR_0 as sRGB, where the standard says linear
-_MENDS = {
+_REMEDIES = {
     "KHR_draco_mesh_compression": "export it without Draco compression",
     "EXT_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
     "KHR_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
@@ -133,8 +133,8 @@ class _Gltf:
         else:
             gltf = cls(path, *_split_chunks(path, data))
         for name in map(str, gltf.list_of(gltf.content, "extensionsRequired")):
-            if name in _MENDS:
-                raise gltf.error(f"it needs {name}; {_MENDS[name]}")
+            if name in _REMEDIES:
+                raise gltf.error(f"it needs {name}; {_REMEDIES[name]}")
             if name not in _KNOWN and not name.startswith(_HARMLESS):
                 raise gltf.error(
                     f"it needs the extension {name!r}, unknown here; export without it"
@@ -220,8 +220,8 @@ class _Gltf:
     def view(self, row: object) -> memoryview:
         """Return the bytes of a buffer view."""
         entry = self.item("bufferViews", row)
-        for name in _MENDS.keys() & self.object_of(entry, "extensions").keys():
-            raise self.error(f"it needs {name}; {_MENDS[name]}")
+        for name in _REMEDIES.keys() & self.object_of(entry, "extensions").keys():
+            raise self.error(f"it needs {name}; {_REMEDIES[name]}")
         number = self.whole(entry, "buffer")
         buffer = self.item("buffers", number)
         if "uri" in buffer:
@@ -353,10 +353,10 @@ class _ModelReader:
     def __init__(self, gltf: _Gltf) -> None:
         self.gltf = gltf
         self.left_out: Counter[str] = Counter()
-        self.things: list[Thing] = []
+        self.things: list[ModelObject] = []
         self.thing_rows: dict[str, int] = {}
         self.shadings: dict[int | None, _Shading] = {}
-        self.pictures: dict[Picture, int] = {}
+        self.pictures: dict[Texture, int] = {}
         self.images: dict[int, bytes] = {}
         self.columns: dict[str, list[NDArray[Any]]] = {
             "vertices": [np.zeros((0, 3))],
@@ -375,7 +375,7 @@ class _ModelReader:
             next((r for r in reversed(path) if {"label", "id"} & gltf.extras(r).keys()), path[-1])
             for path, _ in nodes
         ]
-        taken = {_id_of(gltf.extras(row)) for row in owners}
+        taken = {_read_id(gltf.extras(row)) for row in owners}
         free = (str(n) for n in range(len(owners) + len(taken)) if str(n) not in taken)
         rows: dict[int, int] = {}
         for owner, (path, world) in zip(owners, nodes, strict=True):
@@ -393,7 +393,7 @@ class _ModelReader:
         return Model(
             path=gltf.path,
             things=tuple(self.things),
-            pictures=tuple(self.pictures) or (Picture(None),),
+            pictures=tuple(self.pictures) or (Texture(None),),
             left_out=self.left_out,
             relations=relations,
             floor=floor,
@@ -429,7 +429,7 @@ class _ModelReader:
         name = str(node.get("name") or "")
         bare = re.sub(r"\.\d{3,}$", "", name)
         label = str(extras.get("label") or "") or bare or "unknown"
-        id_ = _id_of(extras) or next(free)
+        id_ = _read_id(extras) or next(free)
         if id_ in self.thing_rows:
             other = self.things[self.thing_rows[id_]]
             if other.label != label:
@@ -438,7 +438,7 @@ class _ModelReader:
                     "give each object its own id"
                 )
             return self.thing_rows[id_]
-        own = extras.get(OWN)
+        own = extras.get(EXTRAS_KEY)
         own = own if isinstance(own, dict) else {}
         if own.get("name") == "" and bare == label:
             name = ""
@@ -449,13 +449,13 @@ class _ModelReader:
             if isinstance(v, str | int | float)
         }
         self.thing_rows[id_] = len(self.things)
-        self.things.append(Thing(id_, label, name, attributes))
+        self.things.append(ModelObject(id_, label, name, attributes))
         return len(self.things) - 1
 
     def add_primitive(self, primitive: Json, map_from_node: Floats, thing: int) -> None:
         gltf = self.gltf
-        for name in _MENDS.keys() & gltf.object_of(primitive, "extensions").keys():
-            raise gltf.error(f"it needs {name}; {_MENDS[name]}")
+        for name in _REMEDIES.keys() & gltf.object_of(primitive, "extensions").keys():
+            raise gltf.error(f"it needs {name}; {_REMEDIES[name]}")
         attributes = gltf.object_of(primitive, "attributes")
         mode = gltf.whole(primitive, "mode") if "mode" in primitive else _TRIANGLES
         if mode not in {_TRIANGLES, _STRIP, _FAN} or "POSITION" not in attributes:
@@ -527,7 +527,7 @@ class _ModelReader:
         r, g, b, _ = np.clip(gltf.floats(base, keys[1], (1.0,) * 4), 0.0, 1.0).tolist()
         info = gltf.object_of(base, keys[0])
         if not info:
-            return _Shading(self.add_picture(Picture(None, (r, g, b))))
+            return _Shading(self.add_picture(Texture(None, (r, g, b))))
         texture = gltf.item("textures", info.get("index"))
         wraps = [0, 0]
         if "sampler" in texture:
@@ -545,14 +545,14 @@ class _ModelReader:
             c, s = cos(angle), sin(angle)
             affine = np.column_stack([np.array([[c, s], [-s, c]]) * scale, offset])
         return _Shading(
-            picture=self.add_picture(Picture(data, (r, g, b), mirrored, name)),
+            picture=self.add_picture(Texture(data, (r, g, b), mirrored, name)),
             texcoord=gltf.whole(moved if "texCoord" in moved else info, "texCoord"),
             affine=affine,
             clamped=(wraps[0] == _CLAMP, wraps[1] == _CLAMP),
             mirrored=mirrored,
         )
 
-    def add_picture(self, picture: Picture) -> int:
+    def add_picture(self, picture: Texture) -> int:
         return self.pictures.setdefault(picture, len(self.pictures))
 
     def read_image(self, texture: Json) -> tuple[bytes, str]:
@@ -595,7 +595,7 @@ class _ModelReader:
         return colours if rows is None else colours[rows]
 
 
-def _id_of(extras: Json) -> str:
+def _read_id(extras: Json) -> str:
     """Return `extras.id` as text; empty where there is none."""
     value = extras.get("id")
     if isinstance(value, float) and value.is_integer():

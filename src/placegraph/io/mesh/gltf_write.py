@@ -192,7 +192,7 @@ class _Document:
         if surface.uv is not None:
             attributes["TEXCOORD_0"] = self.accessor(surface.uv.astype("<f4"), "VEC2")
         if surface.colours is not None and (surface.colours != 255).any():
-            channels = _linear(surface.colours)
+            channels = _to_linear(surface.colours)
             attributes["COLOR_0"] = self.accessor(channels, "VEC4", normalized=True)
         corners = surface.triangles.astype("<u4").ravel()
         return {
@@ -227,7 +227,7 @@ class _Document:
         return b"".join([struct.pack("<4sII", b"glTF", 2, length), *chunks])
 
 
-def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
+def _to_linear(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Convert sRGB (V, 3) to COLOR_0: (V, 4) uint16 linear intensities and opacity."""
     steps = np.arange(256) / 255.0
     linear = np.where(steps <= 0.04045, steps / 12.92, ((steps + 0.055) / 1.055) ** 2.4)

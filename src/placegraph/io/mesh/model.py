@@ -22,7 +22,7 @@ UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class ModelObject:
     """One object of a model."""
 
     id: str
@@ -32,7 +32,7 @@ class Thing:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class Texture:
     """Colour of a material: an encoded image times a factor, or a factor alone."""
 
     data: bytes | None
@@ -50,7 +50,7 @@ class Model:
     """A 3D file, in the map's axes (z up, metres)."""
 
     path: Path
-    things: tuple[Thing, ...]
+    things: tuple[ModelObject, ...]
     vertices: NDArray[np.float64]
     """(V, 3) [m]; may hold NaN, which the builder refuses."""
     triangles: NDArray[np.int64]
@@ -63,7 +63,7 @@ class Model:
     """(V, 2) texture coordinates, v down; 0 where there are none."""
     picture_of: NDArray[np.int64]
     """(T,) rows of pictures."""
-    pictures: tuple[Picture, ...]
+    pictures: tuple[Texture, ...]
     """At least one."""
     left_out: Counter[str] = field(default_factory=Counter)
     """What of the file could not be used, by reason."""
@@ -84,7 +84,7 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"{path} cannot be read: {why}.") from error
 
 
-def fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def triangulate_fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cut polygons into fans: triangles (T, 3) in rows of all their corners, and the polygon of each.
 
     `lengths`: (F,) corners of each polygon, whose corners stand one polygon after the other.

@@ -10,7 +10,9 @@ from placegraph.core.jit import kernel
 
 
 @kernel
-def _key(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> NDArray[np.int64]:
+def _hash_cell(
+    x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Hash a cell; collisions only cost time."""
     return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
 
@@ -32,7 +34,7 @@ def _search(
             x = cell[0] + neighbour // 9 - 1
             y = cell[1] + neighbour // 3 % 3 - 1
             z = cell[2] + neighbour % 3 - 1
-            key = _key(x, y, z)
+            key = _hash_cell(x, y, z)
             k = np.searchsorted(keys, key)
             if k == len(keys) or keys[k] != key:
                 continue
@@ -49,7 +51,7 @@ def _search(
 _FARTHEST = 1e9  # Coordinates beyond this many reaches are damage, and near to nothing
 
 
-def nearest(
+def find_nearest(
     points: NDArray[np.float64], among: NDArray[np.float64], reach: float
 ) -> NDArray[np.int64]:
     """Row of the nearest of `among` (N, 3) to each of `points` (Q, 3); -1 where none is in reach.
@@ -62,7 +64,7 @@ def nearest(
     if not (there.size and asking.size):
         return rows
     cells = np.floor(among[there] / reach).astype(np.int64)
-    keys = _key(cells[:, 0], cells[:, 1], cells[:, 2])
+    keys = _hash_cell(cells[:, 0], cells[:, 1], cells[:, 2])
     order = np.argsort(keys, kind="stable")
     unique, starts = np.unique(keys[order], return_index=True)
     starts = np.append(starts, len(order))

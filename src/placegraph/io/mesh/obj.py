@@ -22,7 +22,15 @@ from placegraph.core.files import check_regular
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
-from placegraph.io.mesh.model import UNKNOWN, Z_UP, Model, Picture, Thing, fans, read_bytes
+from placegraph.io.mesh.model import (
+    UNKNOWN,
+    Z_UP,
+    Model,
+    ModelObject,
+    Texture,
+    read_bytes,
+    triangulate_fans,
+)
 
 Rows = NDArray[np.int64]
 Groups = Literal["auto", "o", "g", "usemtl"]
@@ -83,7 +91,7 @@ def read_obj(
     for block in _read_blocks(parser.path):
         parser.add(block)
     text = parser.join()
-    corner, face = fans(text.lengths)
+    corner, face = triangulate_fans(text.lengths)
     if degenerate := int((text.lengths < 3).sum()):
         text.left_out["faces of fewer than three corners"] += degenerate
     vertex, uv, triangles = _index_vertices(text, corner)
@@ -94,7 +102,7 @@ def read_obj(
         keyword = (several or named or ["o"])[0]
     used, thing_of = np.unique(text.name_of[keyword][face], return_inverse=True)
     names = [text.names[keyword][i] if i >= 0 else "" for i in used.tolist()]
-    pictures, picture_of = _read_pictures(text, face)
+    pictures, picture_of = _read_textures(text, face)
     vertices = text.vertices[vertex]
     there = np.isfinite(text.colours).all(axis=1)
     colours = np.full(text.vertices.shape, 255, np.uint8)
@@ -106,7 +114,7 @@ def read_obj(
             text.left_out["vertices without the colour that others have"] += int((~there).sum())
     return Model(
         path=text.path,
-        things=tuple(_make_thing(name, (table or {}).get(name)) for name in names),
+        things=tuple(_make_object(name, (table or {}).get(name)) for name in names),
         vertices=vertices @ Z_UP.T if up == "y" else vertices,
         triangles=triangles,
         thing_of=thing_of.reshape(-1),
@@ -155,10 +163,10 @@ def _index_vertices(text: _Text, corner: Rows) -> tuple[Rows, Floats, Rows]:
     return pairs // len(table), table[pairs % len(table) - 1], triangles.reshape(-1, 3)
 
 
-def _make_thing(name: str, entry: LabelEntry | None) -> Thing:
+def _make_object(name: str, entry: LabelEntry | None) -> ModelObject:
     if entry is not None:
-        return Thing(name, entry.label, entry.name or name, entry.attributes)
-    return Thing(name or UNKNOWN, re.sub(r"\.\d{3,}$", "", name) or UNKNOWN, name)
+        return ModelObject(name, entry.label, entry.name or name, entry.attributes)
+    return ModelObject(name or UNKNOWN, re.sub(r"\.\d{3,}$", "", name) or UNKNOWN, name)
 
 
 class _Lines(NamedTuple):
@@ -269,7 +277,7 @@ class _Parser:
         self.parts["vertices"].append(numbers[corners])
         self.parts["colours"].append(colours)
         counts, at, numbers = self.read_rows(select(is_uv, 2), 1, "a texture vertex has u and v")
-        v = np.where(counts > 1, _following(numbers, at), 0.0)
+        v = np.where(counts > 1, _parse_fields(numbers, at), 0.0)
         self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
         faces = select(is_face, 1)
         self.add_faces(faces, np.cumsum(is_vertex), np.cumsum(is_uv))
@@ -306,7 +314,7 @@ class _Parser:
         lengths = lines.count_in(corners)
         row = np.repeat(lines.rows, lengths)
         corner = _resolve(numbers[at], self.vertex_count + vertices[row])
-        mapped = np.where(more > 0, _following(numbers, at), 0)
+        mapped = np.where(more > 0, _parse_fields(numbers, at), 0)
         corner_uv = np.where(mapped == 0, -1, _resolve(mapped, self.uv_count + uv[row]))
         wrong = (corner < 0) | ((corner_uv < 0) & (mapped != 0))
         if wrong.any():
@@ -386,7 +394,7 @@ class _Parser:
         )
 
 
-def _following(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
+def _parse_fields(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
     """Return the numbers after these positions."""
     after: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
     return after
@@ -397,7 +405,7 @@ def _resolve(numbers: Rows, count: Rows) -> Rows:
     return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
 
 
-def _read_pictures(text: _Text, face: Rows) -> tuple[tuple[Picture, ...], Rows]:
+def _read_textures(text: _Text, face: Rows) -> tuple[tuple[Texture, ...], Rows]:
     """Return the textures of the used materials, and the texture of each triangle.
 
     A texture that is missing leaves the material its `Kd`; a material that is missing is white.
@@ -414,16 +422,16 @@ def _read_pictures(text: _Text, face: Rows) -> tuple[tuple[Picture, ...], Rows]:
                 materials = _read_materials(library, text.left_out) | materials
             elif file:
                 text.left_out["material files that are missing"] += 1
-    rows: dict[Picture, int] = {}
+    rows: dict[Texture, int] = {}
     row_of = []
     for name in names:
-        picture = Picture(None)
+        picture = Texture(None)
         if name in materials:
-            picture = _make_picture(materials[name], text.left_out)
+            picture = _make_texture(materials[name], text.left_out)
         elif name is not None:
             text.left_out["materials that no material file holds"] += 1
         row_of.append(rows.setdefault(picture, len(rows)))
-    return tuple(rows) or (Picture(None),), np.array(row_of, np.int64)[of.reshape(-1)]
+    return tuple(rows) or (Texture(None),), np.array(row_of, np.int64)[of.reshape(-1)]
 
 
 @dataclass(slots=True)
@@ -489,7 +497,7 @@ def _skip_options(rest: str) -> str:
     return rest
 
 
-def _make_picture(material: _Material, left_out: Counter[str]) -> Picture:
+def _make_texture(material: _Material, left_out: Counter[str]) -> Texture:
     # linear intensities of sRGB (IEC 61966-2-1)
     r, g, b = (
         c / 12.92 if c <= 0.04045 else float(((c + 0.055) / 1.055) ** 2.4) for c in material.factor
@@ -501,7 +509,7 @@ def _make_picture(material: _Material, left_out: Counter[str]) -> Picture:
         except (OSError, ValueError):
             left_out["textures that are missing"] += 1
     if data is None:
-        return Picture(None, (r, g, b))
+        return Texture(None, (r, g, b))
     if r == g == b == 0.0:  # beside a texture that means nothing, as some exporters have it
         r = g = b = 1.0
-    return Picture(data, (r, g, b), name=str(material.picture))
+    return Texture(data, (r, g, b), name=str(material.picture))

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from placegraph.core.files import write_file
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
-from placegraph.io.mesh.model import UNKNOWN, Z_UP, Model, Picture, Thing, fans, read_bytes
+from placegraph.io.mesh.model import (
+    UNKNOWN,
+    Z_UP,
+    Model,
+    ModelObject,
+    Texture,
+    read_bytes,
+    triangulate_fans,
+)
 
 Ints = NDArray[np.int64]
 
@@ -107,7 +115,7 @@ def read_ply(
             vertices = vertices[triangles.ravel()]
             colours = np.repeat(by_face[face_of], 3, axis=0)
             triangles = np.arange(len(vertices)).reshape(-1, 3)
-    things, thing_of, left_out = things_of_ids(ids, len(triangles), table or {})
+    things, thing_of, left_out = make_objects(ids, len(triangles), table or {})
     return Model(
         path=path,
         things=things,
@@ -117,7 +125,7 @@ def read_ply(
         colours=np.full(vertices.shape, 255, np.uint8) if colours is None else colours,
         uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(len(triangles), np.int64),
-        pictures=(Picture(None),),
+        pictures=(Texture(None),),
         left_out=left_out,
     )
 
@@ -133,7 +141,7 @@ def _read_triangles(path: Path, face: Columns, count: int) -> tuple[Ints, Ints]:
         raise InputError(
             f"{path}: a face names a vertex outside 0 to {count - 1}; export it again."
         )
-    corners, face_of = fans(lengths)
+    corners, face_of = triangulate_fans(lengths)
     return entries[corners], face_of
 
 
@@ -151,15 +159,15 @@ def _read_object_ids(
         known = {name.lower(): column for name, column in columns.items()}
         for name in names:
             if name in known:
-                ids = whole(known[name])
-                return ids[face_of] if by_face else majority(ids[triangles])
+                ids = to_integers(known[name])
+                return ids[face_of] if by_face else majority_vote(ids[triangles])
     if wanted is not None:
         there = ", ".join(sorted(vertex.single.keys() | face.single.keys()))
         raise InputError(f"{path} has no property {wanted!r}; it has {there}.")
     return None
 
 
-def whole(column: NDArray[Any]) -> Ints:
+def to_integers(column: NDArray[Any]) -> Ints:
     """Return ids as int64, -1 where there is none."""
     if column.dtype.kind == "f":
         good = np.isfinite(column) & (np.abs(column) < 2**53)
@@ -171,7 +179,7 @@ def whole(column: NDArray[Any]) -> Ints:
     return np.where(none, -1, ids)
 
 
-def majority(ids: Ints) -> Ints:
+def majority_vote(ids: Ints) -> Ints:
     """Return what two of three corners (T, 3) say, or else the first (T,)."""
     a, b, c = ids.T
     voted: Ints = np.where(b == c, b, a)
@@ -195,18 +203,18 @@ def _read_colours(path: Path, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
     return None
 
 
-def things_of_ids(
+def make_objects(
     ids: Ints | None, count: int, table: Mapping[str, LabelEntry]
-) -> tuple[tuple[Thing, ...], Ints, Counter[str]]:
+) -> tuple[tuple[ModelObject, ...], Ints, Counter[str]]:
     """Return objects, the object of each of `count` triangles, and what was left out.
 
     `ids` are those of the triangles, negative where there is none; None makes one unknown object.
     """
     if ids is None:
-        return (Thing("0", UNKNOWN),), np.zeros(count, np.int64), Counter()
+        return (ModelObject("0", UNKNOWN),), np.zeros(count, np.int64), Counter()
     unique, inverse = np.unique(ids, return_inverse=True)
     strange = not any(str(number) in table for number in unique.tolist())  # another file's table
-    things: dict[str, Thing] = {}
+    things: dict[str, ModelObject] = {}
     row = np.empty(len(unique), np.int64)
     rows: dict[str, int] = {}
     for i, number in enumerate(unique.tolist()):
@@ -215,9 +223,9 @@ def things_of_ids(
             id_, entry = UNKNOWN, None
         row[i] = rows.setdefault(id_, len(rows))
         things[id_] = (
-            Thing(id_, UNKNOWN)
+            ModelObject(id_, UNKNOWN)
             if entry is None
-            else Thing(id_, entry.label, entry.name, entry.attributes)
+            else ModelObject(id_, entry.label, entry.name, entry.attributes)
         )
     left_out: Counter[str] = Counter()
     if missing := sum(id_ not in things for id_ in table):

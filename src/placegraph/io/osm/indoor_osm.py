@@ -26,7 +26,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError
-from placegraph.io.osm.osm import SUFFIXES, checked_osm, one_line, osm_file
+from placegraph.io.osm.osm import SUFFIXES, check_osm, one_line, osm_file
 
 _PART = re.compile(
     r"\s*([+-]?\d{1,4}(?:\.\d{1,3})?)\s*(?:-\s*([+-]?\d{1,4}(?:\.\d{1,3})?)\s*)?", re.ASCII
@@ -35,7 +35,7 @@ _MOST = 300
 """Levels of one range: no building has more."""
 
 
-def levels_of(text: str) -> tuple[float, ...]:
+def parse_levels(text: str) -> tuple[float, ...]:
     """Return the levels that a tag lists, ascending; ``a-b`` is a, b and all whole levels between.
 
     Parts that are no levels are passed over; () where none is one.
@@ -53,7 +53,7 @@ def levels_of(text: str) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def level_text(level: float) -> str:
+def format_level(level: float) -> str:
     """Return a level as it is written in a tag: ``1``, ``0.5``."""
     return f"{level:g}"
 
@@ -61,7 +61,7 @@ def level_text(level: float) -> str:
 ROOMS = ("room", "corridor", "area")
 """Kinds of shapes that somebody may be in."""
 KINDS = frozenset({*ROOMS, "wall", "door", "level", "building"})
-MOST_POINTS = 1000
+MAX_POINTS = 1000
 """Of an outline; longer ones are left out."""
 _KEYS = ("indoor", "osmAG:type", "building", "building:part", "door", "entrance")
 _OSMAG = {"structure": "level", "corridor": "corridor"}
@@ -108,7 +108,7 @@ def read_indoor_osm(path: str | PathLike[str]) -> IndoorOsm:
     """
     import osmium
 
-    path = checked_osm(Path(path))
+    path = check_osm(Path(path))
     try:
         found = _Elements(path)
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
@@ -172,12 +172,12 @@ class _Elements:
             if any(ref not in self.ways for ref, _ in members):
                 self.left_out["multipolygons with missing members"] += 1
             pieces = [self.ways[ref] for ref, _ in members if ref in self.ways]
-            yield from self._shape(osm, tags, _joined(pieces))
+            yield from self._shape(osm, tags, _join_ways(pieces))
 
     def _shape(
         self, osm: str, tags: dict[str, str], lines: list[list[int]]
     ) -> Iterator[IndoorShape]:
-        kind = kind_of(tags)
+        kind = find_kind(tags)
         if not kind or (osm.startswith("node/") and kind != "door"):
             return
         parts = []
@@ -191,15 +191,18 @@ class _Elements:
             if len(part) > (kind == "wall"):
                 parts.append(part)
         if parts:
-            levels = {*levels_of(tags.get("level", "")), *levels_of(tags.get("repeat_on", ""))}
+            levels = {
+                *parse_levels(tags.get("level", "")),
+                *parse_levels(tags.get("repeat_on", "")),
+            }
             yield IndoorShape(osm, kind, tuple(sorted(levels)), tags, parts)
         else:
             self.left_out[f"{kind}s without an outline"] += 1
 
     def _ring(self, part: Floats, kind: str) -> Floats:
         """Return the closed ring of an outline; empty where it is none."""
-        if len(part) > MOST_POINTS:
-            self.left_out[f"{kind}s of more than {MOST_POINTS} points"] += 1
+        if len(part) > MAX_POINTS:
+            self.left_out[f"{kind}s of more than {MAX_POINTS} points"] += 1
             return part[:0]
         moves = np.ones(len(part), np.bool_)
         moves[1:] = (np.diff(part, axis=0) != 0).any(axis=1)
@@ -211,7 +214,7 @@ class _Elements:
         return part if len(part) > 3 else part[:0]
 
 
-def kind_of(tags: Mapping[str, str]) -> str:
+def find_kind(tags: Mapping[str, str]) -> str:
     """Return the kind of an element by its tags; empty where it is none of `KINDS`."""
     osmag, indoor = tags.get("osmAG:type", ""), tags.get("indoor", "")
     if osmag == "area":
@@ -240,7 +243,7 @@ def room_names(shapes: Sequence[IndoorShape]) -> list[str]:
     return names
 
 
-def _joined(pieces: Sequence[Sequence[int]]) -> list[list[int]]:
+def _join_ways(pieces: Sequence[Sequence[int]]) -> list[list[int]]:
     """Return the member ways of a multipolygon, end to end: as few lines as they make."""
     left, lines = [list(p) for p in pieces if len(p) > 1], []
     while left:
@@ -287,7 +290,7 @@ def encode_rooms(shapes: Sequence[IndoorShape], *, osmag: bool, generator: str) 
             refs = [file.node(at) for at in line]
             ends = [*(names[k] for k in held), "outside", "outside"]
             tags = {"osmAG:type": "passage", "osmAG:from": ends[0], "osmAG:to": ends[1]}
-            file.way(refs, tags | _kept(door.tags, ("level", "height", "width", "name")))
+            file.way(refs, tags | _kept_tags(door.tags, ("level", "height", "width", "name")))
     else:
         rooms = [_with_doors(room, k, doors) for k, room in enumerate(rooms)]
         for door, _, line in doors:
@@ -357,10 +360,10 @@ def _write(file: _File, room: IndoorShape, tags: dict[str, str]) -> None:
 def _osmag_area(room: IndoorShape) -> dict[str, str]:
     kind = room.tags.get("room") or room.kind
     said = {"osmAG:type": "area", "osmAG:areaType": _AREA_TYPES.get(kind, "room")}
-    return said | _kept(room.tags, ("level", "height", "ref", "osmAG:parent"))
+    return said | _kept_tags(room.tags, ("level", "height", "ref", "osmAG:parent"))
 
 
-def _kept(tags: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+def _kept_tags(tags: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
     return {name: tags[name] for name in names if tags.get(name)}
 
 

@@ -133,9 +133,9 @@ def read_columns(
     """
     from placegraph.io.osm.reader import Reader  # which makes what is described here
 
-    path, left_out = checked_osm(Path(path)), LeftOut() if left_out is None else left_out
+    path, left_out = check_osm(Path(path)), LeftOut() if left_out is None else left_out
     try:
-        with _as_pbf(path) as pbf, pbf.open("rb") as file:
+        with _open_as_pbf(path) as pbf, pbf.open("rb") as file:
             yield from Reader(file, path, keys, left_out).columns(index)
     except (RuntimeError, OSError, ValueError) as error:
         raise InputError(
@@ -145,7 +145,7 @@ def read_columns(
 
 
 @contextmanager
-def _as_pbf(path: Path) -> Iterator[Path]:
+def _open_as_pbf(path: Path) -> Iterator[Path]:
     """Yield a file as PBF, converted by osmium if necessary."""
     ending = _ending(path)
     if ending.endswith("pbf"):
@@ -192,7 +192,7 @@ def _ending(path: Path) -> str:
     return ending.removeprefix(".").replace("osmag", "osm")
 
 
-def checked_osm(path: Path) -> Path:
+def check_osm(path: Path) -> Path:
     """Return the path of a file that may be read; raises `InputError` where it is none."""
     try:
         size = -1 if path.is_dir() else path.stat().st_size

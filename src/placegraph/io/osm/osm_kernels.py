@@ -14,7 +14,7 @@ VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
 
 
 @kernel(inline="always")
-def varint(data, at, end):
+def decode_varint(data, at, end):
     """Return an integer of up to 64 bits and the next position; -1 where it is cut off or longer."""
     value, shift = np.int64(0), np.int64(0)
     while at < end and shift < 70:
@@ -29,26 +29,26 @@ def varint(data, at, end):
 
 
 @kernel(inline="always")
-def signed(value):
+def decode_zigzag(value):
     """Decode a zigzag number, whose sign is its lowest bit."""
     return ((value >> 1) & 0x7FFFFFFFFFFFFFFF) ^ -(value & 1)
 
 
 @kernel
-def field(data, at, end):
+def read_field(data, at, end):
     """Return the next field: number, value or length in bytes, its position and the next one.
 
     The last is -1 where it reaches beyond the end; numbers of plain values are negative.
     """
-    key, at = varint(data, at, end)
+    key, at = decode_varint(data, at, end)
     wire, number, value = key & 7, key >> 3, np.int64(0)
     if at < 0 or number < 1:
         return number, value, at, np.int64(-1)
     if wire == VARINT:
-        value, after = varint(data, at, end)
+        value, after = decode_varint(data, at, end)
         return -number, value, at, after
     if wire == BYTES:
-        value, at = varint(data, at, end)
+        value, at = decode_varint(data, at, end)
     elif wire in (EIGHT, FOUR):
         number, value = np.int64(1) << 40, np.int64(8 if wire == EIGHT else 4)  # nothing of ours
     else:
@@ -59,14 +59,14 @@ def field(data, at, end):
 
 
 @kernel
-def fields(data, at, end):
+def read_fields(data, at, end):
     """Return all fields of a message (F, 3): number (negative: a value), value or length, position.
 
     And whether the message is sound.
     """
     found, n = np.empty((16, 3), np.int64), 0
     while at < end:
-        number, value, begins, at = field(data, at, end)
+        number, value, begins, at = read_field(data, at, end)
         if at < 0:
             return found[:0], False
         if n == len(found):
@@ -77,14 +77,14 @@ def fields(data, at, end):
 
 
 @kernel(inline="always")
-def numbers(data, number, value, at, out, used):
+def read_numbers(data, number, value, at, out, used):
     """Append a field's numbers, packed or single, to the `used` ones; return the new count, or -1."""
     if number < 0:
         out[used] = value
         return used + 1
     end = at + value
     while at < end:
-        out[used], at = varint(data, at, end)
+        out[used], at = decode_varint(data, at, end)
         if at < 0:
             return -1
         used += 1
@@ -92,11 +92,11 @@ def numbers(data, number, value, at, out, used):
 
 
 @kernel(inline="always")
-def version(data, at, end):
+def read_version(data, at, end):
     """Return the version in an element's `Info`; -1 where it is damaged."""
     found = np.int64(0)
     while at < end:
-        number, value, _, at = field(data, at, end)
+        number, value, _, at = read_field(data, at, end)
         if at < 0 or (number == -1 and value < 0):
             return np.int64(-1)
         if number == -1:
@@ -105,7 +105,7 @@ def version(data, at, end):
 
 
 @kernel
-def dense(data, at, end):
+def read_dense_nodes(data, at, end):
     """Read dense nodes: ids, versions, latitudes, longitudes, raw tags, and whether all is valid.
 
     Ids and positions are differences no more.
@@ -115,25 +115,25 @@ def dense(data, at, end):
     tags, versions = np.empty(room, np.int64), np.empty(room, np.int64)
     n = n_lat = n_lon = n_tags = n_versions = 0
     while at < end:
-        number, value, begins, at = field(data, at, end)
+        number, value, begins, at = read_field(data, at, end)
         if at < 0:
             n = -1
         elif abs(number) == 1:
-            n = numbers(data, number, value, begins, ids, n)
+            n = read_numbers(data, number, value, begins, ids, n)
         elif abs(number) == 8:
-            n_lat = numbers(data, number, value, begins, lat, n_lat)
+            n_lat = read_numbers(data, number, value, begins, lat, n_lat)
         elif abs(number) == 9:
-            n_lon = numbers(data, number, value, begins, lon, n_lon)
+            n_lon = read_numbers(data, number, value, begins, lon, n_lon)
         elif abs(number) == 10:
-            n_tags = numbers(data, number, value, begins, tags, n_tags)
+            n_tags = read_numbers(data, number, value, begins, tags, n_tags)
         elif number == 5:
             within, stop = begins, begins + value
             while within < stop and n_versions >= 0:
-                inner, size, begins, within = field(data, within, stop)
+                inner, size, begins, within = read_field(data, within, stop)
                 if within < 0:
                     n_versions, within = -1, stop
                 elif abs(inner) == 1:
-                    n_versions = numbers(data, inner, size, begins, versions, n_versions)
+                    n_versions = read_numbers(data, inner, size, begins, versions, n_versions)
         if min(n, n_lat, n_lon, n_tags, n_versions) < 0:
             return ids[:0], ids[:0], lat[:0], lon[:0], tags[:0], False
     good = n == n_lat == n_lon and (n_versions == n or n_versions == 0)
@@ -141,15 +141,15 @@ def dense(data, at, end):
         versions[:n] = 0
     identity = y = x = np.int64(0)
     for i in range(n if good else 0):
-        identity += signed(ids[i])
-        y += signed(lat[i])
-        x += signed(lon[i])
+        identity += decode_zigzag(ids[i])
+        y += decode_zigzag(lat[i])
+        x += decode_zigzag(lon[i])
         ids[i], lat[i], lon[i] = identity, y, x
     return ids[:n], versions[:n], lat[:n_lat], lon[:n_lon], tags[:n_tags], good
 
 
 @kernel
-def tags_of(tags, nodes, n_strings):
+def read_dense_tags(tags, nodes, n_strings):
     """Return tags of dense nodes as CSR: offsets, alternating keys and values, and whether they are valid."""
     starts, pairs, used, row = np.zeros(nodes + 1, np.int64), np.empty(len(tags), np.int64), 0, 0
     at = 0
@@ -173,7 +173,7 @@ def tags_of(tags, nodes, n_strings):
 
 
 @kernel
-def elements(data, groups, wanted, n_strings):
+def read_elements(data, groups, wanted, n_strings):
     """Read nodes, ways or relations, one message each, from groups (G, 2) of byte ranges.
 
     `wanted` is the field of a group that holds them. Returns, a row each: id as it is written, version,
@@ -191,7 +191,7 @@ def elements(data, groups, wanted, n_strings):
     for g in range(len(groups)):
         at, end = groups[g]
         while at < end:
-            number, size, within, at = field(data, at, end)
+            number, size, within, at = read_field(data, at, end)
             if at < 0:
                 return head[:0], starts[:1], entries, False
             if number != wanted:
@@ -203,20 +203,20 @@ def elements(data, groups, wanted, n_strings):
             n_keys = n_values = 0
             stop, named = within + size, False
             while within < stop:
-                inner, value, begins, within = field(data, within, stop)
+                inner, value, begins, within = read_field(data, within, stop)
                 if within < 0:
                     return head[:0], starts[:1], entries, False
                 if inner == -1:
                     head[n, 0], named = value, True
                 elif abs(inner) == 2:
-                    n_keys = numbers(data, inner, value, begins, keys, n_keys)
+                    n_keys = read_numbers(data, inner, value, begins, keys, n_keys)
                 elif abs(inner) == 3:
-                    n_values = numbers(data, inner, value, begins, values, n_values)
+                    n_values = read_numbers(data, inner, value, begins, values, n_values)
                 elif inner == 4:
-                    head[n, 1] = version(data, begins, begins + value)
+                    head[n, 1] = read_version(data, begins, begins + value)
                 elif 8 <= abs(inner) <= 10:
                     k = abs(inner) - 7
-                    used[k] = numbers(data, inner, value, begins, entries[k], used[k])
+                    used[k] = read_numbers(data, inner, value, begins, entries[k], used[k])
                 if min(n_keys, n_values, head[n, 1], used.min()) < 0:
                     return head[:0], starts[:1], entries, False
             if not named or n_keys != n_values:
@@ -233,28 +233,28 @@ def elements(data, groups, wanted, n_strings):
 
 
 @kernel
-def signed_of(values):
+def decode_zigzags(values):
     """Decode zigzag numbers, whose signs are their lowest bits."""
     out = np.empty(len(values), np.int64)
     for i in range(len(values)):
-        out[i] = signed(values[i])
+        out[i] = decode_zigzag(values[i])
     return out
 
 
 @kernel
-def summed(starts, values):
+def decode_differences(starts, values):
     """Decode zigzag differences within each row of a CSR."""
     out = np.empty(len(values), np.int64)
     for row in range(len(starts) - 1):
         total = np.int64(0)
         for i in range(starts[row], starts[row + 1]):
-            total += signed(values[i])
+            total += decode_zigzag(values[i])
             out[i] = total
     return out
 
 
 @kernel
-def varints(values):
+def encode_varints(values):
     """Encode integers as varints, one after the other."""
     out, at = np.empty(10 * len(values), np.uint8), 0
     for i in range(len(values)):
@@ -272,7 +272,7 @@ def varints(values):
 
 
 @kernel
-def placed(first, bounds, words, ids):
+def look_up_nodes(first, bounds, words, ids):
     """Look up positions (K, 2) of nodes by id, and which are known; `Nodes` explains `words`.
 
     What is looked for often stands behind what was found last.
@@ -308,7 +308,7 @@ def placed(first, bounds, words, ids):
 
 
 @kernel
-def sampled(first, bounds, words, every):
+def sample_ids(first, bounds, words, every):
     """Return the first id of each chunk, and one of every `every` others."""
     found, n = np.empty(len(first) + bounds[-1] // every, np.int64), 0
     for chunk in range(len(first)):
@@ -319,7 +319,7 @@ def sampled(first, bounds, words, every):
 
 
 @kernel
-def between(first, bounds, words, low, high):
+def nodes_between(first, bounds, words, low, high):
     """Return ids and positions of all nodes with ids from `low` to below `high`."""
     ends, n = np.zeros((len(first), 2), np.int64), 0
     for chunk in range(len(first)):
@@ -345,7 +345,7 @@ def between(first, bounds, words, low, high):
 
 
 @kernel
-def lines(starts, steps, known):
+def way_points(starts, steps, known):
     """Return the points of ways whose nodes have known positions.
 
     Returns starts and points, and which ways lack some. What is whole has no point twice in a row; where

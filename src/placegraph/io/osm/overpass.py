@@ -120,8 +120,8 @@ def fetch_osm(
     _check(place, out, query_keys)
     report = progress or (lambda _step, _n: None)
     report("finding", 0)
-    name, outline = find(ox, place)
-    query = query_of(ox, query_keys, rings(outline))
+    name, outline = find_area(ox, place)
+    query = make_query(ox, query_keys, rings(outline))
     base = (overpass_url or ox.settings.overpass_url).rstrip("/").removesuffix("/interpreter")
     try:
         # In the same folder, so that replacing is atomic; gone afterwards, whatever happens.
@@ -130,7 +130,7 @@ def fetch_osm(
             download(ox, f"{base}/interpreter", query, answer, report)
             if out.name.lower().endswith(".pbf"):
                 file = answer.with_name("answer.osm.pbf")
-            counts = copied(answer, file, report)
+            counts = copy_file(answer, file, report)
             size = file.stat().st_size
             if counts.total():
                 file.replace(out)
@@ -162,7 +162,7 @@ def _check(place: str, out: Path, keys: list[str]) -> None:
             raise OptionError(f"keys holds {key!r}; a key has letters, digits and : _ . - only.")
 
 
-def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
+def find_area(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
     """Return a place's full name and its outline, a polygon or several, longitude/latitude.
 
     Raises `InputError` where it is unknown, has no outline or is too large, `ServiceError` where
@@ -180,7 +180,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
         try:
             shapes.extend(str.strip(found["geojson"]["type"]) for found in response.json())
         except (LookupError, TypeError, ValueError, RecursionError) as error:
-            raise nonsense("Nominatim", response.content[:4096]) from error
+            raise malformed_error("Nominatim", response.content[:4096]) from error
 
     hooks = ox.settings.requests_kwargs | {"hooks": {"response": check_response}}
     try:
@@ -188,7 +188,7 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
             found = ox.geocode_to_gdf(place)
         name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
     except requests.RequestException as error:
-        raise unreachable("Nominatim", error) from error
+        raise unreachable_error("Nominatim", error) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         if not shapes:
             raise InputError(
@@ -199,9 +199,9 @@ def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and sh
                 f"{place!r} is known as a point or line only; name a town or district that has an "
                 "outline, or download an extract for `placegraph city build`."
             ) from error
-        raise nonsense("Nominatim", repr(error).encode()) from error
+        raise malformed_error("Nominatim", repr(error).encode()) from error
     if outline.is_empty:
-        raise nonsense("Nominatim", b"an outline of nothing")
+        raise malformed_error("Nominatim", b"an outline of nothing")
     area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
     if not area <= ox.settings.max_query_area_size:
         raise InputError(
@@ -235,7 +235,7 @@ def rings(outline: Any) -> list[str]:  # noqa: ANN401 - shapely's geometry, unty
         pad *= 2
 
 
-def query_of(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401 - the module osmnx
+def make_query(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401 - the module osmnx
     """Return an Overpass query for the elements with one of the keys, and what they consist of.
 
     Of the relations only areas are wanted. Routes and rivers would bring every way of a continent,
@@ -283,7 +283,7 @@ def download(ox: Any, url: str, query: str, target: Path, report: Progress) -> N
                             report("downloading", size)
                     break
         except requests.RequestException as error:
-            raise unreachable("Overpass", error) from error
+            raise unreachable_error("Overpass", error) from error
         report("waiting", pause)
         time.sleep(pause)
     with target.open("rb") as file:  # an answer cut short says so at its end, with status 200
@@ -291,12 +291,12 @@ def download(ox: Any, url: str, query: str, target: Path, report: Progress) -> N
         remark = re.search(rb"<remark>(.*?)</remark>", file.read(), re.DOTALL)
     if remark:
         raise ServiceError(
-            f"Overpass gave up: {gist(remark[1])}. Fetch a smaller place, try again in some "
+            f"Overpass gave up: {shorten(remark[1])}. Fetch a smaller place, try again in some "
             "minutes, or download an extract for `placegraph city build`."
         )
 
 
-def copied(answer: Path, target: Path, report: Progress) -> Counter[str]:
+def copy_file(answer: Path, target: Path, report: Progress) -> Counter[str]:
     """Write the answer to the target as PBF, unless they are the same file, and count elements.
 
     Returns how many nodes ("n"), ways ("w") and relations ("r") there are. To read all of the
@@ -320,7 +320,7 @@ def copied(answer: Path, target: Path, report: Progress) -> Counter[str]:
                     writer.add(item)
     except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
         with answer.open("rb") as file:
-            raise nonsense("Overpass", file.read(4096)) from error
+            raise malformed_error("Overpass", file.read(4096)) from error
     return counts
 
 
@@ -332,30 +332,30 @@ def _agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
 def check_status(response: Any, service: str) -> None:  # noqa: ANN401 - requests, loaded late
     """Raise `ServiceError` where the service did not answer what was asked."""
     if not response.ok:
-        why = gist(response.content[:4096])
+        why = shorten(response.content[:4096])
         raise ServiceError(
             f"{service} answered {response.status_code} {response.reason}"
             f"{f' ({why})' if why else ''}. {_MEND[service]}"
         )
 
 
-def unreachable(service: str, error: Exception) -> ServiceError:
+def unreachable_error(service: str, error: Exception) -> ServiceError:
     """Return the error of a service that does not answer."""
     return ServiceError(
-        f"{service} cannot be reached, or broke off: {gist(str(error).encode())}. "
+        f"{service} cannot be reached, or broke off: {shorten(str(error).encode())}. "
         "Check the network and the server's address, and try again."
     )
 
 
-def nonsense(service: str, answer: bytes) -> ServiceError:
+def malformed_error(service: str, answer: bytes) -> ServiceError:
     """Return the error of a service that answers something else."""
     return ServiceError(
-        f"{service} answered something else than was asked for: {gist(answer) or 'nothing'}. "
+        f"{service} answered something else than was asked for: {shorten(answer) or 'nothing'}. "
         f"{_MEND[service]}"
     )
 
 
-def gist(text: bytes, most: int = 200) -> str:
+def shorten(text: bytes, most: int = 200) -> str:
     """Return what a page or message says, on one line, without its markup."""
     plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
                    flags=re.DOTALL)  # fmt: skip

@@ -29,11 +29,11 @@ HEAD_MOST, BLOB_MOST = 64 << 10, 32 << 20
 """Bytes of a blob's head, and of what a blob holds, by the format's own rules."""
 KNOWN = {b"OsmSchema-V0.6", b"DenseNodes", b"HistoricalInformation"}
 """Features without which a file cannot be understood."""
-FARTHEST = np.array([1_800_000_000, 900_000_000])
+MAX_COORDINATE = np.array([1_800_000_000, 900_000_000])
 """Longitudes and latitudes reach so far, in steps of 1e-7 degrees."""
 NODES_A_BLOCK = 1 << 18
 """Nodes of a block that is written, or of its ways, about."""
-MOST_FIELDS = 1 << 21
+MAX_FIELDS = 1 << 21
 """Fields of one message: a block has thousands of strings, and 32 MiB room for 16 million."""
 NONE = np.zeros(0, np.int64)
 NODES, DENSE, WAYS, RELATIONS = 1, 2, 3, 4
@@ -68,7 +68,7 @@ class Rows(NamedTuple):
     """(N, 2) of nodes longitude and latitude, in steps of 1e-7 degrees, wherever that is."""
 
 
-def blobs(file: BinaryIO) -> Iterator[Blob]:
+def list_blobs(file: BinaryIO) -> Iterator[Blob]:
     """Yield all blobs of a file; raises `DamagedError` where it ends within one."""
     size, at = file.seek(0, 2), 0
     while at < size:
@@ -90,11 +90,11 @@ def blobs(file: BinaryIO) -> Iterator[Blob]:
         yield Blob(kind, at - blob, blob)
 
 
-def features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
+def read_features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
     """Return what the head of a file says it needs, and what else it says of itself."""
     if blob.kind != b"OSMHeader":
         raise DamagedError("it does not begin with a head")
-    data = inflated(file, blob)
+    data = inflate(file, blob)
     said: tuple[set[bytes], set[bytes]] = set(), set()
     for number, value, begins in _fields(data):
         if number in (4, 5):
@@ -106,7 +106,7 @@ def features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
     return said
 
 
-def inflated(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
+def inflate(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
     """Return the bytes of what a blob holds."""
     file.seek(blob.begins)
     data = np.frombuffer(file.read(blob.length), np.uint8)
@@ -133,9 +133,9 @@ def inflated(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
 
 
 def _fields(data: NDArray[np.uint8], at: int = 0, end: int | None = None) -> list[list[int]]:
-    found, good = kernels.fields(data, at, len(data) if end is None else end)
-    if not good or len(found) > MOST_FIELDS:
-        raise DamagedError(f"a message is cut off, or of more than {MOST_FIELDS} fields")
+    found, good = kernels.read_fields(data, at, len(data) if end is None else end)
+    if not good or len(found) > MAX_FIELDS:
+        raise DamagedError(f"a message is cut off, or of more than {MAX_FIELDS} fields")
     rows: list[list[int]] = found.tolist()
     return rows
 
@@ -172,7 +172,7 @@ class Block:
     @cached_property
     def holds(self) -> frozenset[int]:
         """Fields of its groups: `NODES`, `DENSE` ones, `WAYS` or `RELATIONS`."""
-        kinds = [np.abs(kernels.fields(self.data, *group)[0][:, 0]) for group in self.groups]
+        kinds = [np.abs(kernels.read_fields(self.data, *group)[0][:, 0]) for group in self.groups]
         return frozenset(np.unique(np.concatenate(kinds)).tolist()) if kinds else frozenset()
 
     def nodes(self) -> Rows:
@@ -184,8 +184,8 @@ class Block:
             (lat_starts, lat), (lon_starts, lon), _ = lists
             if (np.diff(lat_starts) != 1).any() or (np.diff(lon_starts) != 1).any():
                 raise DamagedError("a node has no position")
-            ids = kernels.signed_of(rows.ids)
-            at = self._steps(kernels.signed_of(lon), kernels.signed_of(lat))
+            ids = kernels.decode_zigzags(rows.ids)
+            at = self._steps(kernels.decode_zigzags(lon), kernels.decode_zigzags(lat))
             made.append(rows._replace(ids=ids, steps=at))
         if len(made) < 2:
             return made[0] if made else Rows(NONE, NONE, offsets_of([]), NONE)
@@ -201,7 +201,7 @@ class Block:
         """Return its ways, with the ids of their nodes."""
         rows, lists = self._elements(WAYS)
         starts, refs = lists[0]
-        return rows._replace(lists=((starts, kernels.summed(starts, refs)),))
+        return rows._replace(lists=((starts, kernels.decode_differences(starts, refs)),))
 
     def relations(self) -> Rows:
         """Return relations, with roles, ids and kinds (`NODE`, `WAY`, `RELATION`) of their members."""
@@ -210,19 +210,21 @@ class Block:
             raise DamagedError("members of a relation lack something")
         if _outside(roles[1], len(self.strings)) or _outside(kinds[1], 3):
             raise DamagedError("a member of a relation is none")
-        return rows._replace(lists=(roles, (ids[0], kernels.summed(*ids)), kinds))
+        return rows._replace(lists=(roles, (ids[0], kernels.decode_differences(*ids)), kinds))
 
     def _dense(self, at: int, end: int) -> Rows:
-        ids, versions, lat, lon, tags, good = kernels.dense(self.data, at, end)
+        ids, versions, lat, lon, tags, good = kernels.read_dense_nodes(self.data, at, end)
         if good:
-            starts, pairs, good = kernels.tags_of(tags, len(ids), len(self.strings))
+            starts, pairs, good = kernels.read_dense_tags(tags, len(ids), len(self.strings))
         if not good:
             raise DamagedError("dense nodes contradict each other")
         return Rows(ids, versions, starts, pairs, steps=self._steps(lon, lat))
 
     def _elements(self, kind: int) -> tuple[Rows, list[tuple[Numbers, Numbers]]]:
         groups = np.array(self.groups, np.int64).reshape(-1, 2)
-        head, starts, entries, good = kernels.elements(self.data, groups, kind, len(self.strings))
+        head, starts, entries, good = kernels.read_elements(
+            self.data, groups, kind, len(self.strings)
+        )
         if not good:
             raise DamagedError(
                 f"{'ways' if kind == WAYS else 'elements'} of a block contradict each other"
@@ -245,7 +247,7 @@ def _outside(values: Numbers, end: int) -> bool:
     return bool(len(values)) and not 0 <= values.min() <= values.max() < end
 
 
-def written(
+def encode_pbf(
     ids: Numbers, starts: Numbers, steps: NDArray[np.int32], known: NDArray[np.bool_],
     block: Block, messages: Numbers,
 ) -> bytes:  # fmt: skip
@@ -269,10 +271,10 @@ def written(
     relations = b"".join(text(4, data[at : at + n]) for at, n in messages.tolist())
     blobs.append(text(1, data[slice(*block.table)]) + text(2, relations))
     head = text(4, b"OsmSchema-V0.6") + text(4, b"DenseNodes")
-    return blob_of(b"OSMHeader", head) + b"".join(blob_of(b"OSMData", b) for b in blobs)
+    return encode_blob(b"OSMHeader", head) + b"".join(encode_blob(b"OSMData", b) for b in blobs)
 
 
-def blob_of(kind: bytes, data: bytes) -> bytes:
+def encode_blob(kind: bytes, data: bytes) -> bytes:
     """Return a blob as it stands in a file, not compressed."""
     blob = text(1, data)
     head = text(1, kind) + b"\x18" + number(len(blob))
@@ -297,7 +299,7 @@ def number(value: int) -> bytes:
 def differences(values: Numbers) -> bytes:
     """Return the whole numbers as differences (zigzag), packed."""
     steps = np.diff(values, prepend=0)
-    made: bytes = kernels.varints((steps << 1) ^ (steps >> 63)).tobytes()
+    made: bytes = kernels.encode_varints((steps << 1) ^ (steps >> 63)).tobytes()
     return made
 
 
@@ -347,7 +349,7 @@ class NodeIndex:
         if self._run:
             ids, steps = (np.concatenate(column) for column in zip(*self._run, strict=True))
             self._run = []
-            self.put(*_in_order(ids, steps))
+            self.put(*_is_sorted(ids, steps))
 
     def put(self, ids: Numbers, steps: Steps) -> None:
         """Put down nodes whose ids rise."""
@@ -367,7 +369,7 @@ class NodeIndex:
     def find(self, ids: Numbers) -> tuple[Steps, NDArray[np.bool_]]:
         """Return the positions (K, 2) of nodes by id in steps of 1e-7 degrees, and which are known."""
         first, bounds, words = self._ready or self._settled()
-        found: tuple[Steps, NDArray[np.bool_]] = kernels.placed(first, bounds, words, ids)
+        found: tuple[Steps, NDArray[np.bool_]] = kernels.look_up_nodes(first, bounds, words, ids)
         self._looked += 64 * len(ids)
         if self._map is not None and self._looked > TOUCHED:
             self._map.madvise(mmap.MADV_DONTNEED)
@@ -420,12 +422,12 @@ class NodeIndex:
         """Write chunks that overlap anew, in order: of all of them what lies between two ids, and so on."""
         first, counts = np.array(self.first, np.int64), np.array(self.counts, np.int64)
         bounds, words = np.concatenate(([0], np.cumsum(counts))), self.all_words()
-        some = np.sort(kernels.sampled(first, bounds, words, SAMPLE))
+        some = np.sort(kernels.sample_ids(first, bounds, words, SAMPLE))
         cuts = np.unique(some[:: max(1, self.at_once // SAMPLE)])
         beside = None if self.index is None else self.index.with_name(f"{self.index.name}.sorted")
         with closing(NodeIndex(beside)) as made:
             for low, high in zip(cuts, np.append(cuts[1:], max(self.last) + 1), strict=True):
-                made.put(*_in_order(*kernels.between(first, bounds, words, low, high)))
+                made.put(*_is_sorted(*kernels.nodes_between(first, bounds, words, low, high)))
                 if self._map is not None:
                     self._map.madvise(mmap.MADV_DONTNEED)
             del words
@@ -437,7 +439,7 @@ class NodeIndex:
                 made.index.rename(self.index)
 
 
-def _in_order(ids: Numbers, steps: Steps) -> tuple[Numbers, Steps]:
+def _is_sorted(ids: Numbers, steps: Steps) -> tuple[Numbers, Steps]:
     """Return the nodes by rising id; of one id the last."""
     order = np.argsort(ids, kind="stable")
     order = order[np.append(np.diff(ids[order]) > 0, True)]

@@ -29,7 +29,7 @@ from placegraph.io.osm.osm import (
     OsmColumns,
     is_area,
 )
-from placegraph.io.osm.osm_kernels import lines
+from placegraph.io.osm.osm_kernels import way_points
 from placegraph.io.osm.osm_process import Assembler
 from placegraph.io.osm.pbf import NONE, Block, NodeIndex, Rows
 
@@ -62,8 +62,8 @@ class Reader:
 
     def columns(self, index: Path | None) -> Iterator[OsmColumns]:
         """Yield elements block by block, relations last; blocks that were read before are skipped."""
-        head, *blobs = list(pbf.blobs(self.file)) or [pbf.Blob(b"", 0, 0)]
-        needs, says = pbf.features(self.file, head)
+        head, *blobs = list(pbf.list_blobs(self.file)) or [pbf.Blob(b"", 0, 0)]
+        needs, says = pbf.read_features(self.file, head)
         if b"HistoricalInformation" in needs:
             raise self._several_times()
         blobs = [blob for blob in blobs if blob.kind == b"OSMData"]
@@ -71,7 +71,7 @@ class Reader:
         work = [(blob, self._read) for blob in blobs] + [(blob, self._areas) for blob in relations]
         with closing(NodeIndex(index)) as nodes, closing(self.assembler):
             for n, (blob, read) in enumerate(work, 1):
-                before, block = self.left_out.counts.copy(), Block(pbf.inflated(self.file, blob))
+                before, block = self.left_out.counts.copy(), Block(pbf.inflate(self.file, blob))
                 if pbf.RELATIONS in block.holds and blob not in relations:
                     raise self._unordered("is not in the order that it says")
                 found = read(block, nodes)
@@ -80,7 +80,7 @@ class Reader:
                     continue
                 self.left_out.read = n
                 if any(len(columns.tags) for columns in found):
-                    yield found[0] if len(found) == 1 else _joined(found)
+                    yield found[0] if len(found) == 1 else _join_columns(found)
         if self.late and self.left_out.counts[POSITIONLESS]:
             raise self._unordered("lists nodes behind the ways that need them")
 
@@ -88,7 +88,7 @@ class Reader:
         """Find the blobs of relations, the last ones of a sorted file, and note the ways they need."""
         found, members = [], [self.members]
         for blob in reversed(blobs):
-            block = Block(pbf.inflated(self.file, blob))
+            block = Block(pbf.inflate(self.file, blob))
             if pbf.RELATIONS in block.holds:
                 found.append(blob)
                 rows = block.relations()
@@ -113,7 +113,7 @@ class Reader:
         if len(wrong := rows.ids[(rows.ids < -LARGEST_ID) | (rows.ids > LARGEST_ID)]):
             raise pbf.DamagedError(f"{wrong[0]} is no number of a node")
         self.late |= pbf.WAYS in self.last
-        near = (rows.steps >= -pbf.FARTHEST) & (rows.steps <= pbf.FARTHEST)
+        near = (rows.steps >= -pbf.MAX_COORDINATE) & (rows.steps <= pbf.MAX_COORDINATE)
         there: NDArray[np.bool_] = np.all(near, axis=1)
         nodes.add(rows.ids[there], rows.steps[there].astype(np.int32))
         hits = self._wanted(block, rows)
@@ -128,13 +128,13 @@ class Reader:
         rows = block.ways()
         self._one_time(pbf.WAYS, rows)
         hits, ((bounds, refs),) = self._wanted(block, rows), rows.lists
-        if len(mine := np.flatnonzero(_among(rows.ids, self.members))):
+        if len(mine := np.flatnonzero(_find_ids(rows.ids, self.members))):
             starts, at = gather_spans(bounds, mine)
             steps, known = nodes.find(refs[at])
             steps[~known, 0] = LOST
             self.ways.append((rows.ids[mine], starts, steps))
         starts, at = gather_spans(bounds, hits)
-        starts, steps, lacks = lines(starts, *nodes.find(refs[at]))
+        starts, steps, lacks = way_points(starts, *nodes.find(refs[at]))
         counts = np.diff(starts)
         self._count(POSITIONLESS, int((counts < 2).sum()))
         self._count("ways cut where members are missing", int((lacks & (counts >= 2)).sum()))
@@ -155,7 +155,7 @@ class Reader:
         hits = self._areas_among(block, rows)
         tags = dict(zip(rows.ids[hits].tolist(), _tags(block, rows, hits), strict=True))
         ids, parts, said = [], [], []
-        if any(_among(_members(rows, row), self.outlines[0]).any() for row in hits):
+        if any(_find_ids(_members(rows, row), self.outlines[0]).any() for row in hits):
             for identity, wkb in self.assembler.areas(self._small(block, rows, hits)):
                 if identity not in tags:  # osmium doubles it, and halves what is left of 64 bits
                     continue
@@ -178,11 +178,11 @@ class Reader:
         """Return a file of these relations, their ways, and the nodes of these."""
         ids, order, starts, steps = self.outlines
         needed = np.unique(np.concatenate([_members(rows, row) for row in hits]))
-        needed = needed[_among(needed, ids)]
+        needed = needed[_find_ids(needed, ids)]
         mine = order[np.searchsorted(ids, needed)]
         bounds, at = gather_spans(starts, mine)
         known = steps[at, 0] != LOST
-        return pbf.written(needed, bounds, steps[at], known, block, rows.messages[hits])
+        return pbf.encode_pbf(needed, bounds, steps[at], known, block, rows.messages[hits])
 
     @cached_property
     def outlines(self) -> tuple[Numbers, Numbers, Numbers, Steps]:
@@ -237,7 +237,7 @@ class Reader:
             self.left_out.counts[reason] += many
 
 
-def _among(ids: Numbers, known: Numbers) -> NDArray[np.bool_]:
+def _find_ids(ids: Numbers, known: Numbers) -> NDArray[np.bool_]:
     """Return which ids are among those that are known, which ascend."""
     at = np.searchsorted(known, ids)
     there = at < len(known)
@@ -270,7 +270,7 @@ def _tags(block: Block, rows: Rows, hits: Numbers) -> list[dict[str, str]]:
     return found
 
 
-def _joined(tables: list[OsmColumns]) -> OsmColumns:
+def _join_columns(tables: list[OsmColumns]) -> OsmColumns:
     """Return the nodeIndex and ways of a block, which may hold both."""
     lengths = [
         [np.diff(getattr(t, name)) for t in tables] for name in ("part_starts", "point_starts")

@@ -25,7 +25,7 @@ from placegraph.errors import (
     PlacegraphError,
     ServiceError,
 )
-from placegraph.io.osm.osm import SUFFIXES, checked_osm, one_line
+from placegraph.io.osm.osm import SUFFIXES, check_osm, one_line
 
 if TYPE_CHECKING:
     Progress = Callable[[str, int, int | None], None]
@@ -48,7 +48,7 @@ def is_url(place: object) -> bool:
     return "://" in str(place)
 
 
-def name_of(place: str | PathLike[str]) -> str:
+def file_name(place: str | PathLike[str]) -> str:
     """Return the name of a file: of a URL without what it is asked with, as that may be a key."""
     if not is_url(place):
         return Path(place).name
@@ -56,20 +56,20 @@ def name_of(place: str | PathLike[str]) -> str:
     return PurePosixPath(parts.path or parts.netloc).name
 
 
-def of_osm(url: str) -> bool:
+def is_osm_url(url: str) -> bool:
     """Return whether a URL is of an OpenStreetMap file, by its name."""
-    return name_of(url).lower().endswith(SUFFIXES)
+    return file_name(url).lower().endswith(SUFFIXES)
 
 
 def is_large(extract: str | PathLike[str]) -> bool:
     """Return whether one map of an extract, or of one at a URL, may take more memory than there is."""
     if is_url(extract):
-        return (size_of(str(extract)) or 0) > SMALL
+        return (remote_size(str(extract)) or 0) > SMALL
     path = Path(extract)
     return path.is_file() and path.stat().st_size > SMALL
 
 
-def system_of(url: str) -> tuple[Any, str]:
+def open_file_system(url: str) -> tuple[Any, str]:
     """Return the file system, as of fsspec, of a URL, and the path in it.
 
     Raises
@@ -100,7 +100,7 @@ def system_of(url: str) -> tuple[Any, str]:
     return system, str(root).rstrip("/")
 
 
-def size_of(url: str) -> int | None:
+def remote_size(url: str) -> int | None:
     """Return the bytes of an OpenStreetMap file at a URL; None where its server does not say.
 
     Raises
@@ -108,12 +108,12 @@ def size_of(url: str) -> int | None:
     InputError
         It is not there, empty, a folder, or no OpenStreetMap file by its name.
     MissingExtraError, OptionError
-        As of `system_of`.
+        As of `open_file_system`.
     ServiceError
         Its server does not answer, or refuses.
 
     """
-    size: int | None = _told(url, *system_of(url))["size"]
+    size: int | None = _file_info(url, *open_file_system(url))["size"]
     return size
 
 
@@ -123,16 +123,16 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
     Raises
     ------
     InputError
-        As `size_of`; or it changed while it was fetched.
+        As `remote_size`; or it changed while it was fetched.
     MapError
         The folder cannot be written, as on a full disk.
     MissingExtraError, OptionError, ServiceError
-        As `size_of`; and where the connection is cut, after which the same call goes on.
+        As `remote_size`; and where the connection is cut, after which the same call goes on.
 
     """
-    system, root = system_of(url)
-    told = _told(url, system, root)
-    path = folder / sha256(url.encode()).hexdigest()[:8] / name_of(url)
+    system, root = open_file_system(url)
+    told = _file_info(url, system, root)
+    path = folder / sha256(url.encode()).hexdigest()[:8] / file_name(url)
     part, note = path.with_name(f"{path.name}.part"), path.with_name("note.json")
     size = told["size"]
     step = f"fetching {path.name}" + (f" ({size / 1e6:,.1f} MB)" if size else "")
@@ -146,7 +146,9 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
         if path.exists():
             return path
         with part.open("ab") as file:
-            for chunk in _read(url, system, root, file.tell(), lambda: file.truncate(file.seek(0))):
+            for chunk in _read_chunks(
+                url, system, root, file.tell(), lambda: file.truncate(file.seek(0))
+            ):
                 file.write(chunk)
                 if progress is not None:
                     progress(step, file.tell(), size)
@@ -154,8 +156,8 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
             file.flush()
             os.fsync(file.fileno())
         if size is not None and fetched < size:
-            raise ServiceError(_cut(url, f"{fetched:,} of {size:,} bytes came"))
-        if _told(url, system, root) != told or fetched != (size or fetched):
+            raise ServiceError(_cut_error(url, f"{fetched:,} of {size:,} bytes came"))
+        if _file_info(url, system, root) != told or fetched != (size or fetched):
             part.unlink()
             raise InputError(f"{url} changed while it was fetched; run the same command again.")
         part.rename(path)
@@ -164,22 +166,22 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
     return path
 
 
-def all_on_disk(
+def fetch_all(
     extracts: Sequence[str | PathLike[str]], folder: Path, progress: Progress | None = None
 ) -> list[Path]:
     """Fetch extracts at URLs into a folder, after checking that all exist, and return all paths.
 
     Raises as `fetch_file`, and `InputError` where a file is missing.
     """
-    paths = [checked_osm(Path(path)).resolve() for path in extracts if not is_url(path)]
+    paths = [check_osm(Path(path)).resolve() for path in extracts if not is_url(path)]
     urls = [str(path) for path in extracts if is_url(path)]
     for url in urls:
-        size_of(url)
+        remote_size(url)
     return paths + [fetch_file(url, folder, progress).resolve() for url in urls]
 
 
 @contextmanager
-def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[Any]:  # noqa: ANN401
+def fetch_temporarily(path: Any, out: Path, progress: Progress | None = None) -> Iterator[Any]:  # noqa: ANN401
     """Yield an extract on this machine; one at a URL is fetched to a temporary copy beside `out`.
 
     Raises as `fetch_file`; what is cut off stays for the same call. `MapLockedError` where another is at it.
@@ -187,7 +189,7 @@ def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[
     if not isinstance(path, str) or not is_url(path):
         yield path
         return
-    size_of(path)  # before anything is written
+    remote_size(path)  # before anything is written
     room = out.parent / f".{out.name}.fetched"
     with ExitStack() as stack:
         try:
@@ -202,9 +204,9 @@ def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[
             raise type(error)(str(error).replace(str(found), path)) from error
 
 
-def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types
+def _file_info(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types
     """Return what file systems tell of a file: its size, and by what a change is seen."""
-    if not of_osm(url):
+    if not is_osm_url(url):
         raise InputError(
             f"{url} has an unknown ending; OpenStreetMap files end in {', '.join(SUFFIXES)}."
         )
@@ -221,7 +223,7 @@ def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  
     return {"url": url, "size": info.get("size"), "version": version}
 
 
-def _read(
+def _read_chunks(
     url: str, system: Any, root: str, begun: int, anew: Callable[[], object]  # noqa: ANN401
 ) -> Iterator[bytes]:  # fmt: skip
     """Yield chunks of a file from a byte on; without ranges, after `anew`, from the first."""
@@ -254,10 +256,10 @@ def _failure(url: str, error: Exception) -> InputError | ServiceError:
     if is_missing(error):
         return InputError(f"{url} is not there; check the address.")
     cause = error.__cause__ or error
-    return ServiceError(_cut(url, f"{type(cause).__name__}: {one_line(Exception(cause))}"))
+    return ServiceError(_cut_error(url, f"{type(cause).__name__}: {one_line(Exception(cause))}"))
 
 
-def _cut(url: str, why: str) -> str:
+def _cut_error(url: str, why: str) -> str:
     return (
         f"{url} cannot be read ({why}). Check the address and the connection; the same command goes on where "
         "it was cut."

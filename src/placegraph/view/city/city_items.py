@@ -25,7 +25,7 @@ from placegraph.view.draw.canvas import (
     clip_line,
     clip_ring,
 )
-from placegraph.view.draw.style import AREA, LINE, PAINTS, POINT, paint_of
+from placegraph.view.draw.style import AREA, LINE, PAINTS, POINT, find_paint
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 COASTLINE = "natural=coastline"
 
 
-def sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
+def find_sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
     """Return rings whose even-odd inside is the sea in a rectangle.
 
     Empty where there is no sea, or where the coast is too fragmentary to tell.
     """
-    chains = _chains(objects)
+    chains = _join_coastlines(objects)
     if not chains:
         return []
     low, high = np.percentile(objects.center, (0.5, 99.5), axis=0)
@@ -50,25 +50,25 @@ def sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
     )
     for window in (bounds, known):  # beyond what an extract holds, chains may tangle
         if window[0] < window[2] and window[1] < window[3]:
-            rings = _sea(chains, window)
-            if _agrees(rings, chains, window):
+            rings = _trace_sea(chains, window)
+            if _matches_coast(rings, chains, window):
                 return rings
     return []
 
 
-def _sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
+def _trace_sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
     islands = [chain for chain in chains if (chain[0] == chain[-1]).all()]
-    shores = [_prolonged(chain, bounds) for chain in chains if (chain[0] != chain[-1]).any()]
+    shores = [_prolong(chain, bounds) for chain in chains if (chain[0] != chain[-1]).any()]
     pieces = [piece for shore in shores for piece in clip_line(shore, bounds)]
-    rings = _closed(pieces, bounds)
+    rings = _close_along_border(pieces, bounds)
     if not pieces:
         corner = np.array([bounds[:2]])
-        if _is_seaward(chains, bounds[:2]) != _inside(islands, corner)[0]:
-            rings = [_corners(bounds)]
+        if _is_seaward(chains, bounds[:2]) != _are_inside(islands, corner)[0]:
+            rings = [_box_corners(bounds)]
     return rings + [ring for island in islands if len(ring := clip_ring(island, bounds)) > 3]
 
 
-def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
+def _matches_coast(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
     """Return whether rings contain the right-hand side of the coast in a rectangle, not the left."""
     start = np.concatenate([chain[:-1] for chain in chains])
     delta = np.concatenate([np.diff(chain, axis=0) for chain in chains])
@@ -80,11 +80,11 @@ def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
     if not len(seen):
         return True
     right = np.stack([delta[seen, 1], -delta[seen, 0]], axis=1) / length[seen, None]
-    wrong = ~_inside(rings, middle[seen] + right) | _inside(rings, middle[seen] - right)
+    wrong = ~_are_inside(rings, middle[seen] + right) | _are_inside(rings, middle[seen] - right)
     return bool(wrong.mean() < 0.05)
 
 
-def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
+def _are_inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
     """Return whether points (N, 2) lie within rings, by the even-odd rule."""
     odd = np.zeros(len(points), np.bool_)
     for ring in rings:
@@ -96,7 +96,7 @@ def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
     return odd
 
 
-def _chains(objects: CityObjects) -> list[Floats]:
+def _join_coastlines(objects: CityObjects) -> list[Floats]:
     """Join coastlines (n, 2) where one ends and the next begins."""
     if COASTLINE not in objects.labels:
         return []
@@ -127,7 +127,7 @@ def _chains(objects: CityObjects) -> list[Floats]:
     return chains
 
 
-def _prolonged(chain: Floats, bounds: Bounds) -> Floats:
+def _prolong(chain: Floats, bounds: Bounds) -> Floats:
     """Return a chain that reaches out of the rectangle at both ends."""
     low, high = np.array(bounds[:2]), np.array(bounds[2:])
     outward = chain[-1] - chain[0]
@@ -138,7 +138,7 @@ def _prolonged(chain: Floats, bounds: Bounds) -> Floats:
     return np.concatenate([*head, chain, *tail])
 
 
-def _corners(bounds: Bounds) -> Floats:
+def _box_corners(bounds: Bounds) -> Floats:
     """Return the corners (5, 2) of a rectangle, clockwise from its south-west."""
     west, south, east, north = bounds
     return np.array(
@@ -146,9 +146,9 @@ def _corners(bounds: Bounds) -> Floats:
     )
 
 
-def _closed(pieces: list[Floats], bounds: Bounds) -> list[Floats]:
+def _close_along_border(pieces: list[Floats], bounds: Bounds) -> list[Floats]:
     """Close pieces that run from border to border, going clockwise along the border."""
-    corners = _corners(bounds)
+    corners = _box_corners(bounds)
     side = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
 
     def along(point: Floats) -> float:
@@ -196,19 +196,19 @@ def _is_seaward(chains: list[Floats], point: tuple[float, float]) -> bool:
     return seaward
 
 
-def labels_of(objects: CityObjects, row: int) -> list[str]:
+def list_labels(objects: CityObjects, row: int) -> list[str]:
     """Return the labels of an object, most specific first."""
     start, end = objects.label_starts[row : row + 2]
     return [objects.labels[k] for k in objects.label_values[start:end]]
 
 
-def common_name(label: str) -> str:
+def label_words(label: str) -> str:
     """Return the words of a label: ``amenity=post_box`` is a post box, ``building=yes`` a building."""
     key, _, value = label.partition("=")
     return (key if value in ("yes", "*", "") else value).replace("_", " ")
 
 
-def extents(objects: CityObjects) -> Floats:
+def bounding_boxes(objects: CityObjects) -> Floats:
     """Return the bounding boxes (N, 4) of the objects: west, south, east, north [m]."""
     starts = objects.point_starts[objects.part_starts[:-1]]
     if not len(starts):
@@ -226,9 +226,9 @@ def city_bounds(objects: CityObjects) -> Bounds:
     return west - margin, south - margin, east + margin, north + margin
 
 
-def rows_within(objects: CityObjects, bounds: Bounds) -> list[int]:
+def find_rows(objects: CityObjects, bounds: Bounds) -> list[int]:
     """Return rows of the objects whose bounding boxes touch a rectangle, large ones first."""
-    boxes = extents(objects)
+    boxes = bounding_boxes(objects)
     west, south, east, north = bounds
     hit = (
         (boxes[:, 0] <= east)
@@ -241,21 +241,21 @@ def rows_within(objects: CityObjects, bounds: Bounds) -> list[int]:
     return [int(row) for row in rows[np.lexsort((rows, -spread[rows]))]]
 
 
-def map_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
+def draw_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
     """Return objects cut to a rectangle, for a map drawn at `scale` [px/m], large ones first."""
     objects = city.objects
-    found = (item_of(objects, row, bounds) for row in rows_within(objects, bounds))
+    found = (draw_item(objects, row, bounds) for row in find_rows(objects, bounds))
     items = [item for item in found if item and PAINTS[item.paint].since <= scale]
-    water = sea(objects, bounds)
+    water = find_sea(objects, bounds)
     return [Area(water, "sea"), *items] if water else items
 
 
-def item_of(
+def draw_item(
     objects: CityObjects, row: int, bounds: Bounds, paint: str | None = None
 ) -> MapItem | None:
     """Return one object cut to a rectangle; None where nothing of it is drawn there."""
     kind = int(objects.kind[row])
-    paint = paint_of(labels_of(objects, row), kind) if paint is None else paint
+    paint = find_paint(list_labels(objects, row), kind) if paint is None else paint
     if not paint:
         return None
     if kind == AREA:
@@ -284,7 +284,7 @@ VERDICT_COLOR = {"for": "for", "against": "against"}
 
 
 @dataclass(frozen=True)
-class Witness:
+class EvidenceObject:
     """A map object that spoke for or against a mode."""
 
     ref: ObjectRef
@@ -300,15 +300,15 @@ class Witness:
     @property
     def words(self) -> str:
         """Name, or what it is."""
-        return self.ref.name or common_name(self.ref.label)
+        return self.ref.name or label_words(self.ref.label)
 
 
-def place_of(city: CityMap, mode: Place) -> Floats:
+def mode_position(city: CityMap, mode: Place) -> Floats:
     """Return east, north (2,) [m] of a mode."""
     return city.plane.to_plane((mode.longitude, mode.latitude))
 
 
-def row_of(objects: CityObjects, osm: str) -> int:
+def find_row(objects: CityObjects, osm: str) -> int:
     """Return the row of the object with OpenStreetMap's id, or -1."""
     kind, _, number = osm.partition("/")
     if kind not in ("node", "way", "relation") or not number.isdecimal() or len(number) > 18:
@@ -318,10 +318,10 @@ def row_of(objects: CityObjects, osm: str) -> int:
     return int(rows[0]) if len(rows) else -1
 
 
-def witnesses(city: CityMap, mode: Place) -> list[Witness]:
+def evidence_objects(city: CityMap, mode: Place) -> list[EvidenceObject]:
     """Return the objects that support or contradict a mode, each once, by decreasing weight."""
-    objects, at = city.objects, place_of(city, mode)
-    found: dict[str, Witness] = {}
+    objects, at = city.objects, mode_position(city, mode)
+    found: dict[str, EvidenceObject] = {}
     for evidence in sorted(mode.evidence, key=lambda e: -abs(e.weight)):
         if evidence.verdict not in VERDICT_COLOR:
             continue
@@ -329,7 +329,7 @@ def witnesses(city: CityMap, mode: Place) -> list[Witness]:
             if ref.id in found:
                 continue
             middle = city.plane.to_plane((ref.longitude, ref.latitude))
-            row = row_of(objects, ref.id)
+            row = find_row(objects, ref.id)
             nearest = middle
             if row >= 0:
                 east, north, _ = nearest_on_parts(
@@ -343,11 +343,11 @@ def witnesses(city: CityMap, mode: Place) -> list[Witness]:
                 )
                 nearest = at + np.array([east, north])
             weight = abs(evidence.weight)
-            found[ref.id] = Witness(ref, row, evidence.verdict, weight, nearest, middle)
+            found[ref.id] = EvidenceObject(ref, row, evidence.verdict, weight, nearest, middle)
     return list(found.values())
 
 
-def heat_of(
+def posterior_layer(
     city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float
 ) -> HeatLayer | None:
     """Return the posterior in a rectangle on a grid of `pixel` [m]; None where it is empty."""
@@ -378,7 +378,7 @@ def heat_of(
     return HeatLayer(density / max(peak, FAINT), bounds)
 
 
-def rivals(estimate: CityEstimate, most: int) -> tuple[Place, ...]:
+def competing_modes(estimate: CityEstimate, most: int) -> tuple[Place, ...]:
     """Return the modes at least a tenth as probable as the best one."""
     if not estimate.modes:
         return ()
@@ -393,14 +393,14 @@ def ellipse(city: CityMap, mode: Place) -> Floats:
     variances, axes = np.linalg.eigh(np.asarray(mode.covariance, np.float64))
     radii = SIGMAS * np.sqrt(np.maximum(variances, 1.0))
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    ring: Floats = place_of(city, mode) + (circle * radii) @ axes.T
+    ring: Floats = mode_position(city, mode) + (circle * radii) @ axes.T
     return ring
 
 
 def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float = 160.0) -> Bounds:
     """Return the rectangle around a mode and its evidence: west, south, east, north [m]."""
-    at = place_of(city, mode)
-    shown = [ellipse(city, mode), *(w.at[None] for w in witnesses(city, mode))]
+    at = mode_position(city, mode)
+    shown = [ellipse(city, mode), *(w.at[None] for w in evidence_objects(city, mode))]
     offsets = np.abs(np.concatenate(shown) - at)
     offsets = offsets[(offsets < most).all(axis=1)]
     half = np.clip(1.25 * offsets.max(axis=0, initial=0.0), least, most)
@@ -409,19 +409,21 @@ def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float 
 
 def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
     """Return lines from a mode to the objects of its evidence, and marks on these."""
-    at = place_of(city, mode)
+    at = mode_position(city, mode)
     marks: list[Mark] = []
-    for witness in reversed(witnesses(city, mode)):  # the weightiest on top
+    for witness in reversed(evidence_objects(city, mode)):  # the weightiest on top
         color = VERDICT_COLOR[witness.verdict]
         dash = (5.0, 4.0) if witness.verdict == "against" else None
-        marks += _outline(city.objects, witness, at, color)
+        marks += _draw_outline(city.objects, witness, at, color)
         if np.hypot(*(witness.at - at)) > 1.0:
             marks.append(Stroke(np.stack([at, witness.at]), color, 1.8, dash))
         marks.append(Disc(witness.at, 4.0, color))
     return marks
 
 
-def _outline(objects: CityObjects, witness: Witness, at: Floats, color: str) -> list[Mark]:
+def _draw_outline(
+    objects: CityObjects, witness: EvidenceObject, at: Floats, color: str
+) -> list[Mark]:
     """Return the outline, near the mode, of an object that is a line or an area."""
     if witness.row < 0 or objects.kind[witness.row] not in (LINE, AREA):
         return []

@@ -20,14 +20,14 @@ from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import POINT, simplify
 from placegraph.view.city.city_items import (
+    bounding_boxes,
     city_bounds,
-    common_name,
-    extents,
-    item_of,
-    labels_of,
-    place_of,
-    rivals,
-    sea,
+    competing_modes,
+    draw_item,
+    find_sea,
+    label_words,
+    list_labels,
+    mode_position,
 )
 from placegraph.view.draw.canvas import (
     Area,
@@ -37,9 +37,17 @@ from placegraph.view.draw.canvas import (
     MapItem,
     Points,
     clip_ring,
-    in_painters_order,
+    sort_by_layer,
 )
-from placegraph.view.draw.style import CASED, CASING, LINE, PAINTS, clean, paint_of, style_sheet
+from placegraph.view.draw.style import (
+    CASED,
+    CASING,
+    LINE,
+    PAINTS,
+    escape_text,
+    find_paint,
+    style_sheet,
+)
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -49,7 +57,7 @@ SIDE = 1024.0
 """Side of a tile of level 0 [m]."""
 UNIT = 0.5
 """Metres in a unit of level 0; coordinates are whole units from the tile's south-west corner."""
-FINEST = 0.5
+MAX_LEVEL = 0.5
 """Level 0 is drawn from this scale on [px/m]."""
 MARGIN = 0.04
 """A tile holds what lies so far beyond its border, so that wide roads are whole [sides]."""
@@ -67,7 +75,7 @@ class CityTiles:
 
     def __init__(self, city: City) -> None:
         self.city = city
-        self._boxes = extents(city.objects)
+        self._boxes = bounding_boxes(city.objects)
         self._spread = (self._boxes[:, 2:] - self._boxes[:, :2]).max(axis=1)
 
     @cached_property
@@ -85,7 +93,7 @@ class CityTiles:
     @cached_property
     def _paints(self) -> list[str]:
         objects = self.city.objects
-        return [paint_of(labels_of(objects, row), int(kind))
+        return [find_paint(list_labels(objects, row), int(kind))
                 for row, kind in enumerate(objects.kind)]  # fmt: skip
 
     @cached_property
@@ -94,15 +102,15 @@ class CityTiles:
         since = {name: paint.since for name, paint in PAINTS.items()} | {"": np.inf}
         smallest = SMALLEST / np.maximum(self._spread, 1e-3)
         smallest[[paint in THROUGH for paint in self._paints]] = 0.0
-        smallest[self.city.objects.kind == POINT] = FINEST
+        smallest[self.city.objects.kind == POINT] = MAX_LEVEL
         street = np.array([paint == "street" for paint in self._paints])
-        smallest[street] = np.minimum(smallest[street], FINEST / 8)
+        smallest[street] = np.minimum(smallest[street], MAX_LEVEL / 8)
         wanted: Floats = np.maximum([since[paint] for paint in self._paints], smallest)
         return wanted
 
     @cached_property
     def _sea(self) -> list[Floats]:
-        return sea(self.city.objects, self.bounds)
+        return find_sea(self.city.objects, self.bounds)
 
     def index(self) -> dict[str, Any]:
         """Return what a page must know before it asks for tiles."""
@@ -113,7 +121,7 @@ class CityTiles:
             "bounds": [round(value, 1) for value in self.bounds],
             "side": SIDE,
             "unit": UNIT,
-            "finest": FINEST,
+            "finest": MAX_LEVEL,
             "top": self.top,
             "paints": {name: asdict(paint) for name, paint in PAINTS.items()},
             "cased": sorted(CASED),
@@ -121,7 +129,7 @@ class CityTiles:
             "source": self.city.source,
             "objects": len(self.city.objects),
             "cells": len(self.city.cells),
-            "examples": examples(self.city, self._paints),
+            "examples": example_sentences(self.city, self._paints),
         }
 
     def within(self, bounds: Bounds, level: int) -> list[tuple[int, int, int]]:
@@ -149,19 +157,21 @@ class CityTiles:
         window = west - margin, south - margin, west + side + margin, south + side + margin
         names, labels = _Table(), _Table()
         layers = []
-        for paint, items in in_painters_order(self._items(window, level)):
+        for paint, items in sort_by_layer(self._items(window, level)):
             layer: dict[str, Any] = {
                 "paint": paint, "osm": [], "name": [], "label": [], "shapes": []
             }  # fmt: skip
             for item in items:
-                parts = _coded(item, np.array([west, south]), unit, level)
+                parts = _encode_parts(item, np.array([west, south]), unit, level)
                 if not parts:
                     continue
                 known = item.row >= 0
                 layer["osm"].append(self.city.objects.osm(item.row) if known else "")
                 layer["name"].append(names.row(self.city.objects.name(item.row) if known else ""))
                 layer["label"].append(
-                    labels.row(" · ".join(labels_of(self.city.objects, item.row)) if known else "")
+                    labels.row(
+                        " · ".join(list_labels(self.city.objects, item.row)) if known else ""
+                    )
                 )
                 layer["shapes"].append(parts)
             if layer["shapes"]:
@@ -176,7 +186,7 @@ class CityTiles:
                 yield Area(rings, "sea")
         objects = self.city.objects
         for row in self._rows(window, level):
-            item = item_of(objects, int(row), window, self._paints[row])
+            item = draw_item(objects, int(row), window, self._paints[row])
             if item:
                 yield item
 
@@ -189,7 +199,7 @@ class CityTiles:
             & (boxes[:, 3] >= window[1])
         )
         if level:
-            hit &= self._since <= 1.5 * FINEST / 2**level
+            hit &= self._since <= 1.5 * MAX_LEVEL / 2**level
         rows = np.flatnonzero(hit)
         is_line = self.city.objects.kind[rows] == LINE
         return rows[np.lexsort((rows, np.where(is_line, 0.0, -self._spread[rows])))]
@@ -209,7 +219,7 @@ class _Table:
         return row
 
 
-def _coded(item: MapItem, corner: Floats, unit: float, level: int) -> list[list[int]]:
+def _encode_parts(item: MapItem, corner: Floats, unit: float, level: int) -> list[list[int]]:
     """Encode parts of an item as first point and steps [units]; empty where nothing is left."""
     match item:
         case Area(rings):
@@ -220,7 +230,7 @@ def _coded(item: MapItem, corner: Floats, unit: float, level: int) -> list[list[
             parts, least = [np.asarray(at)[None]], 1
     found = []
     for part in parts:
-        points = np.round((_coarse(part, unit) if level else np.asarray(part)) - corner, 3)
+        points = np.round((_simplify(part, unit) if level else np.asarray(part)) - corner, 3)
         units = np.round(points / unit).astype(np.int64)
         moved = np.concatenate([[True], (np.diff(units, axis=0) != 0).any(axis=1)])
         units = units[moved]
@@ -229,7 +239,7 @@ def _coded(item: MapItem, corner: Floats, unit: float, level: int) -> list[list[
     return found
 
 
-def _coarse(part: Points, error: float) -> Floats:
+def _simplify(part: Points, error: float) -> Floats:
     """Simplify a line or ring to an error [m]."""
     line = np.ascontiguousarray(part, np.float64)
     return simplify(line, np.array([0, len(line)]), error)[0]
@@ -247,11 +257,13 @@ NEAR, FAR = 12.0, 120.0
 WINDS = ("north", "east", "south", "west")
 
 
-def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
+def example_sentences(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     """Return example sentences for a city, of two or three objects in as many directions."""
     objects = city.objects
     rows = np.flatnonzero(objects.kind == POINT)
-    rows = np.array([row for row in rows.tolist() if _worth(objects.label(row), paints[row])])
+    rows = np.array(
+        [row for row in rows.tolist() if _score_object(objects.label(row), paints[row])]
+    )
     found: list[str] = []
     if not len(rows):
         return found
@@ -261,7 +273,7 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     # from all over the city, the same each time
     for start in range(0, len(rows), max(1, len(rows) // 40)):
         here = at[start] - (0.0, 20.0)
-        sentence = _said(here, at, names)
+        sentence = _describe_place(here, at, names)
         if sentence and sentence not in found:
             found.append(sentence)
         if len(found) == most:
@@ -269,13 +281,13 @@ def examples(city: City, paints: Sequence[str], most: int = 3) -> list[str]:
     return found
 
 
-def _worth(label: str, paint: str) -> bool:
+def _score_object(label: str, paint: str) -> bool:
     plain = not label.endswith(("s", "water"))  # a toilets, a drinking water
-    spoken = label.partition("=")[0] in KEYS and common_name(label) not in DULL
+    spoken = label.partition("=")[0] in KEYS and label_words(label) not in DULL
     return plain and bool(paint) and spoken
 
 
-def _said(here: Floats, at: Floats, names: Sequence[str]) -> str:
+def _describe_place(here: Floats, at: Floats, names: Sequence[str]) -> str:
     """Describe the objects around a place in the four directions; empty where there are too few."""
     delta = at - here
     distance = np.hypot(*delta.T)
@@ -336,45 +348,49 @@ def write_page(
     tiles = CityTiles(city)
     data = {
         "index": tiles.index(),
-        "tiles": {"/".join(map(str, key)): tile for key, tile in _chosen(tiles, city, estimate)},
-        "answer": told(estimate) | {"question": {"text": question} if question else None},
+        "tiles": {
+            "/".join(map(str, key)): tile for key, tile in _choose_tiles(tiles, city, estimate)
+        },
+        "answer": page_estimate(estimate) | {"question": {"text": question} if question else None},
     }
     slots = {
-        "title": clean(_cut(title or heading)),
-        "heading": clean(heading),
-        "css": style_sheet() + "\n" + part("style.css"),
-        "source": clean(f"{city.source}: {len(city.objects):,} objects, {len(city.cells):,} cells"),
+        "title": escape_text(_clip(title or heading)),
+        "heading": escape_text(heading),
+        "css": style_sheet() + "\n" + read_part("style.css"),
+        "source": escape_text(
+            f"{city.source}: {len(city.objects):,} objects, {len(city.cells):,} cells"
+        ),
         "data": _json(data),
-        "script": _joined(),
+        "script": _join_scripts(),
     }
-    pieces = part("still.html").split("{{")
+    pieces = read_part("still.html").split("{{")
     page = pieces[0] + "".join(
         slots[slot] + rest for slot, rest in (piece.split("}}", 1) for piece in pieces[1:])
     )
     return write_output(path, page.encode())
 
 
-def told(estimate: CityEstimate) -> dict[str, Any]:
+def page_estimate(estimate: CityEstimate) -> dict[str, Any]:
     """Return an estimate for a page: its dictionary, and the posterior's heaviest points."""
     support = np.round(estimate.support, 6).tolist()
     return {"estimate": estimate.to_dict(), "support": support, "ranked": estimate.ranked}
 
 
-def part(name: str) -> str:
+def read_part(name: str) -> str:
     """Return the text of a file of the page."""
     return (resources.files("placegraph.view") / "page" / name).read_text("utf-8")
 
 
-def _chosen(
+def _choose_tiles(
     tiles: CityTiles, city: CityMap, estimate: CityEstimate
 ) -> Iterator[tuple[tuple[int, int, int], Tile]]:
     """Return the tiles of a page: the whole city coarsely, then each level around the first view."""
     wanted = dict.fromkeys(tiles.within(tiles.bounds, tiles.top))
-    shown = rivals(estimate, len(estimate.modes))
+    shown = competing_modes(estimate, len(estimate.modes))
     for level in range(tiles.top - 1, -1, -1):
         reach = AROUND * 2**level
         for mode in shown:
-            x, y = place_of(city, mode).tolist()
+            x, y = mode_position(city, mode).tolist()
             around = (x - reach, y - reach, x + reach, y + reach)
             wanted |= dict.fromkeys(tiles.within(tiles.cut(around), level))
         if not shown:
@@ -388,16 +404,16 @@ def _chosen(
         yield key, tile
 
 
-def _cut(title: str) -> str:
+def _clip(title: str) -> str:
     """Cut a title after a whole word."""
     if len(title) <= TITLE:
         return title
     return title[: TITLE + 1].rsplit(maxsplit=1)[0].rstrip(" ,;:.") + " …"
 
 
-def _joined() -> str:
+def _join_scripts() -> str:
     """Join all modules into one script without imports and exports; their names are unique."""
-    modules = "\n".join(map(part, (f"{name}.js" for name in SCRIPTS)))
+    modules = "\n".join(map(read_part, (f"{name}.js" for name in SCRIPTS)))
     body = re.sub(r'^import [^;]+ from "[^"]+";\n', "", modules, flags=re.MULTILINE)
     return '"use strict";\n(() => {\n' + re.sub(r"^export ", "", body, flags=re.MULTILINE) + "})();"
 

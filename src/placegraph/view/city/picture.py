@@ -12,18 +12,18 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.view.city.city_items import (
     city_bounds,
-    common_name,
+    competing_modes,
+    draw_items,
     ellipse,
     evidence_marks,
-    heat_of,
-    map_items,
+    evidence_objects,
+    label_words,
     mode_bounds,
-    place_of,
-    rivals,
-    witnesses,
+    mode_position,
+    posterior_layer,
 )
-from placegraph.view.draw.canvas import Disc, Face, Frame, Item, Stroke, Text, face_for
-from placegraph.view.draw.lettering import OccupiedPlaces, covering, letter
+from placegraph.view.draw.canvas import Disc, Face, Frame, Item, Stroke, Text, choose_face
+from placegraph.view.draw.lettering import OccupiedPlaces, covering_discs, place_names
 from placegraph.view.draw.painter import Sheet, paint_picture
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def draw_city(
         The size is no size of a picture.
 
     """
-    width, height = _checked(size)
+    width, height = _check_map(size)
     frame = Frame.around(city_bounds(city.objects), width, height - FOOT)
     sheet = Sheet(width, height)
     sheet.paste(paint_picture(_map(city, frame), frame, reduce=False), (0, 0))
@@ -89,10 +89,10 @@ def write_picture(
         The size is no size of a picture.
 
     """
-    width, height = _checked(size)
+    width, height = _check_map(size)
     sheet = Sheet(width, height)
     ambiguous = estimate.status is Status.AMBIGUOUS
-    shown: list[Place | None] = list(rivals(estimate, MOST_PANELS if ambiguous else 1))
+    shown: list[Place | None] = list(competing_modes(estimate, MOST_PANELS if ambiguous else 1))
     if len(shown) in (0, 3):
         shown.append(None)  # a panel for the whole city
     room = height - HEAD - FOOT
@@ -108,7 +108,7 @@ def write_picture(
     return sheet.save(path)
 
 
-def _checked(size: tuple[int, int]) -> tuple[int, int]:
+def _check_map(size: tuple[int, int]) -> tuple[int, int]:
     if len(size) != 2 or not all(
         isinstance(side, int) and SMALLEST <= side <= LARGEST for side in size
     ):
@@ -123,9 +123,11 @@ def _map(
     skip: frozenset[int] = frozenset(),
 ) -> list[Item]:
     """Map and its lettering."""
-    items = map_items(city, frame.bounds, frame.scale)
-    face = face_for(city.objects.name(item.row) for item in items if item.row >= 0)
-    names = letter(city.objects, items, frame.scale, face, taken or OccupiedPlaces(), skip=skip)
+    items = draw_items(city, frame.bounds, frame.scale)
+    face = choose_face(city.objects.name(item.row) for item in items if item.row >= 0)
+    names = place_names(
+        city.objects, items, frame.scale, face, taken or OccupiedPlaces(), skip=skip
+    )
     return [*items, *names]
 
 
@@ -141,9 +143,9 @@ def _panel(
     bounds = mode_bounds(city, mode) if mode else city_bounds(city.objects)
     frame = Frame.around(bounds, right - left, bottom - top)
     marks, taken = _marks(city, estimate, mode, frame)
-    skip = frozenset(w.row for w in witnesses(city, mode)) if mode else frozenset[int]()
+    skip = frozenset(w.row for w in evidence_objects(city, mode)) if mode else frozenset[int]()
     items = [*_map(city, frame, taken, skip), *marks]
-    if heat := heat_of(city, estimate, frame.bounds, 2.0 / frame.scale):
+    if heat := posterior_layer(city, estimate, frame.bounds, 2.0 / frame.scale):
         items.insert(0, heat)  # marks are laid in order: below the lettering
     sheet.paste(paint_picture(items, frame, reduce=False), (left, top))
     _furniture(sheet, frame, (left, top))
@@ -163,34 +165,34 @@ def _marks(
     marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
     pins: list[Item] = []
     for number, other in enumerate(estimate.modes, 1):
-        at = place_of(city, other)
+        at = mode_position(city, other)
         best = other is mode
         pins.append(Stroke(ellipse(city, other), "mode", 2.0 if best else 1.2, (6.0, 4.0)))
         pins.append(Disc(at, 12.0 if best else 9.0, "mode", text=str(number)))
         x, y = at[0] * frame.scale, -at[1] * frame.scale
         taken.claim([(x, y, 14.0)], force=True)
-    return [*marks, *pins, *(_witness_names(city, mode, frame, taken) if mode else [])], taken
+    return [*marks, *pins, *(_evidence_names(city, mode, frame, taken) if mode else [])], taken
 
 
-def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: OccupiedPlaces) -> list[Text]:
+def _evidence_names(city: CityMap, mode: Place, frame: Frame, taken: OccupiedPlaces) -> list[Text]:
     """Return names beside the objects of the evidence."""
-    seen = witnesses(city, mode)
-    face = face_for(w.words for w in seen)
+    seen = evidence_objects(city, mode)
+    face = choose_face(w.words for w in seen)
     for witness in seen:
         x, y = witness.at[0] * frame.scale, -witness.at[1] * frame.scale
         taken.claim([(x, y, 5.0)], force=True)
-    here = place_of(city, mode)
+    here = mode_position(city, mode)
     places = [w.middle if np.hypot(*(w.at - here)) < 1.0 else w.at for w in seen]
     texts = [
-        _beside(
-            at, face.drawable(w.words) or common_name(w.ref.label), w.verdict, frame, face, taken
+        _place_beside(
+            at, face.drawable(w.words) or label_words(w.ref.label), w.verdict, frame, face, taken
         )
         for w, at in zip(seen, places, strict=True)
     ]
     return [text for text in texts if text]
 
 
-def _beside(
+def _place_beside(
     at: Floats,
     words: str,
     ink: str,
@@ -206,7 +208,7 @@ def _beside(
         sides = [*sides[1:], sides[0]]
     for anchor, shift in sides:
         text = Text(at, words, size, ink, anchor=anchor, shift=shift)
-        if taken.claim(covering(text, width + 4.0, frame.scale)):
+        if taken.claim(covering_discs(text, width + 4.0, frame.scale)):
             return text
     return None
 

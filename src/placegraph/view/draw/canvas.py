@@ -170,7 +170,7 @@ Mark = Stroke | Disc | Text | HeatLayer
 Item = MapItem | Mark | Picture | ParticleMarks
 
 
-def in_painters_order(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:
+def sort_by_layer(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:
     """Map items by paint, lowest layer first; marks keep out."""
     layers: dict[str, list[MapItem]] = {}
     for item in items:
@@ -231,7 +231,7 @@ def clip_ring(ring: Points, bounds: Bounds) -> Floats:
     return corners if (corners[0] == corners[-1]).all() else np.concatenate([corners, corners[:1]])
 
 
-def dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
+def cut_dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
     """Cut a polyline into dashes; the dashed length starts and ends with half a dash."""
     steps = np.hypot(*np.diff(points, axis=0).T)
     along = np.concatenate(([0.0], np.cumsum(steps)))
@@ -247,7 +247,7 @@ def dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
 
 FACES = ("", "DejaVuSans.ttf", "NotoSans-Regular.ttf", "LiberationSans-Regular.ttf", "Arial.ttf")
 """Files by preference; the empty one is Pillow's built-in face, which knows little beyond ASCII."""
-LONGEST = 1000
+MAX_LETTERS = 1000
 """Letters of a text that are drawn."""
 
 _PLAIN = str.maketrans({"ß": "ss", "ı": "i", "ø": "o", "ł": "l", "đ": "d", "æ": "ae", "œ": "oe",
@@ -271,14 +271,14 @@ class Face:
 
     def draws(self, text: str) -> bool:
         """Return whether the face has every letter of a text."""
-        return all(_has(self.file, letter) for letter in set(text) if not letter.isspace())
+        return all(_has_glyph(self.file, letter) for letter in set(text) if not letter.isspace())
 
     def drawable(self, text: str) -> str:
         """Return the text, without accents where the face lacks them; "" where that is no help.
 
         Of a longer text as many letters as the widest picture has room for: drawing costs by letters.
         """
-        text = text[:LONGEST]
+        text = text[:MAX_LETTERS]
         if self.draws(text):
             return text
         apart = unicodedata.normalize("NFKD", text.translate(_PLAIN))
@@ -287,7 +287,7 @@ class Face:
 
 
 @cache
-def _installed() -> tuple[Face, ...]:
+def _installed_faces() -> tuple[Face, ...]:
     """Return the installed faces."""
     found = []
     for file in FACES:
@@ -299,10 +299,10 @@ def _installed() -> tuple[Face, ...]:
     return tuple(found)
 
 
-def face_for(texts: Iterable[str]) -> Face:
+def choose_face(texts: Iterable[str]) -> Face:
     """Return the first face that has every letter of all texts, or that draws most of them."""
     wanted = list(texts)
-    return max(_installed(), key=lambda face: sum(map(face.draws, wanted)))
+    return max(_installed_faces(), key=lambda face: sum(map(face.draws, wanted)))
 
 
 @lru_cache(maxsize=256)
@@ -314,7 +314,7 @@ def _font(file: str, size: int) -> ImageFont.FreeTypeFont:
 
 
 @lru_cache(maxsize=8192)
-def _has(file: str, letter: str) -> bool:
+def _has_glyph(file: str, letter: str) -> bool:
     """Return whether a letter has a glyph other than that of missing letters."""
     font = _font(file, 16)
     return bytes(font.getmask(letter)) != bytes(font.getmask("\U0010ffff"))

@@ -56,7 +56,7 @@ class OccupiedPlaces:
         )
 
 
-def covering(text: Text, width: float, scale: float) -> list[tuple[float, float, float]]:
+def covering_discs(text: Text, width: float, scale: float) -> list[tuple[float, float, float]]:
     """Return discs (x, y, radius) [px] that cover a text; x grows to the right, y downwards."""
     x, y = text.at[0] * scale + text.shift[0], -text.at[1] * scale + text.shift[1]
     radius = 0.62 * text.size
@@ -67,7 +67,7 @@ def covering(text: Text, width: float, scale: float) -> list[tuple[float, float,
     return [(float(x + d * cos), float(y - d * sin), radius) for d in along]
 
 
-def letter(
+def place_names(
     objects: CityObjects,
     items: Iterable[MapItem],
     scale: float,
@@ -115,7 +115,7 @@ def letter(
             near = (hypot(*(text.at - other)) * scale < REPEAT for other in streets.get(name, []))
             if isinstance(item, Line) and any(near):
                 continue
-            if taken.claim(covering(text, width + 4.0, scale)):
+            if taken.claim(covering_discs(text, width + 4.0, scale)):
                 placed.append(text)
                 if not isinstance(item, Line):
                     break

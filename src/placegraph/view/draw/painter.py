@@ -29,10 +29,10 @@ from placegraph.view.draw.canvas import (
     Points,
     Stroke,
     Text,
+    choose_face,
     clip_line,
-    dashes,
-    face_for,
-    in_painters_order,
+    cut_dashes,
+    sort_by_layer,
 )
 from placegraph.view.draw.style import CASED, PAINTS, PALETTE, Paint
 
@@ -42,7 +42,7 @@ SUPERSAMPLE = 2
 """Pictures are painted this many times as large and then reduced, which smooths edges."""
 
 
-def heat(density: Floats) -> Image.Image:
+def colour_density(density: Floats) -> Image.Image:
     """Colour a density (RGBA): from transparent over amber to red."""
     stops = np.array([0.02, 0.12, 0.4, 0.7, 1.0])
     colors = np.array(
@@ -53,7 +53,7 @@ def heat(density: Floats) -> Image.Image:
     return Image.fromarray(np.stack(channels, axis=-1).round().astype(np.uint8), "RGBA")
 
 
-def likely(level: Floats) -> NDArray[np.uint8]:
+def colour_levels(level: Floats) -> NDArray[np.uint8]:
     """Return colours (..., 4) RGBA of levels (...) from 0, unlikely, to 1, certain."""
     stops = np.array([0.0, 0.35, 0.7, 1.0])
     colors = np.array(
@@ -86,7 +86,7 @@ class _Painter:
             frame.height * SUPERSAMPLE,
         )
         self.dark = dark
-        self.face = face_for(item.text for item in items if isinstance(item, Text | Disc))
+        self.face = choose_face(item.text for item in items if isinstance(item, Text | Disc))
         self.image = Image.new("RGB", (self.frame.width, self.frame.height), self.color("land"))
         self.draw = ImageDraw.Draw(self.image, "RGBA")
 
@@ -95,7 +95,7 @@ class _Painter:
         return red, green, blue, round(255 * opacity)
 
     def paint(self, items: Sequence[Item]) -> Image.Image:
-        layers = in_painters_order(items)
+        layers = sort_by_layer(items)
         casings = [(paint, drawn) for paint, drawn in layers if paint in CASED]
         for paint, drawn in layers:
             if paint in CASED and casings:
@@ -158,7 +158,7 @@ class _Painter:
     ) -> None:
         if dash and min(dash) >= SUPERSAMPLE:
             seen = (0.0, 0.0, float(self.frame.width), float(self.frame.height))
-            for piece in (p for part in clip_line(points, seen) for p in dashes(part, *dash)):
+            for piece in (p for part in clip_line(points, seen) for p in cut_dashes(part, *dash)):
                 self.draw.line(piece.ravel().tolist(), color, round(width))
             return
         self.draw.line(points.ravel().tolist(), color, round(width), joint="curve")
@@ -224,7 +224,7 @@ class _Painter:
         size = corners[1] - corners[0]
         if (size < 1).any() or not item.density.any():
             return
-        image = heat(item.density).resize(tuple(size.tolist()), Image.Resampling.BICUBIC)
+        image = colour_density(item.density).resize(tuple(size.tolist()), Image.Resampling.BICUBIC)
         self.image.paste(image, tuple(corners[0].tolist()), image)
 
     def picture(self, item: Picture) -> None:
@@ -254,7 +254,7 @@ class _Painter:
             x, y = np.floor(stamp).astype(int).T
             inside = (x >= 0) & (y >= 0) & (x < self.frame.width) & (y < self.frame.height)
             np.maximum.at(levels, (y[inside], x[inside]), painted[inside])
-        colors = likely(levels)
+        colors = colour_levels(levels)
         colors[levels == 0.0, 3] = 0
         image = Image.fromarray(colors, "RGBA")
         self.image.paste(image, (0, 0), image)
@@ -330,7 +330,7 @@ class Sheet:
         room: float | None = None,
     ) -> float:
         """Write a line, cut to its room, centred on the height of `at`; return where it ends."""
-        face = face_for([text])
+        face = choose_face([text])
         text = face.drawable(text)
         if room is not None and face.width(text, size) > room:
             fits = bisect_right(
@@ -338,29 +338,31 @@ class Sheet:
             )
             text = text[: max(fits - 1, 0)].rstrip() + "..."
         font = face.font(size * SUPERSAMPLE)
-        self.draw.text(_up(at), text, self._color(color), font, anchor=f"{anchor}m")
+        self.draw.text(_scale_up(at), text, self._color(color), font, anchor=f"{anchor}m")
         return at[0] + face.width(text, size)
 
     def chip(self, corner: XY, text: str, color: str) -> float:
         """Write a word on a coloured chip; return where it ends."""
-        width = face_for([text]).width(text, 13.0)
+        width = choose_face([text]).width(text, 13.0)
         right = corner[0] + width + 20
         self.draw.rounded_rectangle(
-            (*_up(corner), *_up((right, corner[1] + 21))), 10 * SUPERSAMPLE, self._color(color)
+            (*_scale_up(corner), *_scale_up((right, corner[1] + 21))),
+            10 * SUPERSAMPLE,
+            self._color(color),
         )
         self.text((corner[0] + 10, corner[1] + 11), text, 13, "paper")
         return right
 
     def label(self, corner: XY, text: str, size: float) -> None:
         """Write a line on a card of paper."""
-        width = face_for([text]).width(text, size)
+        width = choose_face([text]).width(text, size)
         self._box((*corner, corner[0] + width + 20, corner[1] + size + 14))
         self.text((corner[0] + 10, corner[1] + size / 2 + 7), text, size, "ink")
 
     def card(self, corner: XY, lines: Sequence[tuple[str, str]], room: float) -> None:
         """Write lines, each with its verdict, on a card of paper."""
         left, top = corner
-        face = face_for(text for _, text in lines)
+        face = choose_face(text for _, text in lines)
         longest = max(face.width(text, 13) for _, text in lines)
         width = min(room, longest + 40)
         self._box((left, top, left + width, top + 20 * len(lines) + 14))
@@ -379,7 +381,7 @@ class Sheet:
         }
         color = self._color(verdict if verdict in ("for", "against") else "soft-ink")
         for stroke in strokes.get(verdict, []):
-            points = [coordinate for point in stroke for coordinate in _up(point)]
+            points = [coordinate for point in stroke for coordinate in _scale_up(point)]
             self.draw.line(points, color, 2 * SUPERSAMPLE, joint="curve")
 
     def bar(self, at: XY, length: float, words: str) -> None:
@@ -388,10 +390,10 @@ class Sheet:
         end = x + length
         for color, width in ((self._color("land"), 5), (ink, 2)):
             ticks = [(x, y - 5), (x, y), (end, y), (end, y - 5)]
-            points = [coordinate for tick in ticks for coordinate in _up(tick)]
+            points = [coordinate for tick in ticks for coordinate in _scale_up(tick)]
             self.draw.line(points, color, width * SUPERSAMPLE, joint="curve")
-        font = face_for([words]).font(12 * SUPERSAMPLE)
-        middle = _up((x + length / 2, y - 9))
+        font = choose_face([words]).font(12 * SUPERSAMPLE)
+        middle = _scale_up((x + length / 2, y - 9))
         halo = self._color("land")
         self.draw.text(middle, words, ink, font, "mm", stroke_width=3, stroke_fill=halo)
 
@@ -402,15 +404,17 @@ class Sheet:
             [(x, y - 14), (x - 7, y + 8), (x, y + 3)],
             [(x, y - 14), (x + 7, y + 8), (x, y + 3)],
         )
-        outline = [_up(p) for p in (left[0], left[1], left[2], right[1], left[0])]
+        outline = [_scale_up(p) for p in (left[0], left[1], left[2], right[1], left[0])]
         self.draw.line(
             [c for p in outline for c in p], self._color("land"), 4 * SUPERSAMPLE, "curve"
         )
-        self.draw.polygon([c for p in left for c in _up(p)], self._color("ink"))
-        self.draw.polygon([c for p in right for c in _up(p)], self._color("soft-ink"))
-        font = face_for(["N"]).font(12 * SUPERSAMPLE)
+        self.draw.polygon([c for p in left for c in _scale_up(p)], self._color("ink"))
+        self.draw.polygon([c for p in right for c in _scale_up(p)], self._color("soft-ink"))
+        font = choose_face(["N"]).font(12 * SUPERSAMPLE)
         ink, halo = self._color("ink"), self._color("land")
-        self.draw.text(_up((x, y + 16)), "N", ink, font, "mm", stroke_width=3, stroke_fill=halo)
+        self.draw.text(
+            _scale_up((x, y + 16)), "N", ink, font, "mm", stroke_width=3, stroke_fill=halo
+        )
 
     def axes(self, at: XY) -> None:
         """Draw the map's axes, x to the right and y upwards, from their origin."""
@@ -420,12 +424,14 @@ class Sheet:
             end = x + dx * length, y + dy * length
             tip = x + dx * (length + 2 * size), y + dy * (length + 2 * size)
             for color, width in ((halo, 5), (ink, 2)):
-                self.draw.line((*_up(at), *_up(end)), color, width * SUPERSAMPLE)
+                self.draw.line((*_scale_up(at), *_scale_up(end)), color, width * SUPERSAMPLE)
             wings = [(end[0] + dy * side, end[1] + dx * side) for side in (-size, size)]
-            self.draw.polygon([c for p in (tip, *wings) for c in _up(p)], ink)
-            font = face_for([name]).font(12 * SUPERSAMPLE)
+            self.draw.polygon([c for p in (tip, *wings) for c in _scale_up(p)], ink)
+            font = choose_face([name]).font(12 * SUPERSAMPLE)
             beside = tip[0] + 7 * dx, tip[1] + 7 * dy
-            self.draw.text(_up(beside), name, ink, font, "mm", stroke_width=3, stroke_fill=halo)
+            self.draw.text(
+                _scale_up(beside), name, ink, font, "mm", stroke_width=3, stroke_fill=halo
+            )
 
     def key_disc(self, at: XY, color: str, words: str) -> float:
         """Explain a round mark; return where the next key starts."""
@@ -438,18 +444,22 @@ class Sheet:
         pieces = [(0, 7), (11, 18), (22, 26)] if dashed else [(0, 26)]
         for a, b in pieces:
             self.draw.line(
-                (*_up((x + a, y)), *_up((x + b, y))), self._color(color), 2 * SUPERSAMPLE
+                (*_scale_up((x + a, y)), *_scale_up((x + b, y))),
+                self._color(color),
+                2 * SUPERSAMPLE,
             )
         self._disc((x + 26, y), 4.0, color)
         return self.text((x + 36, y), words, 12, "ink") + 22
 
     def key_heat(self, at: XY, words: str) -> float:
         """Explain the heat; return where the next key starts."""
-        return self._key_colors(at, heat, words)
+        return self._key_colors(at, colour_density, words)
 
     def key_likely(self, at: XY, words: str) -> float:
         """Explain the colours of particles; return where the next key starts."""
-        return self._key_colors(at, lambda level: Image.fromarray(likely(level), "RGBA"), words)
+        return self._key_colors(
+            at, lambda level: Image.fromarray(colour_levels(level), "RGBA"), words
+        )
 
     def _key_colors(self, at: XY, colored: Callable[[Floats], Image.Image], words: str) -> float:
         width, height = 48 * SUPERSAMPLE, 12 * SUPERSAMPLE
@@ -461,12 +471,12 @@ class Sheet:
 
     def _disc(self, at: XY, radius: float, color: str) -> None:
         x, y = at
-        box = (*_up((x - radius, y - radius)), *_up((x + radius, y + radius)))
+        box = (*_scale_up((x - radius, y - radius)), *_scale_up((x + radius, y + radius)))
         self.draw.ellipse(box, self._color(color))
 
     def _box(self, box: tuple[float, float, float, float]) -> None:
         radius = 7 * SUPERSAMPLE
-        large = (*_up(box[:2]), *_up(box[2:]))
+        large = (*_scale_up(box[:2]), *_scale_up(box[2:]))
         self.draw.rounded_rectangle(large, radius, (*self._color("paper"), 235), width=0)
 
     def _color(self, name: str) -> tuple[int, int, int]:
@@ -487,5 +497,5 @@ def write_image(image: Image.Image, path: str | Path, form: str, **options: Any)
     return write_output(path, written.getvalue())
 
 
-def _up(at: XY) -> XY:
+def _scale_up(at: XY) -> XY:
     return at[0] * SUPERSAMPLE, at[1] * SUPERSAMPLE

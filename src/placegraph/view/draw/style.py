@@ -220,7 +220,7 @@ def _rules(kind: int) -> dict[str, tuple[int, str]]:
     return rules
 
 
-def paint_of(labels: Iterable[str], kind: int) -> str:
+def find_paint(labels: Iterable[str], kind: int) -> str:
     """Return the paint of a thing with these labels: that of the first rule, or an empty string."""
     rules = _rules(kind)
     found = [rules.get(label) or rules.get(label.partition("=")[0] + "=*") for label in labels]
@@ -239,7 +239,7 @@ def style_sheet() -> str:
     )
 
 
-def clean(text: str) -> str:
+def escape_text(text: str) -> str:
     """Escape a text, and drop unprintable characters (controls, changes of direction)."""
     joiners = "\u200c\u200d"
     return escape("".join(c if c.isprintable() or c in joiners else " " for c in text))

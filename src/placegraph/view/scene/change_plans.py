@@ -16,7 +16,14 @@ from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Mark, Stroke, Text
 from placegraph.view.draw.lettering import OccupiedPlaces
 from placegraph.view.draw.painter import Sheet, paint_picture
-from placegraph.view.scene.plan import FOOT, HEAD, Layout, measures, names, scale_bar
+from placegraph.view.scene.plan import (
+    FOOT,
+    HEAD,
+    Layout,
+    draw_measures,
+    draw_scale_bar,
+    place_names,
+)
 from placegraph.view.scene.room_plan import MARGIN, RoomPlan, paint_room, plain_words
 
 if TYPE_CHECKING:
@@ -26,7 +33,7 @@ if TYPE_CHECKING:
 
 FAR = 150.0
 """Candidates farther from the best are told, not drawn [m]."""
-TOLD = 5
+MAX_LINES = 5
 """Candidates that are told at most."""
 BUILDING, FAINT, ENTRANCE = "ink", "soft-ink", "for"
 """Colours."""
@@ -55,21 +62,21 @@ def draw_anchors(
     if not scene.anchors:
         raise no_anchor_error(scene.source)
     best = scene.anchors[0]
-    plan = RoomPlan(_turned(scene, best))
-    origin = {k: _there(best, a, np.zeros(2)) for k, a in enumerate(scene.anchors, 1)}
+    plan = RoomPlan(_turn_east(scene, best))
+    origin = {k: _to_east_north(best, a, np.zeros(2)) for k, a in enumerate(scene.anchors, 1)}
     near = [k for k, at in origin.items() if k > 1 and np.linalg.norm(at) < FAR]
     marks = [mark for building in footprints for mark in _building(best, building)]
     for k in near:
         marks += _walls(scene, best, scene.anchors[k - 1])
     for k in reversed([1, *near] if near else []):
         marks.append(Disc(origin[k], 8.0, "mode" if k == 1 else FAINT, text=str(k)))
-    bounds = _around(plan.bounds, marks)
+    bounds = _extend_bounds(plan.bounds, marks)
     layout = Layout.of(bounds, [], width=width)
     frame = Frame.around(bounds, *layout.large)
     sheet = Sheet(layout.width, layout.height)
-    room: list[Item] = [paint_room(plan, frame), *names(plan, frame, OccupiedPlaces())]
+    room: list[Item] = [paint_room(plan, frame), *place_names(plan, frame, OccupiedPlaces())]
     sheet.paste(paint_picture([*room, *marks], frame, reduce=False), (0, HEAD))
-    _told(sheet, scene.anchors)
+    _draw_candidates(sheet, scene.anchors)
     sheet.north((layout.width - 26.0, HEAD + 28.0))
     x, y = 14.0, sheet.height - FOOT / 2
     for wanted, color, words in (
@@ -79,11 +86,11 @@ def draw_anchors(
             x = sheet.key_line((x, y), color=color, words=words)
     if any(len(building.entrances) for building in footprints):
         sheet.key_disc((x, y), color=ENTRANCE, words="entrance")
-    scale_bar(sheet, frame, sheet.width - 26.0)
+    draw_scale_bar(sheet, frame, sheet.width - 26.0)
     return sheet.save(path)
 
 
-def _turned(scene: SceneMap, anchor: Anchor) -> SceneMap:
+def _turn_east(scene: SceneMap, anchor: Anchor) -> SceneMap:
     """Return the map with its x axis to the east."""
     mesh = replace(
         scene.mesh, vertices=scene.mesh.vertices @ anchor.enu_from_map[:3, :3].T.astype(np.float32)
@@ -93,7 +100,7 @@ def _turned(scene: SceneMap, anchor: Anchor) -> SceneMap:
     return replace(scene, mesh=mesh, graph=graph, anchors=())
 
 
-def _there(best: Anchor, anchor: Anchor, points: Floats) -> Floats:
+def _to_east_north(best: Anchor, anchor: Anchor, points: Floats) -> Floats:
     """Convert points (..., 2) [m] of a map by an anchor to east and north (..., 2) of the best one."""
     flat = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
     there: Floats = replace(best, heading=0.0).to_map(anchor.to_earth(flat))[..., :2]
@@ -102,18 +109,18 @@ def _there(best: Anchor, anchor: Anchor, points: Floats) -> Floats:
 
 def _building(best: Anchor, building: Footprint) -> Iterator[Stroke | Disc]:
     for ring in building.rings:
-        yield Stroke(_there(best, building.base, ring), BUILDING, 3.0, fill=0.05)
-    for at in _there(best, building.base, building.entrances):
+        yield Stroke(_to_east_north(best, building.base, ring), BUILDING, 3.0, fill=0.05)
+    for at in _to_east_north(best, building.base, building.entrances):
         yield Disc(at, 6.0, ENTRANCE)
 
 
 def _walls(scene: SceneMap, best: Anchor, anchor: Anchor) -> Iterator[Stroke | Disc]:
     segments = [cut for paint, cut in RoomPlan(scene).cuts.items() if paint != "curtain"]
-    for pair in _there(best, anchor, np.concatenate(segments)) if segments else ():
+    for pair in _to_east_north(best, anchor, np.concatenate(segments)) if segments else ():
         yield Stroke(pair, FAINT, 1.0)
 
 
-def _around(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
+def _extend_bounds(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
     """Extend bounds to hold all marks."""
     drawn = [mark.points if isinstance(mark, Stroke) else [mark.at] for mark in marks]
     corners = np.concatenate([np.reshape(bounds, (2, 2)), *drawn])
@@ -122,7 +129,7 @@ def _around(bounds: Bounds, marks: Iterable[Stroke | Disc]) -> Bounds:
     return west, south, east, north
 
 
-def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
+def _draw_candidates(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
     """Draw the position of the best candidate and the probability of each."""
     best = anchors[0]
     where = " ".join(x for x in (best.building, best.osm and f"({best.osm})") if x)
@@ -136,9 +143,9 @@ def _told(sheet: Sheet, anchors: Sequence[Anchor]) -> None:
         spread = f" ±{np.hypot(east, north) / np.sqrt(2):.1f} m, ±{degrees(turn):.1f}°"
     chances = "     ".join(
         f"{k}: {a.probability:.0%}, heading {round(degrees(a.heading)) % 360}°"
-        for k, a in enumerate(anchors[:TOLD], 1)
+        for k, a in enumerate(anchors[:MAX_LINES], 1)
     )
-    more = f"     and {len(anchors) - TOLD} more" if len(anchors) > TOLD else ""
+    more = f"     and {len(anchors) - MAX_LINES} more" if len(anchors) > MAX_LINES else ""
     sheet.text(
         (14, 47), f"by {best.method or 'hand'}{spread}     {chances}{more}", 13, "soft-ink",
         room=sheet.width - 28,
@@ -184,10 +191,10 @@ def write_diff(
     frame = Frame.around(plan.bounds, *layout.large)
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
     marked = {rows[c.id]: COLOR[c.kind] for c in diff if c.id in rows and c.kind != "appeared"}
-    marks = [mark for change in reversed(diff.changes) for mark in marks_of(plan, change, rows)]
+    marks = [mark for change in reversed(diff.changes) for mark in change_marks(plan, change, rows)]
     items: list[Item] = [
         paint_room(plan, frame),
-        *names(plan, frame, OccupiedPlaces(), marked),
+        *place_names(plan, frame, OccupiedPlaces(), marked),
         *marks,
     ]
     sheet.paste(paint_picture(items, frame, reduce=False), layout.large_corner)
@@ -197,7 +204,7 @@ def write_diff(
     after = f"{diff.before or scene.scenes[0]} and {diff.after or 'a later look'}"
     words = f"{after}: {len(diff.same)} the same, {len(diff.unseen)} unseen"
     sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
-    end, x, y = measures(sheet, frame), 14.0, sheet.height - FOOT / 2
+    end, x, y = draw_measures(sheet, frame), 14.0, sheet.height - FOOT / 2
     for kind, count in counts.items():
         draw = partial(sheet.key_line, color=COLOR[kind], dashed=kind == "vanished")
         if count and x + 110.0 < end:
@@ -205,7 +212,7 @@ def write_diff(
     return sheet.save(path)
 
 
-def marks_of(plan: RoomPlan, change: Change, rows: dict[str, int]) -> list[Mark]:
+def change_marks(plan: RoomPlan, change: Change, rows: dict[str, int]) -> list[Mark]:
     """Return one change as marks on the plan."""
     color, before = COLOR[change.kind], rows.get(change.id, -1)
     if change.kind == "moved" and before >= 0 and change.after_from_before is not None:

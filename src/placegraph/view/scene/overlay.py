@@ -15,7 +15,7 @@ from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.io.capture.frame import Frame
-from placegraph.view.draw.canvas import face_for
+from placegraph.view.draw.canvas import choose_face
 from placegraph.view.draw.painter import write_image
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ SQUARES = 8
 """Squares of the checkerboard along the longer side."""
 LINE, FAINT = (255, 40, 160), (40, 230, 200)
 """Colours of edges of shapes and of edges of colours."""
-NOTHING = (38, 40, 46)
+EMPTY_COLOUR = (38, 40, 46)
 """Where the map shows nothing."""
 GAP = 8
 """Between pictures [px]."""
@@ -94,11 +94,11 @@ def write_overlay(
         pose = mode.map_from_camera
         rendering = renderer.render(pose, frame.camera, samples=samples)
         drawn.append((rendering, rendering.normals(scene.mesh, pose)))
-    sheet = overlay(frame.rgb(), *drawn[0], before=drawn[1] if coarse else None)
+    sheet = draw_overlay(frame.rgb(), *drawn[0], before=drawn[1] if coarse else None)
     return write_image(sheet, path, "PNG")
 
 
-def overlay(
+def draw_overlay(
     query: NDArray[np.uint8],
     rendering: Rendering,
     normals: NDArray[np.float32],
@@ -125,18 +125,18 @@ def overlay(
     OptionError
         The pictures are of different sizes.
     """
-    shown = _shown(query, rendering)
-    pictures = [query, shown, *_laid_over(query, rendering, normals)]
+    shown = _rendered_colours(query, rendering)
+    pictures = [query, shown, *_overlay_edges(query, rendering, normals)]
     captions: tuple[str, ...] = CAPTIONS
     if before is not None:
-        pictures += _laid_over(query, *before)
+        pictures += _overlay_edges(query, *before)
         captions = (*CAPTIONS, *BEFORE)
     height, width = query.shape[:2]
     size = max(12.0, height / 22)
     band = round(1.7 * size)
     rows = len(pictures) // 2
     sheet = Image.new("RGB", (2 * width + GAP, rows * (height + band + GAP) - GAP), "white")
-    pen, font = ImageDraw.Draw(sheet), face_for(captions).font(size)
+    pen, font = ImageDraw.Draw(sheet), choose_face(captions).font(size)
     for k, (picture, caption) in enumerate(zip(pictures, captions, strict=True)):
         x, y = (k % 2) * (width + GAP), (k // 2) * (height + band + GAP)
         pen.text((x + 0.4 * size, y + band / 2), caption, fill=(30, 30, 30), font=font, anchor="lm")
@@ -144,7 +144,7 @@ def overlay(
     return sheet
 
 
-def _shown(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
+def _rendered_colours(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
     """Return a rendering's colours in the query's size, dark where the map is empty."""
     if query.shape != rendering.colour.shape:
         raise OptionError(
@@ -152,19 +152,19 @@ def _shown(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
             "with the query's camera."
         )
     shown = rendering.colour.copy()
-    shown[~rendering.mask] = NOTHING
+    shown[~rendering.mask] = EMPTY_COLOUR
     return shown
 
 
-def _laid_over(
+def _overlay_edges(
     query: NDArray[np.uint8], rendering: Rendering, normals: NDArray[np.float32]
 ) -> list[NDArray[np.uint8]]:
     """Return the map's edges on the query, and a checkerboard of both."""
-    lines = outlined(query, edges(rendering, normals), borders(rendering))
-    return [lines, checkerboard(query, _shown(query, rendering))]
+    lines = draw_outlines(query, find_edges(rendering, normals), find_colour_borders(rendering))
+    return [lines, checkerboard(query, _rendered_colours(query, rendering))]
 
 
-def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool_]:
+def find_edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Find pixels (H, W) at edges of the map: of objects, occlusions and walls.
 
     `normals`: (H, W, 3) of the rendering.
@@ -181,10 +181,10 @@ def edges(rendering: Rendering, normals: NDArray[np.float32]) -> NDArray[np.bool
         with np.errstate(invalid="ignore"):
             jumps = np.abs(d[2:] - 2.0 * d[1:-1] + d[:-2]) > JUMP * d[1:-1]
         step[1:-1] |= jumps
-    return _without_specks(found | creases(normals))
+    return _remove_specks(found | find_creases(normals))
 
 
-def creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
+def find_creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Find pixels (H, W) where faces meet; `normals`: (H, W, 3), NaN without a surface."""
     known = np.asarray(np.isfinite(normals).all(axis=-1))
     total = _box(np.where(known[..., None], normals, 0.0), 5)
@@ -194,11 +194,11 @@ def creases(normals: NDArray[np.float32]) -> NDArray[np.bool_]:
     for axis in (0, 1):
         sides = np.moveaxis(mean, axis, 0)
         bend = 1.0 - np.einsum("...k,...k->...", sides[2 * REACH :], sides[: -2 * REACH])
-        np.moveaxis(found, axis, 0)[REACH:-REACH] |= _ridge(bend) & (bend > CREASE)
+        np.moveaxis(found, axis, 0)[REACH:-REACH] |= _is_ridge(bend) & (bend > CREASE)
     return found
 
 
-def borders(rendering: Rendering) -> NDArray[np.bool_]:
+def find_colour_borders(rendering: Rendering) -> NDArray[np.bool_]:
     """Find pixels (H, W) where the map's colours change, as on a flat wall."""
     seen = rendering.mask
     light = _box(rendering.colour.mean(axis=-1), 5) / 25.0
@@ -207,11 +207,11 @@ def borders(rendering: Rendering) -> NDArray[np.bool_]:
     for axis in (0, 1):
         sides = np.moveaxis(light, axis, 0)
         step = np.abs(sides[2 * REACH :] - sides[: -2 * REACH])
-        np.moveaxis(found, axis, 0)[REACH:-REACH] |= _ridge(step) & (step > STEP)
-    return _without_specks(found)
+        np.moveaxis(found, axis, 0)[REACH:-REACH] |= _is_ridge(step) & (step > STEP)
+    return _remove_specks(found)
 
 
-def outlined(
+def draw_outlines(
     picture: NDArray[np.uint8], edge: NDArray[np.bool_], border: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Return a dimmed picture (H, W, 3) with edges and borders (H, W) as bright lines."""
@@ -233,7 +233,7 @@ def checkerboard(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np
     return np.where(odd[..., None], other, one)
 
 
-def colours_of(
+def colour_objects(
     objects: NDArray[np.int32], normals: NDArray[np.float32] | None = None
 ) -> NDArray[np.uint8]:
     """Return a picture (H, W, 3) with one colour for each object (H, W), -1: none.
@@ -241,7 +241,7 @@ def colours_of(
     With `normals` (H, W, 3) faces that look elsewhere are darker.
     """
     rows = np.unique(objects[objects >= 0])
-    table = np.array([NOTHING] + [_colour(int(row)) for row in rows], np.float64)
+    table = np.array([EMPTY_COLOUR] + [_colour(int(row)) for row in rows], np.float64)
     picture: Floats = table[np.where(objects >= 0, np.searchsorted(rows, objects) + 1, 0)]
     if normals is not None:
         light = np.nan_to_num(np.abs(normals @ np.array([0.35, 0.6, 0.72], np.float32)), nan=1.0)
@@ -267,7 +267,7 @@ def _box(values: Floats, size: int) -> Floats:
     return values
 
 
-def _ridge(values: Floats) -> NDArray[np.bool_]:
+def _is_ridge(values: Floats) -> NDArray[np.bool_]:
     """Return whether values (N, ...) are the largest of the five around them along the first axis."""
     with np.errstate(invalid="ignore"):
         top = np.ones(values.shape, np.bool_)
@@ -277,6 +277,6 @@ def _ridge(values: Floats) -> NDArray[np.bool_]:
     return top
 
 
-def _without_specks(edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _remove_specks(edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
     kept: NDArray[np.bool_] = edge & (_box(edge.astype(np.float64), 7) >= LONELY)
     return kept

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 FINE = 48.0
 """Scale of the picture [px/m], where that is not too large."""
-MOST = 2048
+MAX_PIXELS = 2048
 """Width and height of the picture at most [px]."""
 
 
-def plan_of(scene: SceneMap, name: str = "") -> RoomPlan:
+def open_plan(scene: SceneMap, name: str = "") -> RoomPlan:
     """Return the plan of a map's scene by name, else of its first; `OptionError` where it is unknown."""
     if name and name not in scene.scenes:
         known = ", ".join(scene.scenes[:5])
@@ -29,7 +29,7 @@ def plan_of(scene: SceneMap, name: str = "") -> RoomPlan:
     return RoomPlan(scene, scene.scenes.index(name) if name else 0)
 
 
-def told(plan: RoomPlan) -> dict[str, Any]:
+def describe_plan(plan: RoomPlan) -> dict[str, Any]:
     """Describe a plan for a page: bounds and objects in the map's x and y [m].
 
     A thing has its id, label, name to be written (empty: none), box (low x, low y, high x, high y),
@@ -42,11 +42,11 @@ def told(plan: RoomPlan) -> dict[str, Any]:
         "bounds": [round(value, 3) for value in plan.bounds],
         "floor": plan.floor,
         "anchors": [a.to_dict() for a in scene.anchors_of(scene.scenes[plan.which])],
-        "things": [_thing(plan, row) for row in plan.rows if plan.role(row) != "ceiling"],
+        "things": [_describe_object(plan, row) for row in plan.rows if plan.role(row) != "ceiling"],
     }
 
 
-def _thing(plan: RoomPlan, row: int) -> dict[str, Any]:
+def _describe_object(plan: RoomPlan, row: int) -> dict[str, Any]:
     graph = plan.scene.graph
     label, room = graph.labels[row], plan.scene.attributes[row].get("room", "")
     low, high = plan.boxes[row, :, :2].round(3).tolist()
@@ -63,10 +63,10 @@ def _thing(plan: RoomPlan, row: int) -> dict[str, Any]:
     }
 
 
-def picture(plan: RoomPlan, *, dark: bool = False) -> bytes:
+def draw_png(plan: RoomPlan, *, dark: bool = False) -> bytes:
     """Return a PNG of exactly the plan's bounds."""
     west, south, east, north = plan.bounds
-    scale = min(FINE, MOST / max(east - west, north - south))
+    scale = min(FINE, MAX_PIXELS / max(east - west, north - south))
     size = (max(1, ceil(scale * length)) for length in (east - west, north - south))
     frame = Frame(((west + east) / 2, (south + north) / 2), scale, *size)
     painted = paint_picture([paint_room(plan, frame, dark=dark)], frame, dark=dark)

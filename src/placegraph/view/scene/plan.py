@@ -28,10 +28,16 @@ from placegraph.view.draw.canvas import (
     Picture,
     Stroke,
     Text,
-    face_for,
+    choose_face,
 )
 from placegraph.view.draw.lettering import OccupiedPlaces
-from placegraph.view.draw.painter import SUPERSAMPLE, Sheet, likely, paint_picture, write_image
+from placegraph.view.draw.painter import (
+    SUPERSAMPLE,
+    Sheet,
+    colour_levels,
+    paint_picture,
+    write_image,
+)
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.room_plan import RoomPlan, paint_room, plain_words
 
@@ -52,11 +58,11 @@ VERDICTS = ("for", "against")
 """Verdicts that are drawn; each is also the name of its colour."""
 OPENING = 1.1
 """Horizontal field of view where the camera is not known [rad]."""
-MOST_FRAMES = 5000
+MAX_FRAMES = 5000
 """Of a longer way some are left out."""
 
 
-def levels(poses: Floats, weights: Floats) -> Floats:
+def particle_levels(poses: Floats, weights: Floats) -> Floats:
     """Return the probability (N,), 0 to 1, around each particle, relative to the highest.
 
     `poses`: (N, 4), x, y, z [m], yaw [rad]; `weights`: (N,), of any sum. What counts is the weight
@@ -88,15 +94,15 @@ def levels(poses: Floats, weights: Floats) -> Floats:
     return clipped
 
 
-def swarm(poses: Floats, weights: Floats) -> ParticleMarks:
+def particle_marks(poses: Floats, weights: Floats) -> ParticleMarks:
     """Return particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
     poses, weights = np.asarray(poses, np.float64), np.asarray(weights, np.float64)
     radius = float(np.interp(len(poses), [200, 1000, 5000], [2.0, 1.5, 0.7]))
     tick = 4.0 if len(poses) < 2500 else 0.0
-    return ParticleMarks(poses[:, :2], poses[:, 3], levels(poses, weights), radius, tick)
+    return ParticleMarks(poses[:, :2], poses[:, 3], particle_levels(poses, weights), radius, tick)
 
 
-def core(poses: Floats, weights: Floats) -> Bounds:
+def core_bounds(poses: Floats, weights: Floats) -> Bounds:
     """Return the rectangle with 96 % of the weight along either axis: low x, low y, high x, high y."""
     weights = weights if weights.sum() > 0.0 else np.ones(len(poses))
     box = []
@@ -108,7 +114,7 @@ def core(poses: Floats, weights: Floats) -> Bounds:
     return box[0][0], box[1][0], box[0][1], box[1][1]
 
 
-def opening_of(camera: Camera | None) -> float:
+def field_of_view(camera: Camera | None) -> float:
     """Return the horizontal field of view [rad]."""
     if camera is None:
         return OPENING
@@ -117,7 +123,7 @@ def opening_of(camera: Camera | None) -> float:
     )
 
 
-def wedge(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) -> Floats:
+def view_ring(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) -> Floats:
     """Return the closed ring (A + 2, 2) [m] of the view of a camera at a pose (4,)."""
     at = np.asarray(pose[:2], np.float64)
     angles = pose[3] + np.linspace(-opening / 2, opening / 2, 65)
@@ -126,7 +132,7 @@ def wedge(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) ->
     return np.concatenate([at[None], rim, at[None]])
 
 
-def ellipse(mode: PoseMode) -> Floats:
+def covariance_ring(mode: PoseMode) -> Floats:
     """Return a closed ring (49, 2) [m] around a mode: `SIGMAS` standard deviations in the plane."""
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
     variances, axes = np.linalg.eigh(np.asarray(mode.covariance[:2, :2], np.float64))
@@ -135,11 +141,11 @@ def ellipse(mode: PoseMode) -> Floats:
     return ring
 
 
-def way(
+def trajectory_marks(
     map_from_camera: Floats, color: str, *, width: float = 2.0, looks: float = 0.0
 ) -> list[Mark]:
     """Return a trajectory (T, 4, 4) as a line with a dot, and a heading of `looks` [m], for each frame."""
-    shown = map_from_camera[evenly(len(map_from_camera), MOST_FRAMES)]
+    shown = map_from_camera[spread_evenly(len(map_from_camera), MAX_FRAMES)]
     at = shown[:, :2, 3]
     marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
     for matrix in shown:
@@ -151,7 +157,7 @@ def way(
     return marks
 
 
-def ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
+def camera_ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
     """Return a ring of a radius [m] around a camera (4, 4), with a line along its heading."""
     turn = np.linspace(0.0, 2.0 * np.pi, 33)
     at, forward = map_from_camera[:2, 3], map_from_camera[:2, 2]
@@ -162,19 +168,19 @@ def ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
     return [Stroke(line, name, width) for name, width in halo_first for line in (look, circle)]
 
 
-def sight(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -> Mark:
+def mode_view(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -> Mark:
     """Return the view of a mode of an estimate (0 is the best)."""
     color, pose = POSE_COLOR[estimate.status], estimate.modes[number].pose
     best = number == 0
     return Stroke(
-        wedge(plan, pose, opening), color, 1.2 if best else 0.8, fill=0.2 if best else 0.1
+        view_ring(plan, pose, opening), color, 1.2 if best else 0.8, fill=0.2 if best else 0.1
     )
 
 
 def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[Mark]:
     """Return the marks of a mode (0 is the best): its ellipse, with number and probability if several."""
     mode, color = estimate.modes[number], POSE_COLOR[estimate.status]
-    marks: list[Mark] = [Stroke(ellipse(mode), color, 1.6, (5.0, 3.0))]
+    marks: list[Mark] = [Stroke(covariance_ring(mode), color, 1.6, (5.0, 3.0))]
     if not numbered:
         return [*marks, Disc(mode.pose[:2], 6.0, color)]
     percent = f"{mode.probability:.0%}"
@@ -182,7 +188,7 @@ def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[M
     return [*marks, Disc(mode.pose[:2], 10.0, color, text=str(number + 1)), label]
 
 
-def witnesses(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, str]]:
+def evidence_rows(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, str]]:
     """Return rows and verdicts of the objects that support or contradict a mode, by decreasing weight.
 
     Walls, floors and ceilings are everywhere, and left out.
@@ -197,17 +203,17 @@ def witnesses(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, 
     return list(found.items())[:most]
 
 
-def witness_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
+def evidence_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
     """Return lines from a mode to the objects that support it (solid) or contradict it (dashed)."""
     marks: list[Item] = []
-    for row, verdict in reversed(witnesses(plan, mode)):
+    for row, verdict in reversed(evidence_rows(plan, mode)):
         ends = np.stack([mode.pose[:2], plan.middle(row)])
         marks.append(Stroke(ends, verdict, 1.4, (5.0, 4.0) if verdict == "against" else None))
         marks.append(Disc(ends[1], 3.5, verdict))
     return marks
 
 
-def in_words(estimate: PoseEstimate) -> str:
+def describe_pose(estimate: PoseEstimate) -> str:
     """Describe the best mode in numbers; empty where there is none."""
     best = estimate.best
     if best is None:
@@ -222,7 +228,7 @@ def in_words(estimate: PoseEstimate) -> str:
     )
 
 
-def error_in_words(estimate: PoseEstimate, truth: Floats) -> str:
+def describe_error(estimate: PoseEstimate, truth: Floats) -> str:
     """Describe the error of the last frame's pose; empty where there is no pose."""
     if estimate.best is None or not len(truth):
         return ""
@@ -271,7 +277,7 @@ class Layout:
         west, south, east, north = bounds
         shape = min(max((east - west) / (north - south), 1.0 / TALLEST), WIDEST)
         passes = [k for k, count in enumerate(steps) if count]
-        rows = tuple(passes[k] for k in evenly(len(passes), MOST_ROWS))
+        rows = tuple(passes[k] for k in spread_evenly(len(passes), MOST_ROWS))
         columns = min(MOST_COLUMNS + (len(rows) == 1), max((steps[k] for k in rows), default=0))
         if len(rows) > 1:
             width = width or 1600
@@ -297,7 +303,7 @@ class Layout:
         return column * (wide + GAP), HEAD + row * (tall + CAPTION) + CAPTION
 
 
-def evenly(count: int, most: int) -> list[int]:
+def spread_evenly(count: int, most: int) -> list[int]:
     """Return at most so many of `count` indices, evenly spaced, with the first and the last."""
     if count <= most:
         return list(range(count))
@@ -310,7 +316,7 @@ LEAST = 0.01
 """Probability of a mode that is drawn."""
 NEAREST = 3.0
 """Smallest width of what a panel shows [m]."""
-MOST_MOVES = 60
+MAX_MOVES = 60
 """Pictures of an animation; of a longer history some are left out."""
 
 
@@ -331,13 +337,13 @@ class Drawing:
         self.scene, self.estimate, self.which = scene, estimate, which
         self.title = title
         self.truth = None if truth is None else np.asarray(truth, np.float64).reshape(-1, 4, 4)
-        self.opening = opening_of(camera)
+        self.opening = field_of_view(camera)
 
     def passes(self, sheet: Sheet, layout: Layout) -> None:
         """Draw a row of panels for each pass, later passes enlarged."""
         for row, k in enumerate(layout.rows):
             record = self.estimate.history[k]
-            steps = evenly(len(record.steps), layout.columns)
+            steps = spread_evenly(len(record.steps), layout.columns)
             frame = self.near(record, layout.small)
             room = paint_room(self.plan, frame)
             for column, step in enumerate(steps):
@@ -353,7 +359,7 @@ class Drawing:
 
     def near(self, record: PassRecord, size: tuple[int, int]) -> Frame:
         """Return a frame around all particles of a pass but outliers."""
-        cores = [core(poses, weights) for _, poses, weights in record.steps if len(poses)]
+        cores = [core_bounds(poses, weights) for _, poses, weights in record.steps if len(poses)]
         if not cores:
             return Frame.around(self.plan.bounds, *size)
         boxes = np.array(cores, np.float64)
@@ -368,10 +374,10 @@ class Drawing:
     def step(self, room: Picture, frame: Frame, record: PassRecord, step: int) -> Image.Image:
         """Draw the particles after one frame of a pass, and a ring around the true pose."""
         index, poses, weights = record.steps[step]
-        items: list[Item] = [room, swarm(poses, weights)]
+        items: list[Item] = [room, particle_marks(poses, weights)]
         if self.truth is not None:
             for matrix in self.truth[np.flatnonzero(self.estimate.frames == index)[:1]]:
-                items += ring(matrix, TRUTH, 9.0 / frame.scale)
+                items += camera_ring(matrix, TRUTH, 9.0 / frame.scale)
         return paint_picture(items, frame, reduce=False)
 
     def result(self, frame: Frame) -> Image.Image:
@@ -385,20 +391,20 @@ class Drawing:
             if mode.scene == self.name and (k == 0 or mode.probability >= LEAST)
         ]
         for k in reversed(shown):
-            marks.append(sight(self.plan, estimate, k, self.opening))
+            marks.append(mode_view(self.plan, estimate, k, self.opening))
             x, y = estimate.modes[k].pose[:2] * frame.scale * (1.0, -1.0)
             taken.claim([(x, y, 14.0), (x + 28.0, y, 14.0)], force=True)
         if self.truth is not None:
-            marks += way(self.truth, TRUTH, width=2.0)
+            marks += trajectory_marks(self.truth, TRUTH, width=2.0)
         marked: dict[int, str] = {}
         if shown:
-            marked = dict(witnesses(self.plan, estimate.modes[shown[0]]))
-            marks += witness_marks(self.plan, estimate.modes[shown[0]])
-            marks += way(estimate.trajectory, color, width=2.4)
+            marked = dict(evidence_rows(self.plan, estimate.modes[shown[0]]))
+            marks += evidence_marks(self.plan, estimate.modes[shown[0]])
+            marks += trajectory_marks(estimate.trajectory, color, width=2.4)
         for k in reversed(shown):
             marks += mode_marks(estimate, k, numbered=len(shown) > 1)
         room = paint_room(self.plan, frame)
-        items = [room, *names(self.plan, frame, taken, marked), *marks]
+        items = [room, *place_names(self.plan, frame, taken, marked), *marks]
         return paint_picture(items, frame, reduce=False)
 
     @property
@@ -416,9 +422,9 @@ class Drawing:
             scene += f", one of {len(self.scene.scenes)} merged scenes"
         count = len(estimate.frames)
         frames = f"{count} frame{'s' * (count != 1)} in {scene}"
-        said = [in_words(estimate), f"{self.title}, {frames}" if self.title else frames]
+        said = [describe_pose(estimate), f"{self.title}, {frames}" if self.title else frames]
         if self.truth is not None:
-            said.insert(1, error_in_words(estimate, self.truth))
+            said.insert(1, describe_error(estimate, self.truth))
         words = "     ".join(filter(None, said))
         sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
 
@@ -426,7 +432,9 @@ class Drawing:
         """Draw as many keys as fit, scale bar and axes."""
         color = POSE_COLOR[self.estimate.status]
         best = self.estimate.best
-        verdicts = {verdict for _, verdict in witnesses(self.plan, best)} if best else set[str]()
+        verdicts = (
+            {verdict for _, verdict in evidence_rows(self.plan, best)} if best else set[str]()
+        )
         keys: list[tuple[bool, str, Callable[..., float]]] = [
             (result, "way, and what is seen", partial(sheet.key_line, color=color)),
             (self.truth is not None, "true way", partial(sheet.key_line, color=TRUTH)),
@@ -439,9 +447,9 @@ class Drawing:
             ),
         ]
         x, y = 14.0, sheet.height - FOOT / 2
-        end = measures(sheet, frame)
+        end = draw_measures(sheet, frame)
         for wanted, words, draw in keys:
-            if wanted and x + 60.0 + face_for([words]).width(words, 12.0) < end:
+            if wanted and x + 60.0 + choose_face([words]).width(words, 12.0) < end:
                 x = draw((x, y), words=words)
 
     def moves(self, width: int) -> list[Image.Image]:
@@ -455,7 +463,7 @@ class Drawing:
             for step in range(len(record.steps))
         ]
         pictures = []
-        for k, step in (steps[i] for i in evenly(len(steps), MOST_MOVES)):
+        for k, step in (steps[i] for i in spread_evenly(len(steps), MAX_MOVES)):
             record = self.estimate.history[k]
             index, poses, _ = record.steps[step]
             sheet = Sheet(layout.width, layout.height)
@@ -472,7 +480,7 @@ class Drawing:
         return [*pictures, sheet.image.reduce(SUPERSAMPLE)]
 
 
-def names(
+def place_names(
     plan: RoomPlan,
     frame: Frame,
     taken: OccupiedPlaces,
@@ -481,18 +489,18 @@ def names(
     small: bool = False,
 ) -> list[Item]:
     """Return names of the larger objects of a plan, or of all, where they fit; `marked` ones first."""
-    face = face_for(plain_words(label) for label in plan.scene.graph.labels)
+    face = choose_face(plain_words(label) for label in plan.scene.graph.labels)
     return [*plan.names(frame, face, taken, marked, small=small)]
 
 
-def measures(sheet: Sheet, frame: Frame) -> float:
+def draw_measures(sheet: Sheet, frame: Frame) -> float:
     """Draw scale bar and axes at the right end of the strip below a plan; return their left end."""
     x = sheet.width - 50.0
     sheet.axes((x, sheet.height - 10.0))
-    return scale_bar(sheet, frame, x - 24.0)
+    return draw_scale_bar(sheet, frame, x - 24.0)
 
 
-def scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
+def draw_scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
     """Draw a scale bar in the strip below a plan, up to an end [px]; return its left end."""
     metres = round_length(0.15 * frame.width / frame.scale)
     length = metres * frame.scale
@@ -582,7 +590,7 @@ def write_plan_animation(
     drawing = Drawing(scene, estimate, truth, title, camera)
     pictures = drawing.moves(width)
     # one palette for all, so that what stands still costs nothing
-    few = [pictures[k] for k in evenly(len(pictures), 4)]
+    few = [pictures[k] for k in spread_evenly(len(pictures), 4)]
     width, height = few[0].size
     swatch = Image.new("RGB", (width, height * (len(few) + 1)))
     for k, picture in enumerate([*few, Image.fromarray(_swatch(width, height))]):
@@ -602,10 +610,10 @@ def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
     frame = Frame.around(plan.bounds, *layout.large)
     items: list[Item] = [
         paint_room(plan, frame),
-        *names(plan, frame, OccupiedPlaces(), small=True),
+        *place_names(plan, frame, OccupiedPlaces(), small=True),
     ]
     sheet.paste(paint_picture(items, frame, reduce=False), (0, 0))
-    measures(sheet, frame)
+    draw_measures(sheet, frame)
     count = len(plan.rows)
     rooms = len({room for row in plan.rows if (room := scene.attributes[row].get("room"))})
     within = f" in {rooms} room{'s' * (rooms != 1)}" if rooms else ""
@@ -616,7 +624,7 @@ def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
 
 def _swatch(width: int, height: int) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3) of the marks' colours, for the palette."""
-    ramp = likely(np.linspace(0.0, 1.0, width))[:, :3]
+    ramp = colour_levels(np.linspace(0.0, 1.0, width))[:, :3]
     named = [PALETTE[name][0] for name in (*POSE_COLOR.values(), TRUTH, "for", "against", "ink")]
     inks = np.array([ImageColor.getrgb(color) for color in named], np.uint8)
     blocks = inks[np.arange(width) * len(inks) // width]

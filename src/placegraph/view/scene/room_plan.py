@@ -15,10 +15,10 @@ from PIL import Image, ImageColor, ImageDraw, ImageFilter
 from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Bounds, Face, Frame, Picture, Text
-from placegraph.view.draw.lettering import OccupiedPlaces, covering
+from placegraph.view.draw.lettering import OccupiedPlaces, covering_discs
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.style import PALETTE
-from placegraph.view.scene.top_view import look_down, section, solid
+from placegraph.view.scene.top_view import cut_section, fill_section, render_top_view
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -210,7 +210,7 @@ class RoomPlan:
         for paint in (*structure, SCAN):
             chosen = (paints == paint)[self.object_of]
             if chosen.any():
-                cuts[paint] = section(
+                cuts[paint] = cut_section(
                     self.scene.mesh.vertices, self.triangles[chosen], self.floor + CUT
                 )
         return cuts
@@ -293,11 +293,13 @@ class RoomPlan:
             tries = [(size, shift) for shift in shifts]
             if small and row not in marked:
                 narrow = width * SMALL / size
-                tries += [(SMALL, s) for s in _beside(extents[row] * frame.scale, narrow)]
+                tries += [(SMALL, s) for s in _name_offsets(extents[row] * frame.scale, narrow)]
             for height, shift in tries:
                 text = Text(self.middle(row), words, height, ink, shift=shift)
                 wide = width * height / size + 4.0
-                if _inside(text, wide, frame) and taken.claim(covering(text, wide, frame.scale)):
+                if _fits_width(text, wide, frame) and taken.claim(
+                    covering_discs(text, wide, frame.scale)
+                ):
                     texts.append(text)
                     break
         return texts
@@ -313,18 +315,20 @@ class RoomPlan:
             if not words or room.isdecimal():
                 continue
             text, wide = Text(self.middle(row), words, 13.0, "ink"), face.width(words, 13.0) + 4.0
-            if _inside(text, wide, frame) and taken.claim(covering(text, wide, frame.scale)):
+            if _fits_width(text, wide, frame) and taken.claim(
+                covering_discs(text, wide, frame.scale)
+            ):
                 texts.append(text)
         return texts
 
 
-def _beside(extent: Floats, width: float) -> list[tuple[float, float]]:
+def _name_offsets(extent: Floats, width: float) -> list[tuple[float, float]]:
     """Return offsets of a name [px]: below, above, right, left of a footprint of this size, or on it."""
     aside, below = (extent[0] + width) / 2 + 4.0, extent[1] / 2 + 0.7 * SMALL
     return [(0.0, below), (0.0, -below), (aside, 0.0), (-aside, 0.0), (0.0, 0.0)]
 
 
-def _inside(text: Text, width: float, frame: Frame) -> bool:
+def _fits_width(text: Text, width: float, frame: Frame) -> bool:
     """Return whether a text of this width [px] ends within the picture."""
     x, y = frame.to_px(np.asarray(text.at, np.float64)) + text.shift
     half = 0.6 * text.size
@@ -347,16 +351,16 @@ def paint_room(plan: RoomPlan, frame: Frame, *, dark: bool = False) -> Picture:
         frame.width * SUPERSAMPLE,
         frame.height * SUPERSAMPLE,
     )
-    view = look_down(plan.scene.mesh.vertices, plan.triangles, plan.lifts(), frame)
+    view = render_top_view(plan.scene.mesh.vertices, plan.triangles, plan.lifts(), frame)
     seen = view.triangle >= 0
     owner = np.where(seen, plan.object_of[view.triangle], -1) if seen.any() else view.triangle
     height = np.where(seen, np.clip(view.height - np.float32(plan.floor), 0.0, CUT), 0.0)
-    masks = {paint: _mask(segments, frame, paint) for paint, segments in plan.cuts.items()}
+    masks = {paint: _section_mask(segments, frame, paint) for paint, segments in plan.cuts.items()}
     for paint, mask in masks.items():
         if paint != "curtain":
             height[mask] = CUT
-    light = _light(height.astype(np.float32), owner, frame.scale)
-    fills = _fills(plan, dark=dark)
+    light = _shade(height.astype(np.float32), owner, frame.scale)
+    fills = _object_colours(plan, dark=dark)
     scanned = np.array([*(paint == SCAN for paint in plan.paints), False])
     picture = np.empty((*owner.shape, 3), np.uint8)
     for top in range(0, len(owner), BAND):
@@ -377,7 +381,7 @@ def _color(paint: str, *, dark: bool) -> tuple[int, ...]:
     return ImageColor.getrgb(look.dark if dark else look.light)
 
 
-def _fills(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
+def _object_colours(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
     """Return the colour (N + 1, 3) of each object seen from above; the last row is the paper's."""
     fills = np.zeros((len(plan.scene) + 1, 3), np.float32)
     for row in plan.rows:
@@ -387,11 +391,11 @@ def _fills(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
     return fills
 
 
-def _mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
+def _section_mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
     """Return the pixels (rows, columns) of a section: its inside, or, for open surfaces, a line."""
     inside = np.zeros((frame.height, frame.width), np.bool_)
     if paint != SCAN:
-        inside = solid(segments, frame)
+        inside = fill_section(segments, frame)
     px = frame.to_px(segments)
     length = np.hypot(*(px[:, 1] - px[:, 0]).T).sum()
     is_closed = inside.sum() > length
@@ -403,7 +407,7 @@ def _mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
     return np.asarray(image) > 127
 
 
-def _light(
+def _shade(
     height: NDArray[np.float32], owner: NDArray[np.int32], scale: float
 ) -> NDArray[np.float32]:
     """Return brightness (rows, columns): lit slopes, shadows around objects, outlines."""

@@ -25,7 +25,7 @@ class TopView:
     """(rows, columns) [m], of the surface there; -inf where there is none."""
 
 
-def look_down(
+def render_top_view(
     vertices: NDArray[np.float32],
     triangles: NDArray[np.int32],
     lift: NDArray[np.float32],
@@ -61,7 +61,9 @@ def look_down(
     return TopView(triangle, height)
 
 
-def section(vertices: NDArray[np.float32], triangles: NDArray[np.int32], height: float) -> Floats:
+def cut_section(
+    vertices: NDArray[np.float32], triangles: NDArray[np.int32], height: float
+) -> Floats:
     """Cut triangles by a horizontal plane, as on an architect's plan.
 
     Returns segments (S, 2, 2), x, y [m]; what is solid lies to the left of a segment where the
@@ -83,20 +85,20 @@ def section(vertices: NDArray[np.float32], triangles: NDArray[np.int32], height:
     return segments
 
 
-def solid(segments: Floats, frame: Frame) -> NDArray[np.bool_]:
-    """Return the pixels (rows, columns) inside segments (S, 2, 2), x, y [m], of `section`.
+def fill_section(segments: Floats, frame: Frame) -> NDArray[np.bool_]:
+    """Return the pixels (rows, columns) inside segments (S, 2, 2), x, y [m], of `cut_section`.
 
     Enclosed by the winding number along both axes where these end at zero, so that a gap in an
     outline smears nothing; a wall that stands in another leaves no hole, and a room whose walls
     face inwards is not filled.
     """
     px = frame.to_px(segments)
-    along = _winding(px, frame.height, frame.width)
-    across = _winding(px[..., ::-1], frame.width, frame.height).T
+    along = _winding_numbers(px, frame.height, frame.width)
+    across = _winding_numbers(px[..., ::-1], frame.width, frame.height).T
     return (along > 0) & (across < 0)
 
 
-def _winding(px: Floats, lines: int, length: int) -> NDArray[np.int32]:
+def _winding_numbers(px: Floats, lines: int, length: int) -> NDArray[np.int32]:
     """Return winding numbers (lines, length) of pixel centres, along lines of constant px[1].
 
     0 all along a line that some outline crosses in one direction only.

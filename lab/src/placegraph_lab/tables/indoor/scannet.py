@@ -29,7 +29,7 @@ from placegraph.indoor.mapping.change.align import (
 )
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
-from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.nearest_kernels import find_nearest
 from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
@@ -82,7 +82,7 @@ def register_scans(map_: SceneMap, query: SceneMap, rng: Generator) -> Floats | 
 def _measure_fit(source: Floats, target: SurfaceSamples, motion: Floats, within: float) -> float:
     """Measure the share of the points (N, 3) that `motion` brings within `within` of the surface."""
     points = transform_points(motion, source)
-    rows = nearest(points, target.points, 2.0 * within)
+    rows = find_nearest(points, target.points, 2.0 * within)
     off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])
     return float(np.mean((rows >= 0) & (np.abs(off) < within)))
 

@@ -24,9 +24,9 @@ from placegraph.core.files import check_regular
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry, read_json, read_label_table
 from placegraph.io.mesh.model import Model
-from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.nearest_kernels import find_nearest
 from placegraph.io.mesh.obj import read_obj
-from placegraph.io.mesh.ply import majority, read_columns, read_ply, things_of_ids, whole
+from placegraph.io.mesh.ply import majority_vote, make_objects, read_columns, read_ply, to_integers
 from placegraph_io.dataset.scannet import is_rigid
 
 MESHES = ("mesh.refined.v2.obj", "mesh.refined.obj")
@@ -473,8 +473,8 @@ def _labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> M
     if mesh is not None:
         model = read_obj(mesh, groups="usemtl")
         ids = _ids(folder, model, labelled, left_out)[model.triangles]
-        things, thing_of, missing = things_of_ids(
-            majority(ids), len(model.triangles), annotation.objects
+        things, thing_of, missing = make_objects(
+            majority_vote(ids), len(model.triangles), annotation.objects
         )
         model = replace(model, things=things, thing_of=thing_of)
         left_out += model.left_out + missing
@@ -521,11 +521,11 @@ def _ids_of_mesh(model: Model, path: Path, left_out: Counter[str]) -> NDArray[np
         raise InputError(
             f"{path} has no vertices with x, y, z and objectId; download 3RScan's annotated mesh again."
         )
-    ids = whole(columns["objectid"])
+    ids = to_integers(columns["objectid"])
     points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     if points.shape == model.vertices.shape and (np.abs(points - model.vertices) <= _SAME).all():
         return ids
-    rows = nearest(model.vertices, points, REACH)
+    rows = find_nearest(model.vertices, points, REACH)
     far = rows < 0
     bare: NDArray[np.bool_] = np.asarray(far[model.triangles].any(axis=1))
     if bare.sum() > bare.size / 2:

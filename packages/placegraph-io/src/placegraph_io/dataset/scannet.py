@@ -23,8 +23,8 @@ from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import LabelKind, LabelTable, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.mesh.model import UNKNOWN, Model, Thing
-from placegraph.io.mesh.ply import majority, read_columns, read_ply
+from placegraph.io.mesh.model import UNKNOWN, Model, ModelObject
+from placegraph.io.mesh.ply import majority_vote, read_columns, read_ply
 
 FILES = (
     "_vh_clean_2.0.010000.segs.json", "_vh_clean_2.labels.ply", "_vh_clean.aggregation.json",
@@ -550,13 +550,15 @@ def _group_of_vertex(
     return of_vertex
 
 
-def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> Thing:
+def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> ModelObject:
     if labels is None:
-        return Thing(str(group.id), group.label)
+        return ModelObject(str(group.id), group.label)
     label = labels.of_raw.get(group.label)
     if label is None:
         left_out["labels that the table does not map"] += 1
-    return Thing(str(group.id), label or group.label, attributes={"raw_category": group.label})
+    return ModelObject(
+        str(group.id), label or group.label, attributes={"raw_category": group.label}
+    )
 
 
 def _by_class(scan: Scan) -> Model:
@@ -581,7 +583,9 @@ def _by_class(scan: Scan) -> Model:
     left_out[f"patches of fewer than {LEAST} vertices"] = int(small.sum())
     known &= ~small
     row = np.where(known, np.cumsum(known) - 1, -1)
-    things = [Thing(str(i), NYU40[int(c) - 1]) for i, c in enumerate(label[roots[known]], start=1)]
+    things = [
+        ModelObject(str(i), NYU40[int(c) - 1]) for i, c in enumerate(label[roots[known]], start=1)
+    ]
     return _model(mesh, things, row[inverse], left_out)
 
 
@@ -601,12 +605,12 @@ def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[n
 
 
 def _model(
-    mesh: Model, things: list[Thing], of_vertex: NDArray[np.int64], left_out: Counter[str]
+    mesh: Model, things: list[ModelObject], of_vertex: NDArray[np.int64], left_out: Counter[str]
 ) -> Model:
     """Return the model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
     left_out["vertices of no object"] = int((of_vertex < 0).sum())
-    thing_of = majority(of_vertex[mesh.triangles])
+    thing_of = majority_vote(of_vertex[mesh.triangles])
     if (thing_of < 0).any() or not things:
         thing_of = np.where(thing_of < 0, len(things), thing_of)
-        things = [*things, Thing(UNKNOWN, UNKNOWN)]
+        things = [*things, ModelObject(UNKNOWN, UNKNOWN)]
     return replace(mesh, things=tuple(things), thing_of=thing_of, left_out=+left_out)

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import LabelEntry, read_json
-from placegraph.io.mesh.model import Model, Picture
-from placegraph.io.mesh.nearest_kernels import nearest
-from placegraph.io.mesh.ply import majority, read_columns, read_ply, things_of_ids, whole
+from placegraph.io.mesh.model import Model, Texture
+from placegraph.io.mesh.nearest_kernels import find_nearest
+from placegraph.io.mesh.ply import majority_vote, make_objects, read_columns, read_ply, to_integers
 
 Rows = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -81,7 +81,7 @@ def read_scenegraphfusion(
         of = model.thing_of
     else:
         model, of = lent(Path(mesh), surfels, ids, left_out)
-    things, thing_of, missing = things_of_ids(of, len(model.triangles), graph.table())
+    things, thing_of, missing = make_objects(of, len(model.triangles), graph.table())
     row = {thing.id: i for i, thing in enumerate(things)}
     relations = {(row.get(str(a)), name, row.get(str(b))) for a, name, b in graph.relations()}
     return replace(
@@ -281,7 +281,11 @@ def read_surfels(path: Path, left_out: Counter[str]) -> Surfels:
     if not good.all():
         left_out["surfels that are no numbers"] += int((~good).sum())
     return Surfels(
-        path, numbers[good, :3], numbers[good, 3:], colours[good], whole(columns["label"])[good]
+        path,
+        numbers[good, :3],
+        numbers[good, 3:],
+        colours[good],
+        to_integers(columns["label"])[good],
     )
 
 
@@ -290,7 +294,7 @@ def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tup
     from placegraph.io.mesh.obj import is_obj, read_obj
 
     model = read_obj(path) if is_obj(path) else read_ply(path)
-    rows = nearest(model.vertices, surfels.points, REACH)
+    rows = find_nearest(model.vertices, surfels.points, REACH)
     far = rows < 0
     if far.all():
         raise InputError(
@@ -300,7 +304,7 @@ def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tup
     if far.any():
         left_out[f"vertices of the mesh without a surfel within {REACH:g} m"] += int(far.sum())
     of = np.where(far, -1, ids[rows])
-    return model, majority(of[model.triangles])
+    return model, majority_vote(of[model.triangles])
 
 
 def squares(surfels: Surfels, ids: Rows) -> Model:
@@ -346,5 +350,5 @@ def squares(surfels: Surfels, ids: Rows) -> Model:
         colours=np.repeat(np.rint(mean(surfels.colours)).astype(np.uint8), 4, axis=0),
         uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(2 * len(count), np.int64),
-        pictures=(Picture(None),),
+        pictures=(Texture(None),),
     )

@@ -24,7 +24,7 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import read_numbers
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph_io.graphs.spark_dsg import MARGIN, box_corners, box_piece, join_pieces
 
 Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ _MIN_VERTICES = 20  # near an object, that determine how its box is rotated
 
 
 class _Object(NamedTuple):
-    thing: Thing
+    thing: ModelObject
     centre: Floats
     """(3,) [m]"""
     extent: Floats
@@ -143,7 +143,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
         attributes = {"caption": caption} if isinstance(caption, str) and caption else {}
         name = label if isinstance(label, str) and label else UNKNOWN
         held.append(
-            _Object(Thing(id_, name, attributes=attributes), centre, np.maximum(extent, 0.01))
+            _Object(ModelObject(id_, name, attributes=attributes), centre, np.maximum(extent, 0.01))
         )
     if not held:
         raise InputError(f"{file} holds no object with a box; run ConceptGraphs again.")
@@ -151,7 +151,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
 
 
 def _relations(
-    file: Path, things: list[Thing], left_out: Counter[str]
+    file: Path, things: list[ModelObject], left_out: Counter[str]
 ) -> tuple[tuple[int, str, int], ...]:
     edges = file.with_name(file.name.replace("obj_json_", "edge_json_", 1))
     if not edges.is_file():
@@ -192,7 +192,7 @@ def _boxes(file: Path, objects: list[_Object]) -> Model:
         path=file,
         things=tuple(held.thing for held in objects),
         picture_of=np.zeros(12 * len(pieces), np.int64),
-        pictures=(Picture(None),),
+        pictures=(Texture(None),),
         **columns,
     )
 
@@ -219,7 +219,7 @@ def _cut_mesh(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: 
             "ConceptGraphs' poses."
         )
     bare = Counter({"objects that the mesh does not show": int((owned == 0).sum())})
-    things = (*(held.thing for held in objects), Thing("mesh", UNKNOWN))
+    things = (*(held.thing for held in objects), ModelObject("mesh", UNKNOWN))
     return replace(
         model, path=file, things=things, thing_of=of, relations=(), left_out=+bare + model.left_out
     )

@@ -22,7 +22,7 @@ from placegraph.core.files import check_regular
 from placegraph.core.geometry import rotation_from_quaternion
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 Floats = NDArray[np.float64]
 Box = tuple[Floats, Floats, Floats]
@@ -315,7 +315,7 @@ class _Node:
     id: int
     label: int
     """Semantic label, or -1."""
-    thing: Thing
+    thing: ModelObject
     box: Box | None
     connections: NDArray[np.int64]
     mesh: DsgMesh | None
@@ -346,7 +346,7 @@ class _Reader:
             path=self.path,
             things=things,
             picture_of=np.zeros(sum(len(p.triangles) for p in pieces), np.int64),
-            pictures=(Picture(None),),
+            pictures=(Texture(None),),
             left_out=self.left_out,
             relations=self._relations([n.id for n in nodes], [n.thing.id for n in nodes]),
             floor=self._floor(),
@@ -410,7 +410,7 @@ class _Reader:
         return _Node(
             number,
             label,
-            Thing(
+            ModelObject(
                 id_,
                 word or UNKNOWN,
                 str(own["name"]) if "name" in own else name,
@@ -443,7 +443,7 @@ class _Reader:
 
     def _pieces(
         self, nodes: list[_Node], scene: DsgMesh | None, names: dict[int, str]
-    ) -> tuple[list[Piece], tuple[Thing, ...]]:
+    ) -> tuple[list[Piece], tuple[ModelObject, ...]]:
         """Return the pieces, and their things: objects first, then unowned surfaces."""
         things = [n.thing for n in nodes]
         pieces = []
@@ -462,7 +462,7 @@ class _Reader:
             for label, piece in rest:
                 word = names.get(label, UNKNOWN if label < 0 else f"label {label}")
                 piece.thing = len(things)
-                things.append(Thing("mesh" if label < 0 else f"mesh {label}", word))
+                things.append(ModelObject("mesh" if label < 0 else f"mesh {label}", word))
                 pieces.append(piece)
         meshed = {piece.thing for piece in pieces}
         for i in (i for i in bare if i not in meshed):

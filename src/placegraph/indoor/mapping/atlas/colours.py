@@ -17,7 +17,7 @@ from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas import colour_kernels as kernels
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
-from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.nearest_kernels import find_nearest
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
@@ -307,7 +307,7 @@ def mesh_colours(mesh: Mesh) -> ColourOf:
         triangle, u, v = _find_facing(caster, normals, points, along)
         bare = np.flatnonzero(triangle < 0)
         if len(bare):
-            rows = nearest(points[bare], vertices, 2.0 * REACH)
+            rows = find_nearest(points[bare], vertices, 2.0 * REACH)
             place = first_of[rows[rows >= 0]]
             met = bare[rows >= 0]
             triangle[met], u[met], v[met] = place // 3, place % 3 == 1, place % 3 == 2

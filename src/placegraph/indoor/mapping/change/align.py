@@ -15,7 +15,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.rays import RayCaster
-from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.nearest_kernels import find_nearest
 
 _ROUNDS = 30
 _STILL = 1e-5  # A step below this [m, rad] ends the search
@@ -89,7 +89,7 @@ def register(
     limit = reach
     for _ in range(_ROUNDS):
         points = transform_points(motion, source)
-        rows = nearest(points, target.points, limit)
+        rows = find_nearest(points, target.points, limit)
         close = rows >= 0
         if np.count_nonzero(close) < 6:
             break

@@ -24,7 +24,7 @@ from placegraph.indoor.mapping.change.align import (
 )
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece, SceneDiff
 from placegraph.indoor.rays import RayCaster
-from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.nearest_kernels import find_nearest
 
 _DENSITY = 400.0  # most points a square metre of an object
 _AROUND = 0.75  # What is around an object: surfaces of others this near to its box [m]
@@ -227,7 +227,10 @@ def is_still_there(ours: MapObject, theirs: MapObject) -> bool:
     one, other = ours.surface.points, theirs.surface.points
     if not (len(one) and len(other)):
         return False
-    near = (nearest(one, other, _BESIDE) >= 0).mean(), (nearest(other, one, _BESIDE) >= 0).mean()
+    near = (
+        (find_nearest(one, other, _BESIDE) >= 0).mean(),
+        (find_nearest(other, one, _BESIDE) >= 0).mean(),
+    )
     return bool(max(near) >= 0.5)
 
 
