@@ -87,7 +87,7 @@ def test_a_place_elsewhere_is_lost_without_a_fault(room, clip):
     """Depth that fits nothing: no fault taken back mends it, and none is named."""
     rng = np.random.default_rng(4)
     frames = [
-        bad.seen(f, rgb=rng.integers(0, 255, f.rgb().shape, np.uint8),
+        bad.with_images(f, rgb=rng.integers(0, 255, f.rgb().shape, np.uint8),
                  depth=rng.uniform(0.5, 6, f.depth().shape))
         for f in clip.frames
     ]  # fmt: skip

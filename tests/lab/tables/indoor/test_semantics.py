@@ -1,7 +1,5 @@
 """The benchmark of encoders: what each is asked with, what it writes, and what it is worth in a room."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -10,12 +8,10 @@ from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.windows import Window, true_poses
-from placegraph_lab.tables.named import indoor_semantics as script
 from placegraph_lab.tables.named.indoor_semantics import (
     LABELS,
     NONE,
     OTHERS,
-    TERMS,
     Row,
     ask,
     case,
@@ -96,45 +92,3 @@ def test_the_report_is_of_the_papers_shape():
     assert "| .35 | .61 |" in " ".join(text.split())
     written = rows[1].record()
     assert (written["row"], written["length"]) == (f"house: {LABELS}: semantic", 5)
-
-
-@pytest.fixture
-def asked(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
-    """The script, its maps replaced by names and its answers by numbers."""
-    asked = []
-
-    def fake(case, scene, window, *, seed, device):  # noqa: ARG001
-        assert scene == case.place
-        asked.append((case.name, window.name, seed))
-        return answer(0.05, 1.0)
-
-    monkeypatch.setattr(script, "ask", fake)
-    monkeypatch.setattr(script, "available", list)
-    monkeypatch.setattr(script.SemanticBench, "scene", lambda _, name: name)
-    return asked
-
-
-@pytest.fixture
-def run(measure, tmp_path):
-    def go(*options):
-        places = ("--cache", tmp_path / "cache", "--out", tmp_path / "out.json")
-        result = measure("indoor_semantics", *places, *options)
-        return result.exit_code, result.output
-
-    return go
-
-
-def test_it_goes_on_where_it_was_cut(asked, run, tmp_path):
-    options = ("--only", "house: labels: *", "--every", "13")
-    code, text = run(*options)
-    assert code == 0, text
-    windows = len({window for _, window, _ in asked})
-    assert len(asked) == 4 * (windows + 1)
-    written = json.loads((tmp_path / "out.json").read_text())
-    assert [r["row"].rpartition(": ")[2] for r in written["rows"]] == list(TERMS)
-    assert written["every"] == 13
-    asked.clear()
-    assert run(*options) == (0, text)
-    assert not asked
-    run(*options, "--fresh")
-    assert len(asked) == 4 * (windows + 1)

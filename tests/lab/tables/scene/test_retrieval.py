@@ -227,11 +227,3 @@ def test_a_large_library_is_measured(tmp_path, world, scenes):
     )
     assert [line.frames for line in lines] == [1, 10]
     assert all(line.milliseconds > 0 and line.vectors[0] > 5 for line in lines)
-
-
-def test_noise_is_of_labels_alone(world):
-    class Other:
-        name = "appearance"
-
-    with pytest.raises(OptionError, match="noise is of labels"):
-        noisy(Other(), NOISY, ["a", "b"], world[0][1])

@@ -165,26 +165,6 @@ class Result:
     on_osm: bool = False
     """Whether cells and texts were made from OpenStreetMap, not from the point cloud."""
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "split": self.split,
-            "matcher": self.matcher,
-            "reading": self.reading,
-            "map": "OSM" if self.on_osm else "point cloud",
-            "queries": self.queries,
-            "cells": self.cells,
-            "retrieval": {str(k): round(v, 4) for k, v in self.retrieval.items()},
-            **{
-                name: {
-                    str(k): {f"{r:.0f} m": round(v, 4) for r, v in row.items()}
-                    for k, row in table.items()
-                }
-                for name, table in (("centered", self.centered), ("placed", self.placed))
-            },
-            "p50_ms": round(1e3 * self.p50, 3),
-            "median_m": {k: round(v, 2) if np.isfinite(v) else None for k, v in self.off.items()},
-        }
-
 
 def evaluate(
     split: Split,

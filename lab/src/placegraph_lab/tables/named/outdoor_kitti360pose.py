@@ -138,4 +138,4 @@ def outdoor_kitti360pose(
         print(f"### Localization within 5/10/15 m, {name}\n\n{localization_table(results, name)}\n")
     scene = SPLITS["test"][0] if SPLITS["test"][0] in kitti.scenes else kitti.scenes[0]
     print(f"### Size of the map (Table V)\n\n{size_table(kitti, scene)}\n")
-    run.save({"data": sets[-1].source, "results": [r.to_dict() for r in results]})
+    run.save({"data": sets[-1].source, "results": results})

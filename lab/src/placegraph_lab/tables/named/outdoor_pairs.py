@@ -16,7 +16,6 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import score_views
@@ -38,10 +37,8 @@ TOGETHER_IN_TORCH = 250  # pairs a batch in PyTorch
 def rate(work: Callable[[], int], *, seconds: float, least: int = 3) -> float:
     """Pairs a second: the median of runs that together take `seconds`, after one that warms up.
 
-    `work`: judges some pairs and says how many they were; `least`: runs at the least.
+    `work`: compares some pairs and returns how many they are; `least`: runs at the least.
     """
-    if not (seconds > 0.0 and least > 0):
-        raise OptionError(f"seconds is {seconds}, least is {least}; give both above 0.")
     work()
     rates: list[float] = []
     end = time.perf_counter() + seconds

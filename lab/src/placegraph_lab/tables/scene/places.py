@@ -26,7 +26,6 @@ from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import Rooms, find_rooms
-from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
@@ -452,24 +451,15 @@ class Encoded:
 
 
 class Replay:
-    """Says what an encoder said before; of maps it says what the encoder does."""
+    """Encoder that returns cached vectors of frames, and encodes maps."""
 
     def __init__(self, encoder: Encoder) -> None:
-        self.encoder = encoder
-        self.name = encoder.name
-        self.key = encoder.key
-        self.dimension = encoder.dimension
-        self.temperature = encoder.temperature
+        self.encoder, self.name, self.key = encoder, encoder.name, encoder.key
+        self.dimension, self.temperature = encoder.dimension, encoder.temperature
+        self.camera, self.objects = encoder.camera, encoder.objects
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         return _said_of(image, self.key)
-
-    def camera(self, image: Frame) -> Camera:
-        return self.encoder.camera(image)
-
-    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
-        """Vectors (N, d) of a map's objects."""
-        return self.encoder.objects(scene, captures)
 
 
 class ReplayLabels(LabelsEncoder):

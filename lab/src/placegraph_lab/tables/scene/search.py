@@ -10,9 +10,9 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 from zlib import crc32
 
 import numpy as np
@@ -65,9 +65,6 @@ class Answer:
     elsewhere: float  # probability of being in none of the scenes
     status: str
     milliseconds: float  # of searching, all frames encoded
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -337,7 +334,7 @@ class Study:
                         if asked is None:
                             asked = searcher(library, method)
                             asked.search(capture)  # compiled code is loaded
-                        self.journal.put(key, ask(asked, walk, name, capture).to_dict())
+                        self.journal.put(key, ask(asked, walk, name, capture))
                     yield Answer(**self.journal[key])
 
 
