@@ -21,10 +21,10 @@ from placegraph_io import overture as overture_files
 from placegraph_io.overture import (
     Box,
     Overture,
-    identity,
     is_overture,
+    make_id,
     read_overture,
-    table,
+    tag_table,
     tags_of,
 )
 
@@ -207,7 +207,7 @@ def test_a_city_is_built_of_it(release, tmp_path):
 
 def test_every_tag_of_the_table_is_a_label_of_the_vocabulary():
     vocabulary = Vocabulary.default()
-    for (kind, field, value), tags in table().items():
+    for (kind, field, value), tags in tag_table().items():
         filled = tags.replace("{}", value).replace("{*}", "x").replace("{class}", "primary")
         pairs = dict(tag.split("=") for tag in filled.split())
         if kind == "segment" and field == "subclass":
@@ -378,7 +378,7 @@ def test_a_damaged_file_is_read_or_refused(tmp_path, data):
 
 def test_a_footer_that_ends_pyarrow_ends_another_process(tmp_path, monkeypatch):
     path = write(tmp_path / "p.parquet", "place", [place(0.2, 50.0, 0, "cafe")])
-    monkeypatch.setattr(overture_files, "_LOOK", "import os; os.abort()")
+    monkeypatch.setattr(overture_files, "_STATISTICS_CHECK", "import os; os.abort()")
     with pytest.raises(InputError, match=r"p\.parquet is damaged: .* ends PyArrow, by Aborted"):
         read(path, box=Box(0.0, 49.0, 1.0, 51.0))
 
@@ -390,7 +390,7 @@ def test_without_pyarrow(monkeypatch):
 
 
 def test_identities():
-    assert identity("00000000-0000-4000-8000-0000000000ff") == -256
-    assert identity("tmp_1") < 0
-    assert identity("tmp_1") != identity("tmp_2")
-    assert Counter(map(identity, (UUID.format(i) for i in range(1000)))).most_common(1)[0][1] == 1
+    assert make_id("00000000-0000-4000-8000-0000000000ff") == -256
+    assert make_id("tmp_1") < 0
+    assert make_id("tmp_1") != make_id("tmp_2")
+    assert Counter(map(make_id, (UUID.format(i) for i in range(1000)))).most_common(1)[0][1] == 1

@@ -168,7 +168,7 @@ def test_folders_that_are_none(kitti360pose_world, tmp_path, out):
     with pytest.raises(InputError, match="same drive"):
         convert_kitti360pose(folder, tmp_path / "a")
     (folder / "poses" / "drive_0005_again.pkl").rename(folder / "poses" / "elsewhere.pkl")
-    with pytest.raises(InputError, match="tells no drive"):
+    with pytest.raises(InputError, match="has no drive"):
         convert_kitti360pose(folder, tmp_path / "a")
     with pytest.raises(MapError, match="kitti360pose map"):
         read_map(out, "city", 1)

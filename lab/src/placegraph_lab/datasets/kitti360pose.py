@@ -1,8 +1,8 @@
-"""KITTI360Pose in a file of our own: cells with their objects, poses with what was said of them.
+"""KITTI360Pose as a map file: cells with their objects, poses with their descriptions.
 
-`convert_kitti360pose` makes it from the published pickles. No point cloud is kept: of an object its
-label, colour, centre, box, and where on the ground it lies, to the metre. All positions are those of
-the data's world frame, x east, y north, z up [m].
+`convert_kitti360pose` makes it from the published pickles. Point clouds are reduced to label, colour,
+centre, box and footprint (a point per square metre) of each object. Positions are in the data's world
+frame, x east, y north, z up [m].
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SPLITS = {
 """Drives of each split, as published."""
 
 DIRECTIONS = ("north", "south", "east", "west", "on-top")
-"""Where a pose is said to be, seen from an object."""
+"""Directions of a pose from an object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +60,17 @@ class Cells:
 
     @property
     def centers(self) -> Floats:
-        """Centres (C, 2) east, north [m]."""
+        """Centres (C, 2), east and north [m]."""
         return 0.5 * (self.boxes[:, 0:2] + self.boxes[:, 3:5])
 
     def objects(self, cell: int) -> slice:
-        """Rows of the objects of a cell."""
+        """Return the rows of the objects of a cell."""
         return slice(int(self.object_starts[cell]), int(self.object_starts[cell + 1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """Columns of N objects; a thing that lies in several cells is an object in each."""
+    """Columns of N objects; one that lies in several cells is an object in each."""
 
     ids: NDArray[np.int64]  # (N,) unique in the cell
     instances: NDArray[
@@ -86,13 +86,13 @@ class Objects:
     footprints: Floats  # (F, 2) a point in each square metre of ground that an object covers [m]
 
     def footprint(self, row: int) -> Floats:
-        """Points (n, 2) on the ground of an object, about a metre apart [m]."""
+        """Return the footprint (n, 2) of an object, points about a metre apart [m]."""
         return self.footprints[self.footprint_starts[row] : self.footprint_starts[row + 1]]
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Columns of P poses: places that were described, and what was said of them."""
+    """Columns of P poses: described places and their hints."""
 
     scene: NDArray[np.int64]  # (P,) row of `Kitti360Pose.scenes`
     positions: Floats  # (P, 3) [m]; the truth, for evaluation only
@@ -100,7 +100,7 @@ class Poses:
     hint_starts: NDArray[np.int64]  # (P + 1,) hints of a pose
 
     def hints(self, pose: int) -> slice:
-        """Rows of the hints of a pose."""
+        """Return the rows of the hints of a pose."""
         return slice(int(self.hint_starts[pose]), int(self.hint_starts[pose + 1]))
 
 
@@ -137,7 +137,7 @@ class Kitti360Pose:
     """Tags of labels, where the objects are those of OpenStreetMap; not kept in a file."""
 
     def split(self, name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows of the cells and of the poses of a split, or of a single drive.
+        """Return the rows of the cells and of the poses of a split or a drive.
 
         Raises `OptionError` where there is no such split, or nothing of it in the file.
         """
@@ -153,39 +153,27 @@ class Kitti360Pose:
         return cells, poses
 
     def graph_bytes(self, cells: NDArray[np.int64]) -> int:
-        """Bytes that these cells (rows) and their objects take in a file."""
+        """Return the bytes that these cells (rows) and their objects take in a file."""
         rows = np.concatenate([np.r_[self.cells.objects(int(c))] for c in cells])
         return sum(len(compress_array(a)[2]) for a in _map_columns(self, cells, rows).values())
 
     def save(self, write: Write) -> None:
-        """Write a store through `map_writer`; raises `OptionError` if it is made from OSM."""
+        """Write through `mapfile.map_writer`; raises `OptionError` where the data are made of OSM."""
         if self.tags:
-            raise OptionError(
-                f"{self.source} is made from its extract when it is needed; save the data without it."
-            )
+            raise OptionError(f"{self.source} is made of OpenStreetMap; save the original data.")
         every = np.arange(len(self.cells.ids)), np.arange(len(self.objects.ids))
-        p, h = self.poses, self.hints
         arrays = _map_columns(self, *every) | {
-            "pose_scene": p.scene.astype(np.uint8),
-            "pose_position": p.positions.astype("<f8"),
-            "pose_cell": p.cells.astype(np.int32),
-            "hint_counts": np.diff(p.hint_starts).astype(np.uint16),
-            "hint_label": h.labels.astype(np.uint8),
-            "hint_colour": h.colours.astype(np.uint8),
-            "hint_direction": h.directions.astype(np.uint8),
-            "hint_object": h.objects.astype(np.int32),
-            "hint_instance": h.instances.astype("<i8"),
-            "hint_offset": h.offsets.astype(np.float32),
-            "hint_closest": h.closest.astype(np.float32),
-            "labels": pack_strings(self.labels),
-            "colours": pack_strings(self.colours),
+            stored: getattr(getattr(self, table), field).astype(dtype)
+            for table, field, stored, dtype in _QUERY_COLUMNS
         }
+        arrays |= {
+            "hint_counts": np.diff(self.poses.hint_starts).astype(np.uint16),
+            "labels": pack_strings(self.labels), "colours": pack_strings(self.colours),
+        }  # fmt: skip
         meta = {
-            "source": self.source,
-            "scenes": list(self.scenes),
-            "scene_bytes": list(self.scene_bytes),
-            "grain": GRAIN,
-        }
+            "source": self.source, "scenes": list(self.scenes),
+            "scene_bytes": list(self.scene_bytes), "grain": GRAIN,
+        }  # fmt: skip
         write(KIND, VERSION, meta, arrays, ())
 
     @classmethod
@@ -212,59 +200,69 @@ class Kitti360Pose:
         )
 
 
+_MAP_COLUMNS = (
+    ("cells", "scene", "cell_scene", "|u1"), ("cells", "boxes", "cell_box", "<f8"),
+    ("cells", "sizes", "cell_size", "<f8"), ("cells", "points", "cell_points", "<i8"),
+    ("cells", "point_bytes", "cell_point_bytes", "<i8"), ("objects", "ids", "object_id", "<i4"),
+    ("objects", "instances", "object_instance", "<i8"), ("objects", "labels", "object_label", "|u1"),
+    ("objects", "colours", "object_colour", "|u1"), ("objects", "rgb", "object_rgb", "|u1"),
+)  # fmt: skip
+_QUERY_COLUMNS = (
+    ("poses", "scene", "pose_scene", "|u1"), ("poses", "positions", "pose_position", "<f8"),
+    ("poses", "cells", "pose_cell", "<i4"), ("hints", "labels", "hint_label", "|u1"),
+    ("hints", "colours", "hint_colour", "|u1"), ("hints", "directions", "hint_direction", "|u1"),
+    ("hints", "objects", "hint_object", "<i4"), ("hints", "instances", "hint_instance", "<i8"),
+    ("hints", "offsets", "hint_offset", "<f4"), ("hints", "closest", "hint_closest", "<f4"),
+)  # fmt: skip
+"""Table, field, name and type in the file of the columns that are stored as they are."""
+_WIDE = {"boxes": 6, "rgb": 3, "positions": 3, "offsets": 2, "closest": 2}  # columns of matrices
+
+
 def _map_columns(
     data: Kitti360Pose, cells: NDArray[np.int64], objects: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
-    """What the map is made of, for these rows."""
+    """Return the columns of the map for these rows of cells and objects."""
     c, o = data.cells, data.objects
     counts = np.diff(c.object_starts)[cells]
     corner = np.repeat(c.boxes[cells, :3], counts, axis=0)
-    squares = np.diff(o.footprint_starts)[objects]
-    ground = np.concatenate(
-        [
-            np.zeros((0, 2)),
-            *(o.footprint(int(i)) - k[:2] for i, k in zip(objects, corner, strict=True)),
-        ]
-    )
+    footprints = (o.footprint(int(i)) - k[:2] for i, k in zip(objects, corner, strict=True))
 
-    def steps(values: Floats) -> NDArray[np.int32]:
+    def quantize(values: Floats) -> NDArray[np.int32]:
         return np.round(values / GRAIN).astype(np.int32)
 
+    rows = {"cells": cells, "objects": objects}
     return {
+        stored: getattr(getattr(data, table), field)[rows[table]].astype(dtype)
+        for table, field, stored, dtype in _MAP_COLUMNS
+    } | {
         "cell_ids": pack_strings([c.ids[i] for i in cells]),
-        "cell_scene": c.scene[cells].astype(np.uint8),
-        "cell_box": c.boxes[cells].astype("<f8"),
-        "cell_size": c.sizes[cells].astype("<f8"),
-        "cell_points": c.points[cells].astype("<i8"),
-        "cell_point_bytes": c.point_bytes[cells].astype("<i8"),
         "object_counts": counts.astype(np.uint32),
-        "object_id": o.ids[objects].astype(np.int32),
-        "object_instance": o.instances[objects].astype("<i8"),
-        "object_label": o.labels[objects].astype(np.uint8),
-        "object_colour": o.colours[objects].astype(np.uint8),
-        "object_rgb": o.rgb[objects],
-        "object_center": steps(o.centers[objects] - corner),
-        "object_low": steps(o.low[objects] - corner),
-        "object_extent": steps(o.high[objects] - o.low[objects]),
-        "footprint_counts": squares.astype(np.uint32),
-        "footprint": steps(ground),
+        "object_center": quantize(o.centers[objects] - corner),
+        "object_low": quantize(o.low[objects] - corner),
+        "object_extent": quantize(o.high[objects] - o.low[objects]),
+        "footprint_counts": np.diff(o.footprint_starts)[objects].astype(np.uint32),
+        "footprint": quantize(np.concatenate([np.zeros((0, 2)), *footprints])),
     }
 
 
 def _read(file: MapFile) -> Kitti360Pose:
     meta = file.meta
     grain = float(meta["grain"])
+    tables: dict[str, dict[str, Any]] = defaultdict(dict)
+    for table, field_, stored, dtype in _MAP_COLUMNS + _QUERY_COLUMNS:
+        column = file.array(stored, dtype, 2 if field_ in _WIDE else 1)
+        kind = column.dtype if field_ == "rgb" else "f8" if dtype[1] == "f" else "i8"
+        tables[table][field_] = column.astype(kind)
 
-    def whole(name: str, dtype: str) -> NDArray[np.int64]:
-        return file.array(name, dtype).astype(np.int64)
+    def starts(name: str, dtype: str) -> NDArray[np.int64]:
+        return np.concatenate(([0], np.cumsum(file.array(name, dtype).astype(np.int64))))
 
     def metres(name: str) -> Floats:
         return file.array(name, "<i4", 2) * grain
 
-    boxes = file.array("cell_box", "<f8", 2)
-    object_starts = _starts(whole("object_counts", "<u4"))
-    corner = np.repeat(boxes[:, :3], np.diff(object_starts), axis=0)
-    footprint_starts = _starts(whole("footprint_counts", "<u4"))
+    object_starts = starts("object_counts", "<u4")
+    corner = np.repeat(tables["cells"]["boxes"][:, :3], np.diff(object_starts), axis=0)
+    footprint_starts = starts("footprint_counts", "<u4")
     low = metres("object_low") + corner
     ground = np.repeat(corner[:, :2], np.diff(footprint_starts), axis=0)
     return Kitti360Pose(
@@ -273,54 +271,26 @@ def _read(file: MapFile) -> Kitti360Pose:
         scene_bytes=tuple(int(n) for n in meta["scene_bytes"]),
         labels=file.strings("labels"),
         colours=file.strings("colours"),
-        cells=Cells(
-            file.strings("cell_ids"),
-            whole("cell_scene", "|u1"),
-            boxes,
-            file.array("cell_size", "<f8"),
-            whole("cell_points", "<i8"),
-            whole("cell_point_bytes", "<i8"),
-            object_starts,
-        ),
+        cells=Cells(ids=file.strings("cell_ids"), object_starts=object_starts, **tables["cells"]),
         objects=Objects(
-            whole("object_id", "<i4"),
-            whole("object_instance", "<i8"),
-            whole("object_label", "|u1"),
-            whole("object_colour", "|u1"),
-            file.array("object_rgb", "|u1", 2),
-            metres("object_center") + corner,
-            low,
-            low + metres("object_extent"),
-            footprint_starts,
-            metres("footprint") + ground,
+            centers=metres("object_center") + corner, low=low,
+            high=low + metres("object_extent"), footprint_starts=footprint_starts,
+            footprints=metres("footprint") + ground, **tables["objects"],
         ),
-        poses=Poses(
-            whole("pose_scene", "|u1"),
-            file.array("pose_position", "<f8", 2),
-            whole("pose_cell", "<i4"),
-            _starts(whole("hint_counts", "<u2")),
-        ),
-        hints=Hints(
-            whole("hint_label", "|u1"),
-            whole("hint_colour", "|u1"),
-            whole("hint_direction", "|u1"),
-            whole("hint_object", "<i4"),
-            whole("hint_instance", "<i8"),
-            file.array("hint_offset", "<f4", 2).astype(np.float64),
-            file.array("hint_closest", "<f4", 2).astype(np.float64),
-        ),
-    )
-
-
-def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.concatenate(([0], np.cumsum(counts)))
+        poses=Poses(hint_starts=starts("hint_counts", "<u2"), **tables["poses"]),
+        hints=Hints(**tables["hints"]),
+    )  # fmt: skip
 
 
 def _check(data: Kitti360Pose) -> None:
     """Raise `ValueError` where columns differ in length or point outside a table."""
     c, o, p, h = data.cells, data.objects, data.poses, data.hints
     n_scenes, n_cells = len(data.scenes), len(c.ids)
-    _check_lengths((c, n_cells), (o, len(o.ids)), (p, len(p.cells)), (h, len(h.labels)))
+    for table, length in ((c, n_cells), (o, len(o.ids)), (p, len(p.cells)), (h, len(h.labels))):
+        for column in fields(table):
+            rows = len(getattr(table, column.name)) - column.name.endswith("_starts")
+            if rows != length and column.name != "footprints":
+                raise ValueError(f"{column.name} does not have {length} rows")
     for values, count, what in (
         (c.scene, n_scenes, "scenes"),
         (p.scene, n_scenes, "scenes"),
@@ -336,19 +306,15 @@ def _check(data: Kitti360Pose) -> None:
         raise ValueError("counts do not add up")
     if (np.diff(o.footprint_starts) < 1).any() or len(data.scene_bytes) != n_scenes:
         raise ValueError("an object lies nowhere, or a scene has no size")
-    widths = (c.boxes, 6), (o.rgb, 3), (o.centers, 3), (p.positions, 3), (h.offsets, 2)
-    if any(a.shape[1] != w for a, w in (*widths, (h.closest, 2), (o.footprints, 2))):
+    matrices = [
+        (getattr(getattr(data, table), name), _WIDE[name])
+        for table, name, *_ in _MAP_COLUMNS + _QUERY_COLUMNS
+        if name in _WIDE
+    ]
+    if any(a.shape[1] != w for a, w in (*matrices, (o.centers, 3), (o.footprints, 2))):
         raise ValueError("a column is too wide or too narrow")
     if not all(np.isfinite(a).all() for a in (c.boxes, c.sizes, p.positions, o.centers)):
         raise ValueError("a number is not finite")
-
-
-def _check_lengths(*tables: tuple[Cells | Objects | Poses | Hints, int]) -> None:
-    for table, length in tables:
-        for column in fields(table):
-            rows = len(getattr(table, column.name)) - column.name.endswith("_starts")
-            if rows != length and column.name != "footprints":
-                raise ValueError(f"{column.name} does not have {length} rows")
 
 
 RELEASE = Release(
@@ -367,7 +333,7 @@ COLOURS = {
     "beige": [(171, 170, 155)],
 }
 """The colours that the published texts speak of, sRGB 0 to 255."""
-PADDING = "pad"  # label of what only fills up a cell; it is left out
+PADDING = "pad"  # label of points that fill up a cell; left out
 SQUARE = 1.0  # A footprint has a point in each square of this edge [m]
 FARTHEST = 1e5  # no point of a cell is farther from its corner [m]
 
@@ -378,15 +344,15 @@ _NAMED = [name for name, rgbs in COLOURS.items() for _ in rgbs]
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a conversion did."""
+    """Counts of a conversion."""
 
     scenes: tuple[str, ...]
     cells: int
     objects: int
     poses: int
     hints: int
-    unmatched: int  # hints about things that the best cell does not hold
-    padding: int  # objects left out, for they only fill up a cell
+    unmatched: int  # hints about objects that the best cell does not hold
+    padding: int  # objects of padding, left out
     points: int
     source_bytes: int  # of the cells' pickles
     bytes: int  # of the file written
@@ -401,22 +367,20 @@ def convert_kitti360pose(
     """Read the pickles of a published folder and write all of it to one file, atomically.
 
     `folder`: such as ``k360_30-10_scG_pd10_pc4_spY_all``, with ``cells/<scene>.pkl`` and
-    ``poses/<scene>.pkl``. Its pickles are read by a machine that can make plain data only; `out`:
-    file to write; `Kitti360Pose.open` opens it; `progress`: is told the scene at hand and how many
-    of its cells are done.
+    ``poses/<scene>.pkl``, read without running code; `out`: file to write, which `Kitti360Pose.open`
+    opens; `progress`: called with scene and number of cells done.
 
-    Raises `InputError`: A file is missing, damaged or no such pickle; or a field is missing or not
-    what it should be: the message names file, row and field; `MapLockedError`: somebody else is
-    writing the same file; `MapError`: the file cannot be written.
+    Raises `InputError` where a file is missing or damaged, or a field invalid (the message names file,
+    row and field); `MapLockedError`: another process writes the file; `MapError`: it cannot be written.
     """
     scenes = _scenes(Path(folder))
-    told = progress or (lambda _scene, _n: None)
+    report = progress or (lambda _scene, _n: None)
     with map_writer(out) as write:
         gather = _Gather()
         for drive, cells, poses in scenes:
-            gather.scene(drive, cells, poses, told)
+            gather.scene(drive, cells, poses, report)
         data = gather.data(Path(folder).resolve().name)
-        told("writing", len(data.cells.ids))
+        report("writing", len(data.cells.ids))
         data.save(write)
     return Conversion(
         scenes=data.scenes,
@@ -433,47 +397,47 @@ def convert_kitti360pose(
 
 
 def nearest_colour(rgb: Floats) -> str:
-    """Name of the colour (3,) 0 to 255 in the texts' own words."""
+    """Return the texts' name of a colour (3,), 0 to 255."""
     return _NAMED[int(np.argmin(((_CENTRES - rgb) ** 2).sum(axis=1)))]
 
 
 def footprint(points: Floats) -> Floats:
-    """One of the points (n, 2) of each square metre of ground that they cover, in order [m]."""
+    """Return one of the points (n, 2) in each square metre of ground [m]."""
     _, first = np.unique(np.floor(points / SQUARE).astype(np.int64), axis=0, return_index=True)
     return points[first]
 
 
 def _scenes(folder: Path) -> list[tuple[str, Path, Path]]:
-    """Drive, cells and poses of each scene; every one has both."""
+    """Return drive, cells and poses of each scene."""
     files: dict[str, dict[str, Path]] = defaultdict(dict)
     for kind in ("cells", "poses"):
         for path in sorted((folder / kind).glob("*.pkl")):
             found = _DRIVE.fullmatch(path.stem)
             if found is None:
                 raise InputError(
-                    f"{path}: its name tells no drive; name it as 2013_05_28_drive_0003_sync.pkl."
+                    f"{path}: its name has no drive; name it like 2013_05_28_drive_0003_sync.pkl."
                 )
             other = files[found[1]].setdefault(kind, path)
             if other != path:
-                raise InputError(f"{path} and {other} are of the same drive; take one away.")
+                raise InputError(f"{path} and {other} are of the same drive; remove one.")
     if not files:
         raise InputError(
-            f"{folder} holds no cells/*.pkl and poses/*.pkl; name the folder of KITTI360Pose that "
+            f"{folder} holds no cells/*.pkl and poses/*.pkl; give the folder of KITTI360Pose that "
             "does, such as k360_30-10_scG_pd10_pc4_spY_all."
         )
     for drive, pair in files.items():
         for kind in ("cells", "poses"):
             if kind not in pair:
                 raise InputError(
-                    f"{folder}: {kind}/ has no file of drive {drive}; copy it there, or take the "
-                    "drive's other file away."
+                    f"{folder}: {kind}/ has no file of drive {drive}; copy it there, or remove "
+                    "the drive's other file."
                 )
     return [(drive, pair["cells"], pair["poses"]) for drive, pair in sorted(files.items())]
 
 
 @dataclass
 class _Fields:
-    """A record with its place in the file, for messages."""
+    """A record, and its place in the file for messages."""
 
     record: Record
     where: str
@@ -495,20 +459,20 @@ class _Fields:
             raise self.wrong(name, "no text")
         return value
 
-    def whole(self, name: str) -> int:
+    def integer(self, name: str) -> int:
         value = self.get(name)
         if type(value) is not int or not -(1 << 31) <= value < 1 << 31:
             raise self.wrong(name, "no whole number")
         return value
 
-    def listed(self, name: str) -> list[Any]:
+    def list_of(self, name: str) -> list[Any]:
         value = self.get(name)
         if type(value) is not list:
             raise self.wrong(name, "no list")
         return value
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> Floats:
-        """Finite numbers; -1 in the shape stands for one or more."""
+        """Return finite numbers; -1 in the shape stands for one or more."""
         value = self.get(name)
         array = np.asarray(value, np.float64) if _is_number(value) else value
         if isinstance(value, list | tuple) and all(map(_is_number, value)):
@@ -548,7 +512,7 @@ class _Table:
 
 
 class _Gather:
-    """Columns, growing row by row."""
+    """Collector of columns, row by row."""
 
     def __init__(self) -> None:
         self.columns: dict[str, list[Any]] = defaultdict(list)
@@ -559,15 +523,17 @@ class _Gather:
         self.sizes: list[float] = []
         self.padding = 0
 
-    def scene(self, drive: str, cells: Path, poses: Path, told: Callable[[str, int], None]) -> None:
+    def scene(
+        self, drive: str, cells: Path, poses: Path, report: Callable[[str, int], None]
+    ) -> None:
         """Read both files of a drive."""
         self.scenes.append(drive)
         self.scene_bytes.append(cells.stat().st_size)
-        for n, value in enumerate(_listed(cells)):
+        for n, value in enumerate(_read_list(cells)):
             if n % 20 == 0:
-                told(drive, n)
+                report(drive, n)
             self.cell(_Fields.of(value, ("Cell",), f"{cells}: cell {n}"))
-        for n, value in enumerate(_listed(poses)):
+        for n, value in enumerate(_read_list(poses)):
             self.pose(_Fields.of(value, ("Pose",), f"{poses}: pose {n}"))
 
     def put(self, **row: Any) -> None:  # noqa: ANN401  # one value a column
@@ -582,31 +548,31 @@ class _Gather:
         if not (size > 0.0 and (box[3:] > box[:3]).all()):
             raise cell.wrong("bbox_w", "empty")
         n_points = n_bytes = count = 0
-        for k, value in enumerate(cell.listed("objects")):
-            thing = _Fields.of(value, ("Object3d",), f"{cell.where} ({id_}): object {k}")
-            if thing.text("label") == PADDING:
+        for k, value in enumerate(cell.list_of("objects")):
+            object_ = _Fields.of(value, ("Object3d",), f"{cell.where} ({id_}): object {k}")
+            if object_.text("label") == PADDING:
                 self.padding += 1
                 continue
-            points = self.object(thing, box[:3], size)
+            points = self.object(object_, box[:3], size)
             n_points, count = n_points + points, count + 1
-            n_bytes += thing.bytes("xyz") + thing.bytes("rgb")
+            n_bytes += object_.bytes("xyz") + object_.bytes("rgb")
         self.cell_rows[id_] = len(self.cell_rows)
         self.sizes.append(size)
         self.put(cell_scene=len(self.scenes) - 1, box=box, size=size, points=n_points)
         self.put(point_bytes=n_bytes, object_count=count)
 
-    def object(self, thing: _Fields, corner: Floats, size: float) -> int:
-        xyz, rgb = thing.numbers("xyz", (-1, 3)), thing.numbers("rgb", (-1, 3))
+    def object(self, object_: _Fields, corner: Floats, size: float) -> int:
+        xyz, rgb = object_.numbers("xyz", (-1, 3)), object_.numbers("rgb", (-1, 3))
         if len(xyz) != len(rgb):
-            raise thing.wrong("rgb", f"of {len(rgb)} points, xyz of {len(xyz)}")
+            raise object_.wrong("rgb", f"of {len(rgb)} points, xyz of {len(xyz)}")
         if not (np.abs(size * xyz) < FARTHEST).all():
-            raise thing.wrong("xyz", "far away from its cell")
+            raise object_.wrong("xyz", "far away from its cell")
         xyz = corner + size * xyz
         mean = np.clip(255.0 * rgb.mean(axis=0), 0.0, 255.0)
         ground = footprint(xyz[:, :2])
-        self.put(id=thing.whole("id"), instance=thing.whole("instance_id"))
-        self.put(label=self.labels.row(thing.text("label"), thing.where))
-        self.put(colour=self.colours.row(nearest_colour(mean), thing.where))
+        self.put(id=object_.integer("id"), instance=object_.integer("instance_id"))
+        self.put(label=self.labels.row(object_.text("label"), object_.where))
+        self.put(colour=self.colours.row(nearest_colour(mean), object_.where))
         self.put(rgb=np.round(mean), center=xyz.mean(axis=0), low=xyz.min(axis=0))
         self.put(high=xyz.max(axis=0), footprint=ground, footprint_count=len(ground))
         return len(xyz)
@@ -618,7 +584,7 @@ class _Gather:
                 f"{pose.where}: there is no cell {id_!r}; are both files of one folder?"
             )
         row = self.cell_rows[id_]
-        hints = pose.listed("descriptions")
+        hints = pose.list_of("descriptions")
         self.put(pose_scene=len(self.scenes) - 1, position=pose.numbers("pose_w", (3,)))
         self.put(pose_cell=row, hint_count=len(hints))
         for k, value in enumerate(hints):
@@ -634,15 +600,15 @@ class _Gather:
         self.put(hint_colour=self.colours.row(hint.text("object_color_text"), hint.where))
         self.put(
             direction=DIRECTIONS.index(direction),
-            hint_object=hint.whole("object_id") if matched else -1,
-            hint_instance=hint.whole("object_instance_id"),
+            hint_object=hint.integer("object_id") if matched else -1,
+            hint_instance=hint.integer("object_instance_id"),
             offset=size * hint.numbers("offset_center", (2,)),
             closest=size * hint.numbers("offset_closest", (2,)),
         )
 
     def data(self, source: str) -> Kitti360Pose:
-        """All columns."""
-        f, whole, starts = self.floats, self.whole, self.starts
+        """Return all columns."""
+        f, integers, starts = self.floats, self.integers, self.starts
         return Kitti360Pose(
             source=source,
             scenes=tuple(self.scenes),
@@ -650,35 +616,35 @@ class _Gather:
             labels=tuple(self.labels.rows),
             colours=tuple(self.colours.rows),
             cells=Cells(
-                tuple(self.cell_rows), whole("cell_scene"), f("box", 6), np.array(self.sizes),
-                whole("points"), whole("point_bytes"), starts("object_count"),
+                tuple(self.cell_rows), integers("cell_scene"), f("box", 6), np.array(self.sizes),
+                integers("points"), integers("point_bytes"), starts("object_count"),
             ),
             objects=Objects(
-                whole("id"), whole("instance"), whole("label"), whole("colour"),
+                integers("id"), integers("instance"), integers("label"), integers("colour"),
                 f("rgb", 3).astype(np.uint8), f("center", 3), f("low", 3), f("high", 3),
                 starts("footprint_count"),
                 np.concatenate([np.zeros((0, 2)), *self.columns["footprint"]]),
             ),
             poses=Poses(
-                whole("pose_scene"), f("position", 3), whole("pose_cell"), starts("hint_count")
+                integers("pose_scene"), f("position", 3), integers("pose_cell"), starts("hint_count")
             ),
             hints=Hints(
-                whole("hint_label"), whole("hint_colour"), whole("direction"),
-                whole("hint_object"), whole("hint_instance"), f("offset", 2), f("closest", 2),
+                integers("hint_label"), integers("hint_colour"), integers("direction"),
+                integers("hint_object"), integers("hint_instance"), f("offset", 2), f("closest", 2),
             ),
         )  # fmt: skip
 
     def floats(self, name: str, width: int) -> Floats:
         return np.array(self.columns[name], np.float64).reshape(-1, width)
 
-    def whole(self, name: str) -> NDArray[np.int64]:
+    def integers(self, name: str) -> NDArray[np.int64]:
         return np.array(self.columns[name], np.int64)
 
     def starts(self, name: str) -> NDArray[np.int64]:
-        return np.concatenate(([0], np.cumsum(self.whole(name))))
+        return np.concatenate(([0], np.cumsum(self.integers(name))))
 
 
-def _listed(path: Path) -> list[Any]:
+def _read_list(path: Path) -> list[Any]:
     value = read_pickle(path, RELEASE)
     if type(value) is not list:
         raise InputError(f"{path} holds no list; download it again.")
@@ -700,14 +666,14 @@ class Mercator:
         return RADIUS * cos(radians(self.latitude))
 
     def to_plane(self, lonlat: ArrayLike) -> Floats:
-        """Longitude and latitude (..., 2) [deg] to east and north (..., 2) [m]."""
+        """Project longitude and latitude (..., 2) [deg] to east and north (..., 2) [m]."""
         lon, lat = np.moveaxis(np.asarray(lonlat, np.float64), -1, 0)
         east = np.radians(lon - self.longitude)
         north = np.arcsinh(np.tan(np.radians(lat))) - asinh(tan(radians(self.latitude)))
         return self._scale * np.stack([east, north], axis=-1)
 
     def to_lonlat(self, east_north: ArrayLike) -> Floats:
-        """East and north (..., 2) [m] to longitude and latitude (..., 2) [deg]."""
+        """Return longitude and latitude (..., 2) [deg] of east and north (..., 2) [m]."""
         east, north = np.moveaxis(np.asarray(east_north, np.float64) / self._scale, -1, 0)
         lat = np.arctan(np.sinh(north + asinh(tan(radians(self.latitude)))))
         return np.stack([self.longitude + np.degrees(east), np.degrees(lat)], axis=-1)

@@ -53,8 +53,8 @@ _NUMBER_LAST = re.compile(r"(\D[^,\d]*)\s+(\d+\w?)(?:,|$)")
 
 
 @lru_cache(maxsize=1)
-def table() -> dict[tuple[str, str, str], str]:
-    """Return the tags by type, field and value, as the table writes them; values with a star come last."""
+def tag_table() -> dict[tuple[str, str, str], str]:
+    """Return the tags by type, field and value, as written in the table; patterns with a star last."""
     text = files("placegraph_io").joinpath(TABLE).read_text("utf-8")
     lines = [line.split("\t") for line in text.splitlines() if line and not line.startswith("#")]
     rows = [
@@ -67,9 +67,9 @@ def table() -> dict[tuple[str, str, str], str]:
 
 
 @lru_cache(maxsize=1 << 14)
-def _looked_up(kind: str, field: str, value: str, of: str = "") -> tuple[tuple[str, str], ...]:
-    """Return the tags of a value, none where the table does not know it."""
-    tags, star = table().get((kind, field, value)), ""
+def _find_tags(kind: str, field: str, value: str, of: str = "") -> tuple[tuple[str, str], ...]:
+    """Return the tags of a value, empty where it is unknown."""
+    tags, star = tag_table().get((kind, field, value)), ""
     if tags is None:
         for (its_kind, its_field, pattern), its_tags in _stars():
             tail = pattern.removeprefix("*")
@@ -82,28 +82,28 @@ def _looked_up(kind: str, field: str, value: str, of: str = "") -> tuple[tuple[s
 
 @lru_cache(maxsize=1)
 def _stars() -> tuple[tuple[tuple[str, str, str], str], ...]:
-    return tuple((row, tags) for row, tags in table().items() if row[2].startswith("*"))
+    return tuple((row, tags) for row, tags in tag_table().items() if row[2].startswith("*"))
 
 
 def tags_of(kind: str, row: Mapping[str, Any]) -> tuple[Tags, str]:
-    """Return the tags of a row of a feature type, and what is to be counted of it, if anything.
+    """Return the tags of a row of a feature type, and the reason to count, if any.
 
-    No tags: nothing can be told of it. A place of an unknown category keeps its names.
+    Without tags the row is not used. A place of an unknown category keeps its names.
     """
-    named = _names(row)
+    named = _name_tags(row)
     if kind in BASE:
         tags = {str(k): str(v) for k, v in _pairs(row.get("source_tags"))}
         return (tags | named, "") if tags else ({}, NO_TAG)
     if kind == "place":
-        tags = _of_place(row)
+        tags = _place_tags(row)
         if not tags:
             return named, BY_NAME if "name" in named else NO_TAG
         return tags | named, ""
-    tags, known = _of_building(row) if kind == "building" else _of_segment(row)
+    tags, known = _building_tags(row) if kind == "building" else _segment_tags(row)
     return (tags | named, "" if known else NO_TAG) if tags else ({}, NO_TAG)
 
 
-def _of_place(row: Mapping[str, Any]) -> Tags:
+def _place_tags(row: Mapping[str, Any]) -> Tags:
     """Return the tags of the most specific category that has some, and of other categories beside it."""
     taxonomy, categories = row.get("taxonomy") or {}, row.get("categories") or {}
     ways = (
@@ -113,39 +113,39 @@ def _of_place(row: Mapping[str, Any]) -> Tags:
     )
     tags: Tags = {}
     for value in (value for way in ways for value in way if value):
-        if tags := dict(_looked_up("place", "category", str(value))):
+        if tags := dict(_find_tags("place", "category", str(value))):
             break
     others = [*(categories.get("alternate") or ()), *(taxonomy.get("alternates") or ())]
     for value in others:
-        found = dict(_looked_up("place", "category", str(value)))
+        found = dict(_find_tags("place", "category", str(value)))
         if tags.keys().isdisjoint(found):
             tags |= found
     return tags
 
 
-def _of_building(row: Mapping[str, Any]) -> tuple[Tags, bool]:
+def _building_tags(row: Mapping[str, Any]) -> tuple[Tags, bool]:
     """Return the tags of a building, which is one whatever it is for; and whether its class is known."""
     given = [(field, str(row[field])) for field in ("subtype", "class") if row.get(field)]
-    found = [_looked_up("building", field, value) for field, value in given]
+    found = [_find_tags("building", field, value) for field, value in given]
     tags = {"building": "yes"}
     for pairs in found:
         tags |= dict(pairs)
     return tags, all(found)
 
 
-def _of_segment(row: Mapping[str, Any]) -> tuple[Tags, bool]:
+def _segment_tags(row: Mapping[str, Any]) -> tuple[Tags, bool]:
     """Return the tags of a segment by subtype and class, then by what it is of its class."""
     subtype, its_class = str(row.get("subtype")), str(row.get("class") or "unknown")
-    tags = dict(_looked_up("segment", subtype, its_class))
+    tags = dict(_find_tags("segment", subtype, its_class))
     rules = row.get("subclass_rules") or ()
     subclass = row.get("subclass") or next((r["value"] for r in rules if r.get("value")), None)
     if not tags or subclass is None:
         return tags, bool(tags)
-    more = dict(_looked_up("segment", "subclass", str(subclass), its_class))
+    more = dict(_find_tags("segment", "subclass", str(subclass), its_class))
     return tags | more, bool(more)
 
 
-def _names(row: Mapping[str, Any]) -> Tags:
+def _name_tags(row: Mapping[str, Any]) -> Tags:
     """Return the names, brand and address, under the keys of OpenStreetMap."""
     names, out = row.get("names") or {}, {}
     if names.get("primary"):
@@ -184,19 +184,19 @@ def _pairs(
     return mapping.items() if isinstance(mapping, dict) else mapping  # type: ignore[return-value]
 
 
-TELLS = {
+TYPE_COLUMNS = {
     "place": ("categories", "taxonomy", "basic_category"),
     "segment": ("subclass_rules", "subclass", "connectors", "road_surface"),
     "building": ("class", "has_parts", "is_underground", "num_floors"),
 }
-"""Columns by which a type is told where neither folder nor file says it, in this order."""
-NEEDED = {
+"""Columns that identify a type without its folder, in this order."""
+REQUIRED_COLUMNS = {
     "place": ("names",),
     "segment": ("subtype", "class"),
     "building": ("subtype", "class"),
 }
-"""Columns without which a type says nothing."""
-READ = frozenset(
+"""Columns that a type must have."""
+COLUMNS = frozenset(
     (
         "id", "geometry", "names", "categories", "taxonomy", "basic_category", "confidence",
         "operating_status", "brand", "addresses", "subtype", "class", "subclass", "subclass_rules",
@@ -205,25 +205,24 @@ READ = frozenset(
 )  # fmt: skip
 """Columns that are read, where a file has them."""
 EDGES = ("xmin", "ymin", "xmax", "ymax")
-DAMAGED = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError)
-"""What is raised where a file's columns contradict each other or are of other types, beside PyArrow's own
-errors."""
+READ_ERRORS = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError)
+"""Errors that damaged columns raise, beside PyArrow's own."""
 _TYPE = re.compile(r"[/\\]type=([a-z_]+)[/\\]")
 _MAGIC = b"PAR1"
-_LOOK = """
+_STATISTICS_CHECK = """
 import sys
 from io import BytesIO
 from pyarrow.parquet import read_metadata
 try:
     found = read_metadata(BytesIO(sys.stdin.buffer.read()))
     groups = [found.row_group(i) for i in range(found.num_row_groups)]
-    said = [group.column(i).statistics for group in groups for i in range(group.num_columns)]
+    given = [group.column(i).statistics for group in groups for i in range(group.num_columns)]
 except Exception:
     pass
 """
-"""Looks at all statistics of a footer; what PyArrow itself finds wrong is for the reader to say."""
-_STREAM = 1 << 20
-"""Bytes of a column fetched at once: a row group of any size is read piece by piece."""
+"""Program that reads all statistics of a footer."""
+_BUFFER = 1 << 20
+"""Bytes of a column that are read at once."""
 
 
 @dataclass(frozen=True)
@@ -244,18 +243,18 @@ class OvertureFile:
         with self.filesystem.open_input_file(self.path) as stream:
             if box is not None:
                 _check_statistics(stream, self.path)
-            file = pq.ParquetFile(stream, buffer_size=_STREAM, pre_buffer=False)
+            file = pq.ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
             groups = [
-                i for i in range(file.num_row_groups) if _meets(file.metadata.row_group(i), box)
+                i for i in range(file.num_row_groups) if _may_meet(file.metadata.row_group(i), box)
             ]
-            names = [name for name in file.schema_arrow.names if name in READ or name == "bbox"]
+            names = [name for name in file.schema_arrow.names if name in COLUMNS or name == "bbox"]
             for batch in file.iter_batches(rows, groups, names, use_threads=False):
                 inside = batch if box is None else batch.filter(_inside(batch.column("bbox"), box))
-                wanted = [name for name in inside.schema.names if name in READ]
+                wanted = [name for name in inside.schema.names if name in COLUMNS]
                 yield {name: inside.column(name).to_pylist() for name in wanted}
 
 
-def files_of(
+def find_files(
     paths: Sequence[str], suffixes: tuple[str, ...], counts: Counter[str]
 ) -> Iterator[OvertureFile]:
     """Yield the files of all paths that are of a known type and whole in their columns, in order.
@@ -265,11 +264,11 @@ def files_of(
     """
     for path in paths:
         filesystem, root = _filesystem(path)
-        found = list(_listed(filesystem, root, suffixes, path))
+        found = list(_list_files(filesystem, root, suffixes, path))
         alone = found == [root]
         for name in found:
             kind = _type(filesystem, name, path)
-            if kind in NEEDED or kind in BASE:
+            if kind in REQUIRED_COLUMNS or kind in BASE:
                 yield OvertureFile(name, filesystem, kind)
             elif alone:
                 raise InputError(
@@ -300,52 +299,58 @@ def _filesystem(path: str) -> tuple[Any, str]:
         return fs.PyFileSystem(fs.FSSpecHandler(found)), str(root)
 
 
-def _listed(filesystem: Any, root: str, suffixes: tuple[str, ...], said: str) -> Iterator[str]:  # noqa: ANN401
+def _list_files(filesystem: Any, root: str, suffixes: tuple[str, ...], given: str) -> Iterator[str]:  # noqa: ANN401
     """Yield the parquet files of a folder, by name, or the one file that a path is."""
     from pyarrow import fs
 
     try:
         (info,) = filesystem.get_file_info([root])
         if info.type == fs.FileType.NotFound:
-            raise InputError(f"{said} does not exist; check the path.")
+            raise InputError(f"{given} does not exist; check the path.")
         if info.type == fs.FileType.File:
             yield root
             return
         inside = filesystem.get_file_info(fs.FileSelector(root, recursive=True))
     except OSError as error:
-        raise InputError(f"{said} cannot be reached: {one_line(error)}.") from error
+        raise InputError(f"{given} cannot be reached: {one_line(error)}.") from error
     names = sorted(i.path for i in inside if i.is_file and i.path.lower().endswith(suffixes))
     if not names:
         raise InputError(
-            f"{said} holds no Parquet file ({', '.join(suffixes)}); name a folder of Overture's, such as "
+            f"{given} holds no Parquet file ({', '.join(suffixes)}); give a folder of Overture's, such as "
             "theme=places."
         )
     yield from names
 
 
-def _type(filesystem: Any, name: str, said: str) -> str:  # noqa: ANN401
+def _type(filesystem: Any, name: str, given: str) -> str:  # noqa: ANN401
     """Feature type of a file: by its folder, else by its columns; "" where it is none of Overture's.
 
     Raises `InputError` where the file is no Parquet, or lacks what its type needs.
     """
     named = _TYPE.search(name)
-    if named and named[1] not in NEEDED and named[1] not in BASE:
+    if named and named[1] not in REQUIRED_COLUMNS and named[1] not in BASE:
         return named[1]  # not opened
     columns = _columns(filesystem, name)
     kind = (
-        named[1] if named else next((k for k, tells in TELLS.items() if columns & set(tells)), "")
+        named[1]
+        if named
+        else next((k for k, tells in TYPE_COLUMNS.items() if columns & set(tells)), "")
     )
     if not named and "source_tags" in columns and kind != "segment":
         kind = "land_use"  # or another of the base theme: all are read alike
     if not kind:
         return ""
-    lacks = [c for c in ("id", "geometry", *NEEDED.get(kind, ("source_tags",))) if c not in columns]
-    if kind == "place" and not columns & set(TELLS["place"]):
-        lacks.append(TELLS["place"][0])
+    lacks = [
+        c
+        for c in ("id", "geometry", *REQUIRED_COLUMNS.get(kind, ("source_tags",)))
+        if c not in columns
+    ]
+    if kind == "place" and not columns & set(TYPE_COLUMNS["place"]):
+        lacks.append(TYPE_COLUMNS["place"][0])
     lacks += [f"bbox.{edge}" for edge in EDGES if f"bbox.{edge}" not in columns]
     if lacks:
         raise InputError(
-            f"{name if name != said else said} has no column {', '.join(lacks)}, which Overture's "
+            f"{name if name != given else given} has no column {', '.join(lacks)}, which Overture's "
             f"{kind}s have; download it again, with all columns of a release since 2024-07."
         )
     return kind
@@ -359,7 +364,7 @@ def _columns(filesystem: Any, name: str) -> set[str]:  # noqa: ANN401
     try:
         with filesystem.open_input_file(name) as stream:
             schema = pq.read_schema(stream)
-    except (pa.ArrowException, OSError, *DAMAGED) as error:
+    except (pa.ArrowException, OSError, *READ_ERRORS) as error:
         raise InputError(
             f"{name} cannot be read as Parquet: {one_line(error)}. Download it again."
         ) from error
@@ -377,13 +382,13 @@ def _columns(filesystem: Any, name: str) -> set[str]:  # noqa: ANN401
 
 
 def _check_statistics(stream: Any, name: str) -> None:  # noqa: ANN401
-    """Raise `InputError` where looking at a file's statistics ends the process, as some damage does."""
+    """Raise `InputError` where reading a file's statistics crashes PyArrow."""
     tail = min(
         stream.size(), 8 + int.from_bytes(stream.read_at(4, max(0, stream.size() - 8)), "little")
     )
     footer = _MAGIC + stream.read_at(tail, stream.size() - tail)
-    with suppress(OSError):  # no process can be started, as in a sandbox: read as it is
-        look = [sys.executable, "-P", "-c", _LOOK]
+    with suppress(OSError):  # no process can be started, as in a sandbox
+        look = [sys.executable, "-P", "-c", _STATISTICS_CHECK]
         died = subprocess.run(look, input=footer, capture_output=True, check=False)  # noqa: S603
         if died.returncode < 0:
             raise InputError(
@@ -392,7 +397,7 @@ def _check_statistics(stream: Any, name: str) -> None:  # noqa: ANN401
             )
 
 
-def _meets(group: Any, box: Box | None) -> bool:  # noqa: ANN401
+def _may_meet(group: Any, box: Box | None) -> bool:  # noqa: ANN401
     """Return whether a row group may hold rows that meet a box, by its statistics."""
     if box is None:
         return True
@@ -462,35 +467,35 @@ class Box(NamedTuple):
             and -90 <= north <= 90
         ):
             raise OptionError(
-                f"bbox {_said(numbers)} lies beyond the Earth; give west, south, east, north in "
+                f"bbox {_format_box(numbers)} lies beyond the Earth; give west, south, east, north in "
                 "degrees: longitude, latitude, longitude, latitude."
             )
         if west >= east or south >= north:
             raise OptionError(
-                f"bbox {_said(numbers)} is empty: west has to be less than east ({west:g}, {east:g}), "
+                f"bbox {_format_box(numbers)} is empty: west has to be less than east ({west:g}, {east:g}), "
                 f"and south less than north ({south:g}, {north:g}). Exchange them; across the date "
                 "line, build two maps."
             )
         return cls(west, south, east, north)
 
     def __str__(self) -> str:
-        return _said(self)
+        return _format_box(self)
 
 
-def _said(numbers: Sequence[float]) -> str:
+def _format_box(numbers: Sequence[float]) -> str:
     return ",".join(f"{n:g}" for n in numbers)
 
 
 @dataclass(frozen=True)
 class Overture:
-    """What of Overture is read."""
+    """Selection of Overture's data: paths, box and least confidence."""
 
     paths: tuple[str, ...]
     """Files, folders of such, or URLs of either (``s3://...``, or any that fsspec knows)."""
     box: Box | None = None
-    """What touches it is read; everything where it is None."""
+    """Only features that touch it are read; None: all."""
     confidence: float = CONFIDENCE
-    """Places that exist with a smaller probability than this, by Overture's word, are left out."""
+    """Places of a smaller confidence are left out."""
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -539,7 +544,7 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
         ) from error
     counts = (LeftOut() if left_out is None else left_out).counts
     found = 0
-    for file in files_of(source.paths, SUFFIXES, counts):
+    for file in find_files(source.paths, SUFFIXES, counts):
         for element in _elements(file, source, counts):
             found += 1
             yield element
@@ -565,7 +570,7 @@ def _elements(file: OvertureFile, source: Overture, counts: Counter[str]) -> Ite
                 element = _element(file.type, row, shape, source.confidence, counts)
                 if element is not None:
                     yield element
-    except (pa.ArrowException, OSError, *DAMAGED) as error:
+    except (pa.ArrowException, OSError, *READ_ERRORS) as error:
         raise InputError(
             f"{file.path} cannot be read as Parquet: {one_line(error)}. Download it again."
         ) from error
@@ -582,7 +587,7 @@ def _element(
     if shape is None:
         counts[f"{kind}s whose geometry is no WKB"] += 1
         return None
-    why = _closed(row, confidence)
+    why = _why_closed(row, confidence)
     if why:
         counts[f"{kind}s {why}"] += 1
         return None
@@ -597,11 +602,11 @@ def _element(
         return None
     geometry_kind, parts = geometry
     osm_type = (NODE, WAY, WAY if len(parts) == 1 else RELATION)[geometry_kind]
-    return OsmElement(osm_type, identity(str(row["id"])), geometry_kind, tags, parts)
+    return OsmElement(osm_type, make_id(str(row["id"])), geometry_kind, tags, parts)
 
 
-def _closed(row: dict[str, Any], confidence: float) -> str:
-    """Return why a place is none (any more), or nothing."""
+def _why_closed(row: dict[str, Any], confidence: float) -> str:
+    """Return why a place does not exist (any more), or an empty text."""
     if row.get("operating_status") == "permanently_closed":
         return "closed for good"
     known = row.get("confidence")
@@ -629,8 +634,8 @@ def _parts(shape: Any) -> tuple[int, list[NDArray[np.float64]]] | str:  # noqa: 
     return kind, [parts[0][:1]] if kind == POINT else parts
 
 
-def identity(overture_id: str) -> int:
-    """Return negative number of an id of Overture: its last 15 hexadecimal digits, of others a digest."""
+def make_id(overture_id: str) -> int:
+    """Return a negative id for an id of Overture: of its last 15 hexadecimal digits, or of a digest."""
     digits = overture_id.replace("-", "").lower()
     if not _HEX.fullmatch(digits):
         digits = hashlib.sha256(overture_id.encode()).hexdigest()

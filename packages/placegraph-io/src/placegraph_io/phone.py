@@ -123,18 +123,18 @@ def _object(content: object, where: str) -> dict[str, Any]:
     return content
 
 
-def lzfse_depth(data: bytes, camera: Camera, where: str) -> NDArray[np.float32]:
+def decode_lzfse_depth(data: bytes, camera: Camera, where: str) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 [m], NaN: no reading, of an LZFSE stream; `InputError` as its size."""
-    return _readings(np.frombuffer(_unpacked(data, camera, 4, where), "<f4"), camera)
+    return _mask_invalid(np.frombuffer(_decode_lzfse(data, camera, 4, where), "<f4"), camera)
 
 
-def confidences(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
+def decode_confidences(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
     """Return the confidences (h, w) uint8 of an LZFSE stream."""
-    values = np.frombuffer(_unpacked(data, camera, 1, where), np.uint8)
+    values = np.frombuffer(_decode_lzfse(data, camera, 1, where), np.uint8)
     return values.reshape(camera.height, camera.width)
 
 
-def exr_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
+def read_exr_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 [m], NaN: no reading, of the first channel of an OpenEXR file."""
     try:
         import OpenEXR
@@ -152,16 +152,16 @@ def exr_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
         why = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path} cannot be read as OpenEXR ({why}); copy it again.") from error
     check_shape(metres, camera, path)
-    return _readings(metres, camera)
+    return _mask_invalid(metres, camera)
 
 
-def _readings(metres: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+def _mask_invalid(metres: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     image = metres.astype(np.float32).reshape(camera.height, camera.width)
     image[~(np.isfinite(image) & (image > 0))] = np.nan
     return image
 
 
-def _unpacked(data: bytes, camera: Camera, each: int, where: str) -> bytes:
+def _decode_lzfse(data: bytes, camera: Camera, each: int, where: str) -> bytes:
     """Return the bytes of an LZFSE stream, `each` a pixel."""
     wanted = camera.width * camera.height * each
     if len(data) == wanted and not data.startswith(b"bvx"):
@@ -194,7 +194,7 @@ def is_record3d(path: Path) -> bool:
     """Return whether this is a `.r3d` file, its folder, or an export's."""
     if path.is_file():
         return path.suffix.lower() == ".r3d"
-    known = _exported(path)
+    known = _find_export(path)
     unpacked = any((path / name).is_file() for name in ("metadata", "metadata.json"))
     return known is not None or (unpacked and (path / "rgbd").is_dir())
 
@@ -205,7 +205,7 @@ def read_record3d(path: Path) -> Capture:
     Raises `InputError` where files are missing or broken, `MissingExtraError` where what unpacks
     depth (LZFSE or OpenEXR) is not installed.
     """
-    exported = _exported(path)
+    exported = _find_export(path)
     source = Zipped(path) if path.is_file() else Folder(exported or path)
     meta = source.json("metadata.json" if "metadata.json" in source.names else "metadata")
     where = f"{source.path}, metadata"
@@ -217,7 +217,7 @@ def read_record3d(path: Path) -> Capture:
     cameras = _record3d_cameras(meta, where, len(poses))
     size = _record3d_size(meta, where, ("dw", "dh"), _LIDAR)
     left_out: Counter[str] = Counter()
-    shots = []
+    frames_ = []
     for stem in sorted(pictures, key=natural_key):
         row = int(stem) if stem.isascii() and stem.isdigit() else -1
         depth = f"{depths}{stem}.{'exr' if exported else 'depth'}"
@@ -234,11 +234,11 @@ def read_record3d(path: Path) -> Capture:
             unit=DepthUnit(f"{source.path}, {depths}", 1.0),
         )
         pose = MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV
-        shots.append(StoredFrame(name, stamps[row], pose, camera, images, depth_camera))
-    return make_capture(path, shots, left_out=left_out)
+        frames_.append(StoredFrame(name, stamps[row], pose, camera, images, depth_camera))
+    return make_capture(path, frames_, left_out=left_out)
 
 
-def _exported(path: Path) -> Path | None:
+def _find_export(path: Path) -> Path | None:
     """Return the folder with `metadata.json`, `rgb/` and `depth/*.exr`."""
     for folder in (path, path / "EXR_RGBD"):
         if (folder / "metadata.json").is_file() and (folder / "rgb").is_dir():
@@ -256,11 +256,11 @@ def _record3d_colour(source: Folder | Zipped, name: str, camera: Camera) -> NDAr
 def _record3d_depth(source: Folder | Zipped, name: str, camera: Camera) -> NDArray[np.float32]:
     where = f"{source.path}, {name}"
     if name.endswith(".exr"):
-        return exr_depth(source.path / name, camera)
-    metres = lzfse_depth(source.read(name), camera, where)
-    sure = name.removesuffix("depth") + "conf"
-    if sure in source.names:
-        metres[confidences(source.read(sure), camera, where) == 0] = np.nan
+        return read_exr_depth(source.path / name, camera)
+    metres = decode_lzfse_depth(source.read(name), camera, where)
+    confidence = name.removesuffix("depth") + "conf"
+    if confidence in source.names:
+        metres[decode_confidences(source.read(confidence), camera, where) == 0] = np.nan
     return metres
 
 
@@ -318,7 +318,7 @@ def _record3d_size(
 
 
 _UNIT = 1000.0
-_OFF_CENTRE = 0.15  # principal points lie nearer to the middle than this share of the width
+_MAX_OFFSET = 0.15  # principal points lie nearer to the middle than this share of the width
 
 
 def is_arkit_app(path: Path) -> bool:
@@ -351,11 +351,11 @@ def read_arkit_app(path: Path) -> Capture:
         )
     first = images[f"frame_{named[0]}"], images[f"depth_{named[0]}"]
     return make_capture(
-        path, (_arkit_app_shot(path, images, row, first) for row in named), left_out=left_out
+        path, (_read_arkit_app_frame(path, images, row, first) for row in named), left_out=left_out
     )
 
 
-def _arkit_app_shot(
+def _read_arkit_app_frame(
     path: Path, images: dict[str, Path], row: str, first: tuple[Path, Path]
 ) -> StoredFrame:
     """Return the frame of a number; `first` are the colour and the depth image whose sizes all have."""
@@ -365,13 +365,13 @@ def _arkit_app_shot(
         raise InputError(f"{file} must be a JSON object with cameraPoseARFrame and intrinsics.")
     fx, _, cx, _, fy, cy, *_ = read_numbers(file, content, "intrinsics", 9)
     width, height = image_size(first[0])
-    if not max(abs(cx / width - 0.5), abs(cy / height - 0.5)) < _OFF_CENTRE:
+    if not max(abs(cx / width - 0.5), abs(cy / height - 0.5)) < _MAX_OFFSET:
         raise InputError(
             f"{file}: the principal point {cx:g}, {cy:g} is not the middle of {first[0].name}, "
             f"{width} x {height}; the images were made smaller or turned: export them again."
         )
     camera = make_camera(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
-    depth, sure = images[f"depth_{row}"], images.get(f"conf_{row}")
+    depth, confidence = images[f"depth_{row}"], images.get(f"conf_{row}")
     depth_camera = resize_camera(camera, image_size(first[1]), first[1])
     pose = orthonormalize_pose(
         read_numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame"
@@ -383,14 +383,14 @@ def _arkit_app_shot(
         camera=camera,
         images=LazyImages(
             colour_file(images[f"frame_{row}"], camera),
-            depth_file(depth, depth_camera, _UNIT, confidence=sure),
+            depth_file(depth, depth_camera, _UNIT, confidence=confidence),
             unit=DepthUnit(f"{path / 'depth_*.png'}", _UNIT),
         ),
         depth_camera=depth_camera,
     )
 
 
-_SAME = 0.002  # seconds: both files have the frame's own stamp, rounded to a microsecond
+_TOLERANCE = 0.002  # seconds: both files have the frame's own stamp, rounded to a microsecond
 
 
 def is_ios_logger(path: Path) -> bool:
@@ -407,9 +407,9 @@ def read_ios_logger(path: Path) -> Capture:
     video = Video(path / "Frames.m4v")
     frames = read_rows(path / "Frames.txt", (6,), "time, number, fx, fy, cx, cy")
     poses = read_rows(path / "ARposes.txt", (8,), "time, x, y, z, qw, qx, qy, qz")
-    found = match_stamps([row[0] for _, row in poses], [row[0] for _, row in frames], _SAME)
+    found = match_stamps([row[0] for _, row in poses], [row[0] for _, row in frames], _TOLERANCE)
     left_out: Counter[str] = Counter()
-    shots = []
+    frames_ = []
     for (line, (stamp, index, *intrinsics)), at in zip(frames, found.tolist(), strict=True):
         number = int(index)
         if number != index or number < 0:
@@ -421,14 +421,14 @@ def read_ios_logger(path: Path) -> Capture:
         camera = make_camera(line, video.size, intrinsics)
         pose = MAP_FROM_Y_UP @ pose_from_quaternion((x, y, z), (*q, qw), where) @ ARKIT_FROM_OPENCV
         images = LazyImages(partial(video.picture, number, camera))
-        shots.append(StoredFrame(where, stamp, pose, camera, images))
-    return make_capture(path, shots, left_out=left_out)
+        frames_.append(StoredFrame(where, stamp, pose, camera, images))
+    return make_capture(path, frames_, left_out=left_out)
 
 
 def is_polycam(path: Path) -> bool:
     """Return whether a folder is an export, or its `keyframes/`."""
-    return (_keyframes(path) / "cameras").is_dir() or (
-        _keyframes(path) / "corrected_cameras"
+    return (_find_keyframes(path) / "cameras").is_dir() or (
+        _find_keyframes(path) / "corrected_cameras"
     ).is_dir()
 
 
@@ -437,14 +437,14 @@ def read_polycam(path: Path) -> Capture:
 
     Raises `InputError` where files are missing or broken, or depth is not of the images' view.
     """
-    folder = _keyframes(path)
+    folder = _find_keyframes(path)
     corrected = list_images(folder / "corrected_images")
     kind = (
         "corrected_" if corrected and list_images(folder / "corrected_cameras", (".json",)) else ""
     )
     colours = corrected if kind else list_images(folder / "images")
     cameras = list_images(folder / f"{kind}cameras", (".json",))
-    depths, sure = list_images(folder / "depth"), list_images(folder / "confidence")
+    depths, confidence = list_images(folder / "depth"), list_images(folder / "confidence")
     if not colours:
         raise InputError(f"{folder / 'images'} holds no image; export the raw data again.")
     if not depths:
@@ -454,15 +454,15 @@ def read_polycam(path: Path) -> Capture:
     first = next(iter(depths.values()))
     size, unit = image_size(first), DepthUnit(str(folder / "depth"), _UNIT)
     left_out: Counter[str] = Counter()
-    shots = []
+    frames_ = []
     for i, (stem, file) in enumerate(colours.items()):
         if stem not in cameras or stem not in depths:
             left_out[f"no {'camera' if stem not in cameras else 'depth'}"] += 1
             continue
         camera, pose = _read_polycam_camera(cameras[stem])
         depth_camera = resize_camera(camera, size, first)
-        depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
-        shots.append(
+        depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=confidence.get(stem))
+        frames_.append(
             StoredFrame(
                 name=str(cameras[stem]),
                 stamp=int(stem) / 1e6 if stem.isascii() and stem.isdigit() else float(i),
@@ -475,10 +475,10 @@ def read_polycam(path: Path) -> Capture:
     notes = (
         () if kind else ("Polycam's uncorrected poses and images are used: there are no others.",)
     )
-    return make_capture(path, shots, left_out=left_out, notes=notes)
+    return make_capture(path, frames_, left_out=left_out, notes=notes)
 
 
-def _keyframes(path: Path) -> Path:
+def _find_keyframes(path: Path) -> Path:
     return path if path.name == "keyframes" else path / "keyframes"
 
 
@@ -513,15 +513,15 @@ def read_stray(path: Path) -> Capture:
     videos is installed.
     """
     video = Video(path / "rgb.mp4")
-    matrix = _stray_matrix(path / "camera_matrix.csv")
-    depths, sure = list_images(path / "depth"), list_images(path / "confidence")
+    matrix = _read_stray_intrinsics(path / "camera_matrix.csv")
+    depths, confidence = list_images(path / "depth"), list_images(path / "confidence")
     if not depths:
         raise InputError(f"{path / 'depth'} holds no image; copy the whole recording.")
     first = next(iter(depths.values()))
     size, unit = image_size(first), DepthUnit(str(path / "depth"), _UNIT)
     left_out: Counter[str] = Counter()
-    shots = []
-    for line, row in _stray_rows(path / "odometry.csv"):
+    frames_ = []
+    for line, row in _read_stray_rows(path / "odometry.csv"):
         number = int(row["frame"])
         stem = f"{number:06d}"
         if number >= len(video) or stem not in depths:
@@ -531,8 +531,8 @@ def read_stray(path: Path) -> Capture:
         camera = make_camera(f"{path / 'camera_matrix.csv'}", video.size, intrinsics)
         depth_camera = resize_camera(camera, size, first)
         position, xyzw = ([row[name] for name in _POSE[a:b]] for a, b in ((2, 5), (5, 9)))
-        depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
-        shots.append(
+        depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=confidence.get(stem))
+        frames_.append(
             StoredFrame(
                 name=line,
                 stamp=row["timestamp"],
@@ -542,10 +542,10 @@ def read_stray(path: Path) -> Capture:
                 depth_camera=depth_camera,
             )
         )
-    return make_capture(path, shots, left_out=left_out)
+    return make_capture(path, frames_, left_out=left_out)
 
 
-def _stray_matrix(path: Path) -> dict[str, float]:
+def _read_stray_intrinsics(path: Path) -> dict[str, float]:
     """Return fx, fy, cx, cy of a matrix by rows."""
     try:
         values = [float(word) for word in read_text(path).replace(",", " ").split()]
@@ -556,7 +556,7 @@ def _stray_matrix(path: Path) -> dict[str, float]:
     return dict(zip(_INTRINSICS, (values[0], values[4], values[2], values[5]), strict=True))
 
 
-def _stray_rows(path: Path) -> list[tuple[str, dict[str, float]]]:
+def _read_stray_rows(path: Path) -> list[tuple[str, dict[str, float]]]:
     """Rows of a table with a header, by column, and where they stand; empty cells have no entry."""
     try:
         lines = list(csv.reader(io.StringIO(read_text(path)), skipinitialspace=True))

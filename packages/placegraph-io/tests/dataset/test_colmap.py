@@ -125,7 +125,7 @@ def test_points_and_colours(form, where, recorded, save, tmp_path):
     said = " ".join(capture.notes)
     assert "A unit of the COLMAP model is 0.37" in said
     assert re.search(r"at 6[0-9][0-9] sparse points", said)
-    assert "level and upright surfaces tell" in said
+    assert "horizontal and vertical surfaces show" in said
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from tests.io.damage import DAMAGE, read_damaged
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.capture import open_capture
-from placegraph_io.dataset.multiscan import Deflated
+from placegraph_io.dataset.multiscan import DeflateStream
 
 write_video = pytest.importorskip("tests.io.video", reason="needs OpenCV").write_video
 LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # a codec's blocks blur small ones
@@ -70,7 +70,7 @@ def test_points_and_colours(unit, sure, turns, recorded, tmp_path):
 def test_a_pipe_is_no_stream_of_depth(tmp_path):
     os.mkfifo(tmp_path / "a.depth.zlib")
     with pytest.raises(InputError, match="not a plain file"):
-        Deflated(tmp_path / "a.depth.zlib", 4).read(0)
+        DeflateStream(tmp_path / "a.depth.zlib", 4).read(0)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_frames_of_a_stream_in_any_order(tmp_path):
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 5, (250, 640)).astype(np.uint8)
     (tmp_path / "x").write_bytes(deflated(f.tobytes() for f in frames))
-    stream = Deflated(tmp_path / "x", 640)
+    stream = DeflateStream(tmp_path / "x", 640)
     for i in (3, 249, 120, 100, 99, 0, 248, 201):
         assert stream.read(i) == frames[i].tobytes()
     with pytest.raises(InputError, match="ends before frame 250"):
@@ -109,7 +109,7 @@ def test_damaged_streams(tmp_path):
         bad = bytearray(good)
         bad[rng.integers(len(bad))] ^= 1 << rng.integers(8)
         (tmp_path / "x").write_bytes(bad[: rng.integers(1, len(bad))])
-        stream = Deflated(tmp_path / "x", 6400)
+        stream = DeflateStream(tmp_path / "x", 6400)
         for i in (3, 1):
             with contextlib.suppress(InputError):
                 assert len(stream.read(i)) == 6400

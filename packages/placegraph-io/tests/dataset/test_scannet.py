@@ -12,7 +12,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scannet import (
     axis_alignment,
     is_scannet,
-    patches,
+    label_patches,
     read_label_map,
     read_scannet,
 )
@@ -256,7 +256,7 @@ def test_patches_are_what_walking_finds(data):
                 for b in triangle:
                     if label[a] == label[b]:
                         expected[a] = expected[b] = min(expected[a], expected[b])
-    np.testing.assert_array_equal(patches(triangles, label), expected)
+    np.testing.assert_array_equal(label_patches(triangles, label), expected)
 
 
 @DAMAGE

@@ -44,37 +44,39 @@ def read_arkit_scenes(path: Path) -> Capture:
     """
     folder = _frames(path)
     kinds = ("lowres_wide", "lowres_depth", "confidence", "lowres_wide_intrinsics")
-    files = [_stamped(folder / k, (".pincam",) if "intr" in k else (".png",)) for k in kinds]
+    files = [_list_stamped(folder / k, (".pincam",) if "intr" in k else (".png",)) for k in kinds]
     for kind, found in zip(kinds, files, strict=True):
         if not found and kind != "confidence":
             raise InputError(f"{folder / kind} holds no file; download that part of it too.")
-    stamps, poses = _trajectory(folder / "lowres_wide.traj")
+    stamps, poses = _read_trajectory(folder / "lowres_wide.traj")
     asked = [stamp for stamp, _ in files[0]]
-    depth_of, sure_of, camera_file_of = (
+    depth_of, confidence_of, camera_file_of = (
         match_stamps([stamp for stamp, _ in found], asked, _TOLERANCE) for found in files[1:]
     )
     pose_of = match_stamps(stamps, asked, _TOLERANCE)
     first = files[1][0][1]
     size, unit = image_size(first), DepthUnit(str(folder / "lowres_depth"), _UNIT)
     left_out: Counter[str] = Counter()
-    shots = []
+    found_frames = []
     for i, (stamp, file) in enumerate(files[0]):
         rows = {"depth": depth_of[i], "intrinsics": camera_file_of[i], "pose": pose_of[i]}
         lacking = next((name for name, row in rows.items() if row < 0), None)
         if lacking:
             left_out[f"no {lacking} within 5 ms"] += 1
             continue
-        camera = _pincam(files[3][camera_file_of[i]][1])
+        camera = _read_camera(files[3][camera_file_of[i]][1])
         depth = files[1][depth_of[i]][1]
         depth_camera = resize_camera(camera, size, first)
-        sure = files[2][sure_of[i]][1] if sure_of[i] >= 0 else None
+        confidence = files[2][confidence_of[i]][1] if confidence_of[i] >= 0 else None
         images = LazyImages(
             colour_file(file, camera),
-            depth_file(depth, depth_camera, _UNIT, confidence=sure),
+            depth_file(depth, depth_camera, _UNIT, confidence=confidence),
             unit=unit,
         )
-        shots.append(StoredFrame(str(file), stamp, poses[pose_of[i]], camera, images, depth_camera))
-    return make_capture(path, shots, left_out=left_out)
+        found_frames.append(
+            StoredFrame(str(file), stamp, poses[pose_of[i]], camera, images, depth_camera)
+        )
+    return make_capture(path, found_frames, left_out=left_out)
 
 
 def _frames(path: Path) -> Path:
@@ -85,7 +87,7 @@ def _frames(path: Path) -> Path:
     return below[0] if len(below) == 1 else path
 
 
-def _stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]:
+def _list_stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]:
     """Return the stamps and files VIDEO_STAMP of a folder."""
     found = []
     for stem, file in list_images(folder, endings).items():
@@ -99,7 +101,7 @@ def _stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]
     return sorted(found)
 
 
-def _trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _read_trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the stamps (T,) [s] and world_from_camera (T, 4, 4) [m]."""
     table = read_table(path, ("stamp", "rx", "ry", "rz", "tx", "ty", "tz"))
     rotation = rotation_from_vector(table.values[:, 1:4])
@@ -109,7 +111,7 @@ def _trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return table.values[:, 0], poses
 
 
-def _pincam(path: Path) -> Camera:
+def _read_camera(path: Path) -> Camera:
     try:
         width, height, *intrinsics = (float(word) for word in read_text(path).split())
         size = int(width), int(height)

@@ -88,14 +88,14 @@ class ColmapModel:
 def model_folder(path: Path) -> Path | None:
     """Return the folder of the model: `sparse/0`, `sparse` or the path itself; None: there is none."""
     for folder in (path / "sparse" / "0", path / "sparse", path):
-        if _ending(folder):
+        if _find_ending(folder):
             return folder
     return None
 
 
 def read_model(folder: Path) -> ColmapModel:
     """Read a model; `InputError` where a file is missing, truncated, or a camera is no pinhole's."""
-    if _ending(folder) == ".bin":
+    if _find_ending(folder) == ".bin":
         cameras = dict(_binary_cameras(folder / "cameras.bin"))
         pictures = tuple(_binary_pictures(folder / "images.bin"))
         points = dict(_binary_points(folder / "points3D.bin"))
@@ -113,7 +113,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 in the model's unit, NaN: none, of `stereo/depth_maps/*.bin`."""
-    data = _bytes(path)
+    data = _read_bytes(path)
     head = re.match(rb"([0-9]{1,9})&([0-9]{1,9})&([0-9]{1,9})&", data)
     if not head:
         raise InputError(f"{path} does not begin with `width&height&channels&`.")
@@ -129,7 +129,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     return depth
 
 
-def _ending(folder: Path) -> str | None:
+def _find_ending(folder: Path) -> str | None:
     """Return the ending of a model's files; None: it is none."""
     for ending in (".bin", ".txt"):
         if all((folder / f"{name}{ending}").is_file() for name in ("cameras", "images")):
@@ -163,7 +163,7 @@ class _Reader:
     """Walks through the bytes of a file; `InputError` where they end too early."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, _bytes(path), 0
+        self.path, self.data, self.at = path, _read_bytes(path), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """Return the numbers of a `struct` layout, little-endian."""
@@ -209,7 +209,7 @@ def _binary_pictures(path: Path) -> Iterator[Picture]:
         _, *pose, camera = reader.take("I7dI")
         name = reader.text()
         seen = reader.rows(reader.take("Q")[0], _PIXEL)
-        yield _picture(f"{path}, {name!r}", name, pose, camera, seen["uv"], seen["point"])
+        yield _make_picture(f"{path}, {name!r}", name, pose, camera, seen["uv"], seen["point"])
 
 
 def _binary_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
@@ -223,43 +223,43 @@ def _binary_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
-    for where, words in _lines(path):
+    for where, words in _read_lines(path):
         if len(words) < 4:
             raise InputError(f"{where}: a row is `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`.")
-        number, width, height = (int(v) for v in _floats(where, [words[0], *words[2:4]]))
-        values = _floats(where, words[4:]).tolist()
+        number, width, height = (int(v) for v in _parse_numbers(where, [words[0], *words[2:4]]))
+        values = _parse_numbers(where, words[4:]).tolist()
         yield number, model_camera(where, words[1], (width, height), values)
 
 
 def _text_pictures(path: Path) -> Iterator[Picture]:
-    rows = _lines(path, blank=True)
+    rows = _read_lines(path, blank=True)
     for where, words in rows:
         if not words:
             continue
         if len(words) < 10:
             raise InputError(f"{where}: a row is `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`.")
-        values = _floats(where, words[:9])
+        values = _parse_numbers(where, words[:9])
         _, seen = next(rows, (where, []))
         if len(seen) % 3:
             raise InputError(f"{where}: the row below is not `X Y POINT3D_ID ...`.")
-        table = _floats(where, seen).reshape(-1, 3)
+        table = _parse_numbers(where, seen).reshape(-1, 3)
         points = np.where(table[:, 2] < 0, 0, table[:, 2]).astype(np.uint64)
         points[table[:, 2] < 0] = _NO_POINT
         name = " ".join(words[9:])
-        yield _picture(where, name, values[1:8].tolist(), int(values[8]), table[:, :2], points)
+        yield _make_picture(where, name, values[1:8].tolist(), int(values[8]), table[:, :2], points)
 
 
 def _text_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
     if not path.is_file():
         return
-    for where, words in _lines(path):
+    for where, words in _read_lines(path):
         if len(words) < 8:
             raise InputError(f"{where}: a row is `POINT3D_ID X Y Z R G B ERROR TRACK`.")
-        values = _floats(where, words[:4])
+        values = _parse_numbers(where, words[:4])
         yield int(values[0]), values[1:]
 
 
-def _picture(
+def _make_picture(
     where: str,
     name: str,
     pose: list[float],
@@ -274,7 +274,7 @@ def _picture(
     )
 
 
-def _lines(path: Path, *, blank: bool = False) -> Iterator[tuple[str, list[str]]]:
+def _read_lines(path: Path, *, blank: bool = False) -> Iterator[tuple[str, list[str]]]:
     """Yield the words of every line that is no comment, and where it stands."""
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.split()
@@ -282,7 +282,7 @@ def _lines(path: Path, *, blank: bool = False) -> Iterator[tuple[str, list[str]]
             yield f"{path}, line {number}", words
 
 
-def _floats(where: str, words: list[str]) -> NDArray[np.float64]:
+def _parse_numbers(where: str, words: list[str]) -> NDArray[np.float64]:
     try:
         values = np.array([float(word) for word in words])
     except ValueError as error:
@@ -292,7 +292,7 @@ def _floats(where: str, words: list[str]) -> NDArray[np.float64]:
     return values
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return check_regular(path).read_bytes()
     except FileNotFoundError as error:
@@ -302,8 +302,8 @@ def _bytes(path: Path) -> bytes:
 
 
 _UNIT = 1000.0
-_FEWEST = 30  # readings at sparse points that a scale needs
-_LOOKED_AT = 40  # images whose depth is compared with sparse points
+_MIN_READINGS = 30  # readings at sparse points that a scale needs
+_MAX_IMAGES = 40  # images whose depth is compared with sparse points
 
 
 class _View(NamedTuple):
@@ -349,23 +349,23 @@ def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None 
     left_out: Counter[str] = Counter()
     views = _views(path, model, left_out)
     own = views[0].depth.suffix == ".bin"
-    metres, said = _scale(model, views, scale, own=own)
+    metres, scale_note = _scale(model, views, scale, own=own)
     map_from_model, direction = _upright(views, up, own=own)
     map_from_model[:3, :3] *= metres
     unit = DepthUnit(str(views[0].depth.parent), 1.0 / metres if own else _UNIT)
-    shots = []
+    frames = []
     for i, view in enumerate(views):
         pose = map_from_model @ np.linalg.inv(view.picture.camera_from_model)
         pose[:3, :3] /= metres
-        depth = partial(_own_depth, view.depth, view.depth_camera, metres) if own else None
+        depth = partial(_read_own_depth, view.depth, view.depth_camera, metres) if own else None
         images = LazyImages(
             colour_file(view.colour, view.camera),
             depth or depth_file(view.depth, view.depth_camera, _UNIT),
             unit=unit,
         )
         name = f"{folder / 'images'}, {view.picture.name!r}"
-        shots.append(StoredFrame(name, float(i), pose, view.camera, images, view.depth_camera))
-    return make_capture(path, shots, left_out=left_out, notes=(said, direction))
+        frames.append(StoredFrame(name, float(i), pose, view.camera, images, view.depth_camera))
+    return make_capture(path, frames, left_out=left_out, notes=(scale_note, direction))
 
 
 def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View]:
@@ -414,7 +414,7 @@ def _depth_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def _own_depth(path: Path, camera: Camera, metres: float) -> NDArray[np.float32]:
+def _read_own_depth(path: Path, camera: Camera, metres: float) -> NDArray[np.float32]:
     """Return the depth (h, w) [m] of COLMAP's own, whose unit is the model's."""
     depth = read_depth_map(path)
     check_shape(depth, camera, path)
@@ -432,12 +432,12 @@ def _scale(
             "A unit of the COLMAP model is taken for a metre: its own depth cannot tell; give scale "
             "where it is another."
         )
-    step = max(1, len(views) // _LOOKED_AT)
-    ratios = np.concatenate([_ratios(model, view) for view in views[::step]])
-    if len(ratios) < _FEWEST:
+    step = max(1, len(views) // _MAX_IMAGES)
+    ratios = np.concatenate([_depth_ratios(model, view) for view in views[::step]])
+    if len(ratios) < _MIN_READINGS:
         raise InputError(
             f"{views[0].depth.parent} has depth at {len(ratios)} sparse points of the model, which is "
-            f"too little for a scale ({_FEWEST} are needed); give the metres in a unit as scale."
+            f"too little for a scale ({_MIN_READINGS} are needed); give the metres in a unit as scale."
         )
     metres = float(np.median(ratios))
     spread = float(np.median(np.abs(ratios / metres - 1.0)))
@@ -447,7 +447,7 @@ def _scale(
     )
 
 
-def _ratios(model: ColmapModel, view: _View) -> NDArray[np.float64]:
+def _depth_ratios(model: ColmapModel, view: _View) -> NDArray[np.float64]:
     """Return the measured depth over that of sparse points (n,) [m a unit of the model] in an image."""
     seen = [(uv, model.points[int(i)]) for uv, i in
             zip(view.picture.uv, view.picture.points, strict=True) if int(i) in model.points]  # fmt: skip
@@ -472,7 +472,7 @@ def _upright(
     """Return the rotation (4, 4), map_from_model, that stands the model upright, and a sentence on it."""
     turns = np.stack([v.picture.camera_from_model[:3, :3].T for v in views])
     if given is None:
-        step = max(1, len(views) // _LOOKED_AT)
+        step = max(1, len(views) // _MAX_IMAGES)
         read = read_depth_map if own else None
         normals = [
             surface_normals(

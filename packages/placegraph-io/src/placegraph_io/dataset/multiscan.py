@@ -41,32 +41,31 @@ from placegraph.io.capture.video import Video
 
 _UNITS = {"m": ("<f2", 1.0), "mm": ("<u2", 1000.0)}
 """Numbers of the depth stream, and units in a metre."""
-_MOST = 1 << 24  # pixels of a frame
+_MOST_PIXELS = 1 << 24  # pixels of a frame
 
 
 def is_multiscan(path: Path) -> bool:
     """Return whether a folder has an `X.jsonl` and an `X.mp4`."""
-    return path.is_dir() and _name(path) is not None
+    return path.is_dir() and _find_name(path) is not None
 
 
 def read_multiscan(path: Path) -> Capture:
-    """Read a recording; where it has no depth stream, its frames have no depth.
+    """Read a recording; frames have no depth without a depth stream.
 
-    Raises `InputError` where files are missing or broken, `MissingExtraError` where no decoder of
-    videos is installed.
+    Raises `InputError` where files are missing or broken, `MissingExtraError` without a video decoder.
     """
-    name = _name(path)
+    name = _find_name(path)
     if name is None:
         raise InputError(
             f"{path} holds no .jsonl with an .mp4 of its name; copy the whole recording."
         )
     video = Video(path / f"{name}.mp4")
-    said = _StreamSizes.of(path / f"{name}.json")
-    depth, sure = (
-        _stream(path / f"{name}.{kind}.zlib", said, kind) for kind in ("depth", "confidence")
+    sizes = _StreamSizes.read(path / f"{name}.json")
+    depth, confidence = (
+        _stream(path / f"{name}.{kind}.zlib", sizes, kind) for kind in ("depth", "confidence")
     )
     left_out: Counter[str] = Counter()
-    shots: dict[float, StoredFrame] = {}
+    frames: dict[float, StoredFrame] = {}
     for i, line in enumerate(read_text(path / f"{name}.jsonl").splitlines()):
         if not line.strip():
             continue
@@ -74,63 +73,67 @@ def read_multiscan(path: Path) -> Capture:
         if i >= len(video):
             left_out["no colour image"] += 1
             continue
-        shot = _shot(where, line, i, video, said)
-        if shot.stamp in shots:
+        frame = _read_frame(where, line, i, video, sizes)
+        if frame.stamp in frames:
             left_out["its stamp twice"] += 1
             continue
-        shots[shot.stamp] = shot if depth is None else _with_depth(shot, i, said, (depth, sure))
-    return make_capture(path, shots.values(), left_out=left_out)
+        frames[frame.stamp] = (
+            frame if depth is None else _with_depth(frame, i, sizes, (depth, confidence))
+        )
+    return make_capture(path, frames.values(), left_out=left_out)
 
 
 class _StreamSizes(NamedTuple):
-    """What of `X.json` is used."""
+    """Sizes and unit of the streams, of `X.json`."""
 
     path: Path
     colour: tuple[int, int] | None
-    """Width and height [px] that the intrinsics are of."""
+    """Width and height of the images of the intrinsics [px]."""
     depth: tuple[int, int] | None
     unit: str
 
     @classmethod
-    def of(cls, path: Path) -> _StreamSizes:
+    def read(cls, path: Path) -> _StreamSizes:
         content = read_json(path)
         streams = content.get("streams") if isinstance(content, dict) else None
         if not isinstance(streams, list) or not all(isinstance(s, dict) for s in streams):
             raise InputError(f"{path}: streams is not a list of objects; record again.")
-        sizes = {str(s.get("file_extension")): _size(path, s) for s in streams}
+        by_stream = {str(s.get("file_extension")): _size(path, s) for s in streams}
         unit = content.get("depth_unit", "m")
         if not isinstance(unit, str) or unit not in _UNITS:
             raise InputError(f"{path}: depth_unit is {str(unit)[:40]!r}; it is 'm' or 'mm'.")
-        return cls(path, sizes.get("mp4"), sizes.get("depth.zlib"), unit)
+        return cls(path, by_stream.get("mp4"), by_stream.get("depth.zlib"), unit)
 
 
 def _size(path: Path, stream: dict[str, Any]) -> tuple[int, int] | None:
     if "resolution" not in stream:
         return None
     height, width = read_numbers(path, stream, "resolution", 2)
-    if not (0 < width < 1 << 16 and 0 < height < 1 << 16 and width * height <= _MOST):
+    if not (0 < width < 1 << 16 and 0 < height < 1 << 16 and width * height <= _MOST_PIXELS):
         raise InputError(
             f"{path}: resolution is {height:g} x {width:g}; it is a height and a width."
         )
     return int(width), int(height)
 
 
-def _name(path: Path) -> str | None:
-    """Return the name that the files of a recording share."""
+def _find_name(path: Path) -> str | None:
+    """Return the common name of the files of a recording."""
     held = (p.stem for p in path.glob("*.jsonl") if p.with_suffix(".mp4").is_file())
     return min(held, default=None)
 
 
-def _stream(path: Path, said: _StreamSizes, kind: str) -> Deflated | None:
+def _stream(path: Path, sizes: _StreamSizes, kind: str) -> DeflateStream | None:
     if not path.is_file():
         return None
-    if said.depth is None:
-        raise InputError(f"{said.path}: no stream depth.zlib has a resolution; record again.")
-    width, height = said.depth
-    return Deflated(path, width * height * (2 if kind == "depth" else 1))
+    if sizes.depth is None:
+        raise InputError(f"{sizes.path}: no stream depth.zlib has a resolution; record again.")
+    width, height = sizes.depth
+    return DeflateStream(path, width * height * (2 if kind == "depth" else 1))
 
 
-def _shot(where: Path, line: str, index: int, video: Video, said: _StreamSizes) -> StoredFrame:
+def _read_frame(
+    where: Path, line: str, index: int, video: Video, sizes: _StreamSizes
+) -> StoredFrame:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError) as error:
@@ -139,7 +142,7 @@ def _shot(where: Path, line: str, index: int, video: Video, said: _StreamSizes) 
         raise InputError(f"{where} must be a JSON object with intrinsics, transform and timestamp.")
     k = read_numbers(where, content, "intrinsics", 9)
     camera = make_camera(
-        f"{where}: intrinsics", said.colour or video.size, (k[0], k[4], k[6], k[7])
+        f"{where}: intrinsics", sizes.colour or video.size, (k[0], k[4], k[6], k[7])
     )
     camera = resize_camera(camera, video.size, video.path)
     turn = np.array(read_numbers(where, content, "transform", 16)).reshape(4, 4).T
@@ -150,61 +153,64 @@ def _shot(where: Path, line: str, index: int, video: Video, said: _StreamSizes) 
 
 
 def _with_depth(
-    shot: StoredFrame, index: int, said: _StreamSizes, streams: tuple[Deflated, Deflated | None]
+    frame: StoredFrame,
+    index: int,
+    sizes: _StreamSizes,
+    streams: tuple[DeflateStream, DeflateStream | None],
 ) -> StoredFrame:
-    assert said.depth is not None  # noqa: S101  # else there is no stream
-    camera = resize_camera(shot.camera, said.depth, streams[0].path)
-    metres = partial(_metres, *streams, index, camera, said.unit)
-    unit = DepthUnit(f"`depth_unit` in {said.path}", _UNITS[said.unit][1])
-    images = LazyImages(shot.images.colours, metres, unit=unit)
-    return StoredFrame(shot.name, shot.stamp, shot.pose, shot.camera, images, camera)
+    assert sizes.depth is not None  # noqa: S101  # else there is no stream
+    camera = resize_camera(frame.camera, sizes.depth, streams[0].path)
+    metres = partial(_read_depth, *streams, index, camera, sizes.unit)
+    unit = DepthUnit(f"`depth_unit` in {sizes.path}", _UNITS[sizes.unit][1])
+    images = LazyImages(frame.images.colours, metres, unit=unit)
+    return StoredFrame(frame.name, frame.stamp, frame.pose, frame.camera, images, camera)
 
 
-def _metres(
-    depth: Deflated, sure: Deflated | None, index: int, camera: Camera, unit: str
+def _read_depth(
+    depth: DeflateStream, confidence: DeflateStream | None, index: int, camera: Camera, unit: str
 ) -> NDArray[np.float32]:
     kind, per_metre = _UNITS[unit]
     shape = camera.height, camera.width
     units = np.frombuffer(depth.read(index), kind).reshape(shape)
-    with np.errstate(invalid="ignore"):  # of a damaged stream any bits may come
+    with np.errstate(invalid="ignore"):  # a damaged stream holds any bits
         metres = units.astype(np.float32) / np.float32(per_metre)
     metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
-    if sure is not None:
-        metres[np.frombuffer(sure.read(index), np.uint8).reshape(shape) == 0] = np.nan
+    if confidence is not None:
+        metres[np.frombuffer(confidence.read(index), np.uint8).reshape(shape) == 0] = np.nan
     return metres
 
 
-_PART = 1 << 16  # bytes of the file at once
-_MARKED = 100  # frames between places from which reading can go on, each some 50 kB of memory
+_READ_SIZE = 1 << 16  # bytes
+_CHECKPOINT_INTERVAL = 100  # frames; each checkpoint takes some 50 kB
 
 
-class _Mark(NamedTuple):
-    """Where a frame begins."""
+class _Checkpoint(NamedTuple):
+    """State of the decompressor at the beginning of a frame."""
 
     unpacker: Any
-    """With what it was given and has not unpacked."""
+    """Decompressor with its unread input."""
     offset: int
-    """Of the file, behind that."""
+    """Offset of the following input in the file."""
 
 
-class Deflated:
-    """Frames of `size` bytes each; in order is fastest. Opened again where it is sent to."""
+class DeflateStream:
+    """Deflate stream of frames of `size` bytes, fastest in order; pickled by its path."""
 
     def __init__(self, path: Path, size: int) -> None:
         self.path, self.size = path, size
         self._lock = Lock()
-        self._marks = {0: _Mark(zlib.decompressobj(-zlib.MAX_WBITS), 0)}
-        self._at, self._number = self._marks[0], 0
+        self._checkpoints = {0: _Checkpoint(zlib.decompressobj(-zlib.MAX_WBITS), 0)}
+        self._at, self._number = self._checkpoints[0], 0
 
-    def __reduce__(self) -> tuple[type[Deflated], tuple[Path, int]]:
-        return Deflated, (self.path, self.size)
+    def __reduce__(self) -> tuple[type[DeflateStream], tuple[Path, int]]:
+        return DeflateStream, (self.path, self.size)
 
     def read(self, number: int) -> bytes:
         """Return the bytes of a frame; `InputError` where the stream ends before it or is damaged."""
         with self._lock:
-            nearest = max(n for n in self._marks if n <= number)
+            nearest = max(n for n in self._checkpoints if n <= number)
             if not nearest <= self._number <= number:
-                self._at, self._number = self._marks[nearest], nearest
+                self._at, self._number = self._checkpoints[nearest], nearest
             try:
                 with check_regular(self.path).open("rb") as file:
                     return self._forward(file, number)
@@ -218,7 +224,7 @@ class Deflated:
         while self._number <= number:
             parts, missing = [], self.size
             while missing:
-                packed = unpacker.unconsumed_tail or file.read(_PART)
+                packed = unpacker.unconsumed_tail or file.read(_READ_SIZE)
                 parts.append(unpacker.decompress(packed, missing))
                 missing -= len(parts[-1])
                 if unpacker.eof or not (packed or parts[-1]):
@@ -227,7 +233,7 @@ class Deflated:
                 raise InputError(f"{self.path} ends before frame {number}; copy it again.")
             frame = b"".join(parts)
             self._number += 1
-            self._at = _Mark(unpacker.copy(), file.tell())
-            if self._number % _MARKED == 0:
-                self._marks[self._number] = self._at
+            self._at = _Checkpoint(unpacker.copy(), file.tell())
+            if self._number % _CHECKPOINT_INTERVAL == 0:
+                self._checkpoints[self._number] = self._at
         return frame

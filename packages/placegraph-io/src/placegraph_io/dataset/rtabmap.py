@@ -49,27 +49,27 @@ _SERIALIZED, _SIZED, _OLDEST = (0, 18), (0, 11, 2), (0, 10)
 
 
 class Calibration(NamedTuple):
-    """Of the first camera of a node."""
+    """Calibration of the first camera of a node."""
 
     size: tuple[int, int]
-    """Of the images [px]; 0, 0 where it does not say."""
+    """Width and height of the images [px]; 0, 0 if unknown."""
     intrinsics: tuple[float, float, float, float]
     """fx, fy, cx, cy; the centre of the first pixel is (0, 0)."""
     base_from_camera: NDArray[np.float64]
     """(4, 4)"""
     cameras: int
-    """Whose images stand side by side in the node's image."""
+    """Number of cameras, whose images stand side by side."""
 
     def camera(self, size: tuple[int, int], name: str) -> Camera:
-        """Return the camera of images of this size, where the calibration has none of its own."""
+        """Return the camera; `size` is used where the calibration has none."""
         fx, fy, cx, cy = self.intrinsics
         return make_camera(
             name, size if self.size == (0, 0) else self.size, (fx, fy, cx + 0.5, cy + 0.5)
         )
 
 
-def matrix(data: bytes, name: str) -> NDArray[Any]:
-    """Return the matrix of packed data; `InputError`, which begins with `name`, where it makes none."""
+def decode_matrix(data: bytes, name: str) -> NDArray[Any]:
+    """Decode a compressed matrix; `InputError`, beginning with `name`, where it is damaged."""
     rows, columns, kind = (
         np.frombuffer(data[-12:], "<i4").tolist() if len(data) > 12 else (0, 0, -1)
     )
@@ -87,81 +87,81 @@ def matrix(data: bytes, name: str) -> NDArray[Any]:
     return np.frombuffer(unpacked, _TYPES[kind]).reshape(rows, columns)
 
 
-def calibration(data: bytes, version: tuple[int, ...], name: str) -> Calibration:
+def decode_calibration(data: bytes, version: tuple[int, ...], name: str) -> Calibration:
     """Calibration of a node; `InputError`, which begins with `name`, where it is none that is read."""
     if version < _OLDEST:
         raise InputError(
             f"{name}: databases before 0.10 are not read; `rtabmap-reprocess old.db new.db` makes a new one."
         )
     if version >= _SERIALIZED:
-        return _serialized(data, name)
+        return _decode_serialized(data, name)
     head = 6 if version >= _SIZED else 4  # fx, fy, cx, cy, perhaps the size, and 3 x 4
     if not data or len(data) % (4 * (head + 12)):
-        raise _stereo(name) if len(data) in {4 * 17, 4 * 19} else _broken(name)
+        raise _stereo_error(name) if len(data) in {4 * 17, 4 * 19} else _broken_error(name)
     values = np.frombuffer(data, "<f4").astype(np.float64)
     fx, fy, cx, cy = values[:4].tolist()
-    width, height = (0, 0) if head == 4 else _whole(values[4:6], name)
+    width, height = (0, 0) if head == 4 else _read_size(values[4:6], name)
     pose = orthonormalize_pose(values[head : head + 12], f"{name}: the local transform")
     return Calibration((width, height), (fx, fy, cx, cy), pose, len(data) // (4 * (head + 12)))
 
 
-def _serialized(data: bytes, name: str) -> Calibration:
+def _decode_serialized(data: bytes, name: str) -> Calibration:
     first: Calibration | None = None
     count = at = 0
     while at < len(data):
         if len(data) < at + 44:
-            raise _broken(name)
+            raise _broken_error(name)
         head = np.frombuffer(data[at : at + 44], "<i4").tolist()
         if head[3] != 0:
-            raise _stereo(name) if head[3] == 1 else _broken(name)
+            raise _stereo_error(name) if head[3] == 1 else _broken_error(name)
         lengths = head[6:11]
         sizes = [8 * n for n in lengths[:4]] + [4 * lengths[4]]
         if not all(0 <= n <= 64 for n in lengths) or at + 44 + sum(sizes) > len(data):
-            raise _broken(name)
+            raise _broken_error(name)
         ends = at + 44 + np.cumsum([0, *sizes])
-        first = first or _model(data, head, ends.tolist(), name)
+        first = first or _decode_model(data, head, ends.tolist(), name)
         count, at = count + 1, int(ends[-1])
     if first is None:
-        raise _broken(name)
+        raise _broken_error(name)
     return first._replace(cameras=count)
 
 
-def _model(data: bytes, head: list[int], ends: list[int], name: str) -> Calibration:
+def _decode_model(data: bytes, head: list[int], ends: list[int], name: str) -> Calibration:
     """Return the camera that RTAB-Map projects with: of its images as they were rectified (P), else K."""
     k, p, local = (data[ends[i] : ends[i + 1]] for i in (0, 3, 4))
     used, columns = (p, 4) if len(p) == 96 else (k, 3)
     if len(used) != 24 * columns or len(local) not in {0, 48}:
-        raise _broken(name)
+        raise _broken_error(name)
     m = np.frombuffer(used, "<f8").reshape(3, columns)
     pose = np.eye(4)
     if local:
         pose = orthonormalize_pose(np.frombuffer(local, "<f4"), f"{name}: the local transform")
-    size = _whole(np.array(head[4:6], np.float64), name)
+    size = _read_size(np.array(head[4:6], np.float64), name)
     return Calibration(
         size, (float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2])), pose, 1
     )
 
 
-def _whole(values: NDArray[np.float64], name: str) -> tuple[int, int]:
+def _read_size(values: NDArray[np.float64], name: str) -> tuple[int, int]:
     if not ((values >= 0) & (values < 1 << 16)).all():
         raise InputError(f"{name} says its images have {values[0]:g} x {values[1]:g} pixels.")
     return int(values[0]), int(values[1])
 
 
-def _stereo(name: str) -> InputError:
+def _stereo_error(name: str) -> InputError:
     return InputError(
         f"{name} is of a stereo camera, of which the database has no depth; record with a depth camera, "
         "or a telephone with LiDAR."
     )
 
 
-def _broken(name: str) -> InputError:
+def _broken_error(name: str) -> InputError:
     return InputError(
         f"{name} is no calibration of RTAB-Map; calibrate the camera, and record again."
     )
 
 
-def depth_image(data: bytes, name: str) -> NDArray[np.float32]:
+def decode_depth(data: bytes, name: str) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 [m], NaN: no reading; `InputError`, which begins with `name`."""
     inverse = data.startswith(_INVERSE) and len(data) > 16
     head = np.frombuffer(data[8:16], "<f4") if inverse else None
@@ -202,10 +202,10 @@ def is_rtabmap(path: Path) -> bool:
 
 
 def read_rtabmap(path: Path) -> Capture:
-    """Read a database; its images are read when they are asked for.
+    """Read a database; images are read on demand.
 
-    Poses are the optimized ones, where RTAB-Map has saved any when it closed the database; else the
-    odometry's of the longest session. Raises `InputError` where the file is no such database, is
+    Poses are the optimized ones if the database was closed with them, else odometry of the longest
+    session. Raises `InputError` where the file is no such database, is
     older than 0.10, is of a stereo camera, or holds no node with an image, a pose and a calibration.
     """
     base = Database(path)
@@ -218,17 +218,17 @@ def read_rtabmap(path: Path) -> Capture:
                 f"{path} is a database of RTAB-Map {'.'.join(map(str, version))}, which is not read; "
                 "`rtabmap-reprocess old.db new.db` makes a new one."
             )
-        sure = "depth_confidence" in known
-        columns = _COLUMNS + (", length(d.depth_confidence)" if sure else ", NULL")
+        has_confidence = "depth_confidence" in known
+        columns = _COLUMNS + (", length(d.depth_confidence)" if has_confidence else ", NULL")
         rows = base.select(columns, "Node", "n JOIN Data d ON n.id = d.id ORDER BY n.id").fetchall()
-        poses, notes = _optimized(base)
+        poses, notes = _read_optimized_poses(base)
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(f"{path} is no database of RTAB-Map ({error}); copy it again.") from error
     return _capture(base, version, [_Node(*row) for row in rows], poses, notes)
 
 
 class _Node(NamedTuple):
-    """A row, as SQLite hands it out: of any type."""
+    """Row of a node; SQLite's values have any type."""
 
     id: Any
     session: Any
@@ -238,10 +238,10 @@ class _Node(NamedTuple):
     """Bytes of the image."""
     depth: Any
     calibration: Any
-    sure: Any
+    confidence: Any
 
     @property
-    def stamped(self) -> bool:
+    def has_stamp(self) -> bool:
         return (
             isinstance(self.id, int) and isinstance(self.stamp, float) and math.isfinite(self.stamp)
         )
@@ -255,7 +255,7 @@ def _version(base: Database) -> tuple[int, ...]:
     return tuple(int(n) for n in numbers)
 
 
-def _optimized(base: Database) -> tuple[dict[int, NDArray[np.float64]], tuple[str, ...]]:
+def _read_optimized_poses(base: Database) -> tuple[dict[int, NDArray[np.float64]], tuple[str, ...]]:
     """Return world_from_base (3, 4) by node, as optimized last; empty where they were not saved."""
     if not {"opt_ids", "opt_poses"} <= base.columns("Admin"):
         return {}, ()
@@ -263,7 +263,7 @@ def _optimized(base: Database) -> tuple[dict[int, NDArray[np.float64]], tuple[st
     if row is None or not all(isinstance(value, bytes) for value in row):
         return {}, ()
     ids, poses = (
-        matrix(v, f"{base.path}, Admin.{n}")
+        decode_matrix(v, f"{base.path}, Admin.{n}")
         for v, n in zip(row, ("opt_ids", "opt_poses"), strict=True)
     )
     if ids.dtype.kind != "i" or poses.dtype.kind != "f" or poses.size != 12 * ids.size:
@@ -274,8 +274,8 @@ def _optimized(base: Database) -> tuple[dict[int, NDArray[np.float64]], tuple[st
     return held, ("Poses are those that RTAB-Map optimized when it closed the database.",)
 
 
-def _odometry(nodes: list[_Node]) -> tuple[dict[int, NDArray[np.float64]], tuple[str, ...]]:
-    """world_from_base (3, 4) by node of the session that has most; sessions have worlds of their own."""
+def _read_odometry(nodes: list[_Node]) -> tuple[dict[int, NDArray[np.float64]], tuple[str, ...]]:
+    """Return world_from_base (3, 4) by node of the longest session; each session has its own world."""
     held = [n for n in nodes if isinstance(n.pose, bytes) and len(n.pose) == 48]
     sessions = Counter(n.session for n in held)
     session = sessions.most_common(1)[0][0] if sessions else None
@@ -299,38 +299,38 @@ def _capture(
     poses: dict[int, NDArray[np.float64]],
     notes: tuple[str, ...],
 ) -> Capture:
-    whole = [n for n in nodes if n.stamped]
+    stamped = [n for n in nodes if n.has_stamp]
     if not poses:
-        poses, notes = _odometry(whole)
-    left_out = Counter({"no stamp": len(nodes) - len(whole)})
-    shots: dict[float, StoredFrame] = {}
-    sizes = _Sizes(base)
-    for node in whole:
+        poses, notes = _read_odometry(stamped)
+    left_out = Counter({"no stamp": len(nodes) - len(stamped)})
+    frames: dict[float, StoredFrame] = {}
+    sizes = _ImageSizes(base)
+    for node in stamped:
         pose = poses.get(node.id)
         if not node.image or not isinstance(node.calibration, bytes) or not node.calibration:
             left_out["no colour image" if not node.image else "no calibration"] += 1
         elif pose is None or not pose.any():
             left_out["no pose"] += 1
-        elif node.stamp in shots:
+        elif node.stamp in frames:
             left_out["its stamp twice"] += 1
         else:
-            shots[node.stamp] = _shot(base, version, node, pose, sizes)
-    return make_capture(base.path, shots.values(), left_out=+left_out, notes=notes)
+            frames[node.stamp] = _read_frame(base, version, node, pose, sizes)
+    return make_capture(base.path, frames.values(), left_out=+left_out, notes=notes)
 
 
-class _Sizes:
-    """Width and height [px] of a database's images by their kind, of the first that is asked for."""
+class _ImageSizes:
+    """Width and height [px] of a database's images by kind, of the first image."""
 
     def __init__(self, base: Database) -> None:
         self.base = base
         self.known: dict[str, tuple[int, int]] = {}
 
     def of(self, kind: str, node: int) -> tuple[int, int]:
-        """Of "image" or "depth"; `InputError` where that of the node cannot be read."""
+        """Return the size of "image" or "depth", read from a node if unknown."""
         if kind not in self.known:
             data, name = _blob(self.base, kind, node)
             if kind == "depth":
-                height, width = depth_image(data, name).shape
+                height, width = decode_depth(data, name).shape
             else:
                 with open_image(io.BytesIO(data), name) as image:
                     width, height = image.size
@@ -338,25 +338,27 @@ class _Sizes:
         return self.known[kind]
 
 
-def _shot(
+def _read_frame(
     base: Database,
     version: tuple[int, ...],
     node: _Node,
     world_from_base: NDArray[np.float64],
-    sizes: _Sizes,
+    sizes: _ImageSizes,
 ) -> StoredFrame:
     name = f"{base.path}, node {node.id}"
-    model = calibration(node.calibration, version, f"{name}, calibration")
+    model = decode_calibration(node.calibration, version, f"{name}, calibration")
     wide, height = sizes.of("image", node.id)
     camera = model.camera((wide // model.cameras, height), f"{name}, calibration")
     depth_camera = metres = None
     if node.depth:
         wide, height = sizes.of("depth", node.id)
         depth_camera = resize_camera(camera, (wide // model.cameras, height), f"{name}, depth")
-        metres = partial(_metres, base, node.id, depth_camera, model.cameras, bool(node.sure))
+        metres = partial(
+            _read_depth, base, node.id, depth_camera, model.cameras, bool(node.confidence)
+        )
     pose = np.vstack([world_from_base, (0.0, 0.0, 0.0, 1.0)]) @ model.base_from_camera
     images = LazyImages(
-        partial(_colours, base, node.id, camera, model.cameras),
+        partial(_read_colour, base, node.id, camera, model.cameras),
         metres,
         unit=DepthUnit(f"the depth images of {base.path}", 1000.0),
     )
@@ -368,26 +370,26 @@ def _blob(base: Database, column: str, node: int) -> tuple[bytes, str]:
     return base.blob(("Data", column, node), name), name
 
 
-def _colours(base: Database, node: int, camera: Camera, cameras: int) -> NDArray[np.uint8]:
+def _read_colour(base: Database, node: int, camera: Camera, cameras: int) -> NDArray[np.uint8]:
     data, name = _blob(base, "image", node)
     image = read_rgb(Path(name), (camera.width * cameras, camera.height), io.BytesIO(data))
     return image[:, : camera.width]
 
 
-def _metres(
-    base: Database, node: int, camera: Camera, cameras: int, sure: bool
+def _read_depth(
+    base: Database, node: int, camera: Camera, cameras: int, has_confidence: bool
 ) -> NDArray[np.float32]:
     data, name = _blob(base, "depth", node)
-    image = depth_image(data, name)
-    if sure:
-        packed, said = _blob(base, "depth_confidence", node)
-        trust = matrix(packed, said)
-        if trust.shape != image.shape:
+    image = decode_depth(data, name)
+    if has_confidence:
+        packed, label = _blob(base, "depth_confidence", node)
+        confidence = decode_matrix(packed, label)
+        if confidence.shape != image.shape:
             raise InputError(
-                f"{said} has {trust.shape[1]} x {trust.shape[0]} numbers, but depth "
+                f"{label} has {confidence.shape[1]} x {confidence.shape[0]} numbers, but depth "
                 f"{image.shape[1]} x {image.shape[0]}; record again."
             )
-        image[trust == 0] = np.nan
+        image[confidence == 0] = np.nan
     image = image[:, : image.shape[1] // cameras]
     check_shape(image, camera, name)
     return image

@@ -1,4 +1,4 @@
-"""Reader of 3RScan's annotated scans, with what 3DSSG says of their objects.
+"""Reader of 3RScan's annotated scans, with 3DSSG's attributes and relations of objects.
 
 The textured mesh (`mesh.refined.v2.obj`) gives form and colour, the annotated mesh
 (`labels.instances.annotated.v2.ply`, whose own colours are those of labels) or the segments the
@@ -46,7 +46,7 @@ _NO_RELATION = "none"
 
 @dataclass(frozen=True, slots=True)
 class Annotation:
-    """What is said of a scan's objects."""
+    """Objects of a scan and their relations."""
 
     objects: dict[str, LabelEntry]
     """By the object's id."""
@@ -54,12 +54,12 @@ class Annotation:
     """(id, 3DSSG's name of the relation, id), sorted."""
 
 
-def first_of(folder: Path, names: tuple[str, ...]) -> Path | None:
+def find_first(folder: Path, names: tuple[str, ...]) -> Path | None:
     """Return the first of these files that a folder holds."""
     return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
-def around(folder: Path, names: tuple[str, ...], given: Path | None = None) -> Iterator[Path]:
+def find_around(folder: Path, names: tuple[str, ...], given: Path | None = None) -> Iterator[Path]:
     """Yield the files of these names that are given, or in the scan's folder, its parents, or beside them."""
     if given is not None:
         places = [given]
@@ -77,10 +77,11 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
     counted; raises `InputError` where no file names the objects, or one is damaged.
     """
     scan = folder.absolute().name
-    groups = first_of(folder, GROUPS)
+    groups = find_first(folder, GROUPS)
     objects = read_label_table(groups) if groups else {}
     described = next(
-        (found for file in around(folder, OBJECTS, given) if (found := _objects(file, scan))), {}
+        (found for file in find_around(folder, OBJECTS, given) if (found := _objects(file, scan))),
+        {},
     )
     for id_, entry in described.items():
         known = objects.get(id_)
@@ -90,8 +91,8 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
             f"{folder} has no {GROUPS[0]}, and no {OBJECTS[0]} around it names the objects of the scan "
             f"{scan}; download one, or name 3DSSG's folder."
         )
-    files = list(around(folder, RELATIONS, given))
-    relations = next((told for file in files if (told := _relations(file, scan))), set())
+    files = list(find_around(folder, RELATIONS, given))
+    relations = next((rows for file in files if (rows := _relations(file, scan))), set())
     if not described:
         left_out["3DSSG's attributes, which no objects.json has for this scan"] += 1
     if not relations:
@@ -118,23 +119,23 @@ def segment_objects(segments: Path, groups: Path) -> list[int]:
 
 def _objects(path: Path, scan: str) -> dict[str, LabelEntry]:
     found = {}
-    for entry in _of_scan(path, scan):
-        for listed in _list(path, entry, "objects"):
-            id_, label = listed.get("id"), listed.get("label")
+    for entry in _read_scan_entries(path, scan):
+        for object_ in _read_objects_list(path, entry, "objects"):
+            id_, label = object_.get("id"), object_.get("label")
             if not isinstance(id_, str | int) or not isinstance(label, str) or not label:
                 raise InputError(
                     f"{path}: an object of {scan} lacks id or label; download it again."
                 )
-            found[str(id_)] = LabelEntry(label, "", _attributes(listed))
+            found[str(id_)] = LabelEntry(label, "", _read_attributes(object_))
     return found
 
 
-def _attributes(listed: dict[str, Any]) -> dict[str, str]:
+def _read_attributes(object_: dict[str, Any]) -> dict[str, str]:
     """Return the attributes as 3DSSG names them (color, material, ...), and what the object affords."""
-    said = listed.get("attributes")
-    values = dict(said) if isinstance(said, dict) else {}
-    if listed.get("affordances"):
-        values["affordances"] = listed["affordances"]
+    attributes = object_.get("attributes")
+    values = dict(attributes) if isinstance(attributes, dict) else {}
+    if object_.get("affordances"):
+        values["affordances"] = object_["affordances"]
     return {
         str(key): ", ".join(map(str, value)) if isinstance(value, list) else str(value)
         for key, value in values.items()
@@ -143,9 +144,9 @@ def _attributes(listed: dict[str, Any]) -> dict[str, str]:
 
 
 def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
-    """Of all parts of a scan: 3DSSG's subset lists a scan once a split."""
+    """Return the relations of all entries of a scan: 3DSSG's subset lists a scan once a split."""
     found = set()
-    for entry in _of_scan(path, scan):
+    for entry in _read_scan_entries(path, scan):
         listed = entry.get("relationships")
         if not isinstance(listed, list):
             raise InputError(f"{path}: `relationships` of {scan} is no list; download it again.")
@@ -160,8 +161,8 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
     return found
 
 
-def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
-    """Return the entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
+def _read_scan_entries(path: Path, scan: str) -> list[dict[str, Any]]:
+    """Return the entries of a scan, cut out of a file on all scans, which would take seconds to parse."""
     try:
         text = check_regular(path).read_bytes()
     except OSError as error:
@@ -170,16 +171,16 @@ def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
     name = json.dumps(scan).encode()
     while (at := text.find(name, at + 1)) >= 0:
         try:
-            entry = json.loads(text[slice(*_around(text, at))])
+            entry = json.loads(text[slice(*_find_object(text, at))])
         except (ValueError, RecursionError):  # a brace in a name, or damage
-            return _of_scan_by_all(path, scan)
+            return _read_scan_entries_slowly(path, scan)
         if entry.get("scan") == scan:
             found.append(entry)
     return found
 
 
-def _around(text: bytes, at: int) -> tuple[int, int]:
-    """Return where the object of a JSON file begins and ends that a place is in; ValueError: nowhere."""
+def _find_object(text: bytes, at: int) -> tuple[int, int]:
+    """Return the span of the JSON object around an offset; ValueError where there is none."""
     ends = []
     for step, opening, closing in ((-1, b"{", b"}"), (1, b"}", b"{")):
         depth, place = 1, at
@@ -196,7 +197,7 @@ def _around(text: bytes, at: int) -> tuple[int, int]:
     return ends[0], ends[1]
 
 
-def _of_scan_by_all(path: Path, scan: str) -> list[dict[str, Any]]:
+def _read_scan_entries_slowly(path: Path, scan: str) -> list[dict[str, Any]]:
     content = read_json(path)
     scans = content.get("scans") if isinstance(content, dict) else None
     if not isinstance(scans, list):
@@ -204,7 +205,7 @@ def _of_scan_by_all(path: Path, scan: str) -> list[dict[str, Any]]:
     return [entry for entry in scans if isinstance(entry, dict) and entry.get("scan") == scan]
 
 
-def _list(path: Path, entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
+def _read_objects_list(path: Path, entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
     listed = entry.get(key)
     if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
         raise InputError(f"{path}: `{key}` of {entry['scan']} is no list of objects.")
@@ -213,8 +214,8 @@ def _list(path: Path, entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 NAME = "3RScan.json"
 _RIGID = 1e-2  # matrices are written with few digits
-_FARTHEST = 100.0
-"""Two scans of a room whose origins lie farther apart [m] are told in another unit."""
+_MAX_SHIFT = 100.0
+"""Largest shift between two scans of a room [m]; beyond, units are wrong."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,7 +258,7 @@ class Room:
 
 @dataclass(frozen=True)
 class Rooms:
-    """What a `3RScan.json` says."""
+    """Rooms of a `3RScan.json`."""
 
     path: Path
     rooms: tuple[Room, ...]
@@ -298,7 +299,7 @@ def read_rooms(path: str | PathLike[str]) -> Rooms:
     content = read_json(path)
     if not isinstance(content, list):
         raise InputError(f"{path} is no 3RScan.json: it must be a list of rooms.")
-    rooms = Rooms(path, tuple(_room(path, entry) for entry in content))
+    rooms = Rooms(path, tuple(_read_room(path, entry) for entry in content))
     seen: set[str] = set()
     for room in rooms.rooms:
         for scan in room.scans:
@@ -308,32 +309,32 @@ def read_rooms(path: str | PathLike[str]) -> Rooms:
     return rooms
 
 
-def _room(path: Path, entry: object) -> Room:
-    reference = _text(path, entry, "reference")
+def _read_room(path: Path, entry: object) -> Room:
+    reference = _read_scan_id(path, entry, "reference")
     scans = entry.get("scans", []) if isinstance(entry, dict) else []
     kind = entry.get("type", "") if isinstance(entry, dict) else ""
     if not isinstance(scans, list) or not isinstance(kind, str):
         raise InputError(f"{path}: `scans` of {reference} is no list, or `type` no text.")
     first = Scan(reference, np.eye(4))
-    return Room(reference, kind, (first, *(_scan(path, rescan) for rescan in scans)))
+    return Room(reference, kind, (first, *(_read_scan(path, rescan) for rescan in scans)))
 
 
-def _scan(path: Path, entry: Any) -> Scan:  # noqa: ANN401  # of a JSON list
-    name = _text(path, entry, "reference")
+def _read_scan(path: Path, entry: Any) -> Scan:  # noqa: ANN401  # of a JSON list
+    name = _read_scan_id(path, entry, "reference")
     matrix = entry.get("transform")
     moves = entry.get("rigid") or []
     if not isinstance(moves, list):
         raise InputError(f"{path}: `rigid` of {name} is no list.")
     return Scan(
         name,
-        None if matrix is None else _matrix(path, matrix, name),
-        tuple(_move(path, move, name) for move in moves),
+        None if matrix is None else _read_transform(path, matrix, name),
+        tuple(_read_move(path, move, name) for move in moves),
         _room_ids(entry.get("nonrigid")),
         _room_ids(entry.get("removed")),
     )
 
 
-def _move(path: Path, entry: Any, scan: str) -> Move:  # noqa: ANN401  # of a JSON list
+def _read_move(path: Path, entry: Any, scan: str) -> Move:  # noqa: ANN401  # of a JSON list
     if not isinstance(entry, dict) or "transform" not in entry:
         raise InputError(f"{path}: an entry of `rigid` of {scan} lacks its transform.")
     reference, own = (entry.get(key) for key in ("instance_reference", "instance_rescan"))
@@ -344,12 +345,12 @@ def _move(path: Path, entry: Any, scan: str) -> Move:  # noqa: ANN401  # of a JS
     return Move(
         str(reference),
         str(own),
-        _matrix(path, entry["transform"], where),
+        _read_transform(path, entry["transform"], where),
         symmetry if isinstance(symmetry, int) else 0,
     )
 
 
-def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
+def _read_transform(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
     good = isinstance(numbers, list) and len(numbers) == 16
     if not good or not all(type(v) in {int, float} for v in numbers):  # type: ignore[attr-defined]
         raise InputError(f"{path}: the transform of {where} is not 16 numbers; download it again.")
@@ -361,7 +362,7 @@ def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
             f"{path}: the transform of {where} is no rigid one; it must stand column by column, as "
             "3RScan has it. Download it again."
         )
-    if np.abs(matrix[:3, 3]).max() > _FARTHEST:
+    if np.abs(matrix[:3, 3]).max() > _MAX_SHIFT:
         raise InputError(
             f"{path}: the transform of {where} shifts by {np.abs(matrix[:3, 3]).max():.0f} m; is it in "
             "millimetres? Divide its translation by 1000."
@@ -373,16 +374,16 @@ def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
     return matrix
 
 
-def _room_ids(listed: object) -> tuple[str, ...]:
+def _room_ids(ids: object) -> tuple[str, ...]:
     """Return the ids of a list of numbers, or of objects with `instance_reference`."""
-    ids = [
+    found = [
         entry.get("instance_reference") if isinstance(entry, dict) else entry
-        for entry in (listed if isinstance(listed, list) else [])
+        for entry in (ids if isinstance(ids, list) else [])
     ]
-    return tuple(str(i) for i in ids if isinstance(i, int | str))
+    return tuple(str(i) for i in found if isinstance(i, int | str))
 
 
-def _text(path: Path, entry: object, key: str) -> str:
+def _read_scan_id(path: Path, entry: object, key: str) -> str:
     value = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(value, str) or not value:
         raise InputError(f"{path}: an entry lacks {key!r}, the id of its scan; download it again.")
@@ -398,8 +399,8 @@ _SAME = 1e-3
 def is_scan3r(path: Path) -> bool:
     """Return whether a path is a folder with one of 3RScan's meshes and one of its files of labels."""
     try:
-        return first_of(path, MESHES + LABELLED) is not None and (
-            first_of(path, LABELLED + GROUPS) is not None
+        return find_first(path, MESHES + LABELLED) is not None and (
+            find_first(path, LABELLED + GROUPS) is not None
         )
     except (OSError, ValueError):
         return False
@@ -441,24 +442,26 @@ def read_scan3r(
     """
     folder = Path(path)
     if undo_moves and not reference_frame:
-        raise OptionError("undo_moves asks for reference_frame=True: moves are told by it.")
+        raise OptionError(
+            "undo_moves needs reference_frame=True, since moves are given in that frame."
+        )
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder of a scan; give the one that its mesh lies in.")
     left_out: Counter[str] = Counter()
     annotation = read_annotation(
         folder, None if annotations is None else Path(annotations), left_out
     )
-    model = _labelled(folder, annotation, left_out)
+    model = _read_labelled(folder, annotation, left_out)
     if not reference_frame:
         return model
     known = rooms if isinstance(rooms, Rooms) else read_rooms(_rooms_file(folder, rooms))
-    return _placed(model, known, folder.absolute().name, undo_moves=undo_moves)
+    return _transform_model(model, known, folder.absolute().name, undo_moves=undo_moves)
 
 
 def _rooms_file(folder: Path, given: str | PathLike[str] | None) -> Path:
     if given is not None:
         return Path(given)
-    found = next(around(folder, (NAME,)), None)
+    found = next(find_around(folder, (NAME,)), None)
     if found is None:
         raise InputError(
             f"{folder}: there is no {NAME} around it, which says how scans are aligned; download it, or "
@@ -467,12 +470,12 @@ def _rooms_file(folder: Path, given: str | PathLike[str] | None) -> Path:
     return found
 
 
-def _labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> Model:
+def _read_labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> Model:
     """Return the model with things, and relations between them."""
-    mesh, labelled = first_of(folder, MESHES), first_of(folder, LABELLED)
+    mesh, labelled = find_first(folder, MESHES), find_first(folder, LABELLED)
     if mesh is not None:
         model = read_obj(mesh, groups="usemtl")
-        ids = _ids(folder, model, labelled, left_out)[model.triangles]
+        ids = _find_vertex_ids(folder, model, labelled, left_out)[model.triangles]
         things, thing_of, missing = make_objects(
             majority_vote(ids), len(model.triangles), annotation.objects
         )
@@ -493,13 +496,13 @@ def _labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> M
     return replace(model, path=folder, relations=relations, left_out=left_out)
 
 
-def _ids(
+def _find_vertex_ids(
     folder: Path, model: Model, labelled: Path | None, left_out: Counter[str]
 ) -> NDArray[np.int64]:
     """Return the id of the object of each vertex of the textured mesh, -1: none."""
     if labelled is not None:
-        return _ids_of_mesh(model, labelled, left_out)
-    segments, groups = first_of(folder, SEGMENTS), first_of(folder, GROUPS)
+        return _transfer_ids(model, labelled, left_out)
+    segments, groups = find_first(folder, SEGMENTS), find_first(folder, GROUPS)
     if segments is None or groups is None:
         raise InputError(
             f"{folder} has a mesh, but no labels of it: neither {LABELLED[0]} nor {SEGMENTS[0]} with "
@@ -514,7 +517,7 @@ def _ids(
     return ids
 
 
-def _ids_of_mesh(model: Model, path: Path, left_out: Counter[str]) -> NDArray[np.int64]:
+def _transfer_ids(model: Model, path: Path, left_out: Counter[str]) -> NDArray[np.int64]:
     vertex = read_columns(path).get("vertex")
     columns = {} if vertex is None else {name.lower(): v for name, v in vertex.single.items()}
     if not {"x", "y", "z", "objectid"} <= columns.keys():
@@ -541,9 +544,9 @@ def _ids_of_mesh(model: Model, path: Path, left_out: Counter[str]) -> NDArray[np
     return np.where(far, -1, np.append(ids, -1)[rows])
 
 
-def _placed(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model:
+def _transform_model(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model:
     """Return the model in the axes of its room's reference."""
-    vertices = _moved(model.vertices, rooms.reference_from(scan))
+    vertices = _transform_points(model.vertices, rooms.reference_from(scan))
     model = replace(model, vertices=vertices)
     if not undo_moves:
         return model
@@ -556,7 +559,7 @@ def _placed(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model
             used, corners = np.unique(model.triangles[own], return_inverse=True)
             triangles = model.triangles.copy()
             triangles[own] = corners.reshape(-1, 3) + len(model.vertices)
-            placed = _moved(model.vertices[used], moved)
+            placed = _transform_points(model.vertices[used], moved)
             model = replace(
                 model,
                 triangles=triangles,
@@ -567,7 +570,9 @@ def _placed(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model
     return model
 
 
-def _moved(points: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transform_points(
+    points: NDArray[np.float64], transform: NDArray[np.float64]
+) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore", over="ignore"):
         placed: NDArray[np.float64] = points @ transform[:3, :3].T + transform[:3, 3]
     return placed

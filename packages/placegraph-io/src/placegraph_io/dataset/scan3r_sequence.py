@@ -78,7 +78,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
     files = _files(Path(path))
     info = _Info.read(files)
     left_out: Counter[str] = Counter()
-    found = _used(files, info, left_out)
+    found = _find_frames(files, info, left_out)
     turns = upright_turns([-pose[2, :3] for *_, pose in found]) if rotate else 0
     deep = {digits for _, digits, _ in found if f"frame-{digits}.depth.pgm" in files.names}
     frames = tuple(
@@ -106,7 +106,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
     )
 
 
-def _used(
+def _find_frames(
     files: _Files, info: _Info, left_out: Counter[str]
 ) -> list[tuple[int, str, NDArray[np.float64]]]:
     """Return the number, digits and pose of the frames that have one; `InputError` where none has."""
@@ -114,7 +114,7 @@ def _used(
     numbers = sorted(there.items())
     found = []
     for number, digits in numbers:
-        pose = _pose(files, digits, left_out)
+        pose = _read_pose(files, digits, left_out)
         if pose is not None:
             found.append((number, digits, pose))
     announced = info.frames - len(numbers)
@@ -128,7 +128,7 @@ def _used(
 
 @dataclass(frozen=True, slots=True)
 class _Info:
-    """What `_info.txt` says."""
+    """Cameras, depth unit and number of frames, of `_info.txt`."""
 
     colour: Camera
     depth: Camera
@@ -139,21 +139,21 @@ class _Info:
     def read(cls, files: _Files) -> _Info:
         where = files.where(INFO)
         text = files.read(INFO).decode("latin-1")
-        said = {
+        fields = {
             k.strip(): v.strip()
             for k, sign, v in (s.partition("=") for s in text.splitlines())
             if sign
         }
 
         def numbers(key: str, count: int, default: str = "") -> list[float]:
-            words = said.get(key, default).split()
+            words = fields.get(key, default).split()
             try:
                 values = [float(word) for word in words]
             except ValueError:
                 values = []
             if len(values) != count or not np.isfinite(values).all() or np.abs(values).max() > 1e9:
                 raise InputError(
-                    f"{where}: {key} is {said.get(key, 'missing')[:60]!r}; it must be {count} finite "
+                    f"{where}: {key} is {fields.get(key, 'missing')[:60]!r}; it must be {count} finite "
                     "number(s). Download the sequence again."
                 )
             return values
@@ -177,15 +177,17 @@ class _Info:
 
     def images(self, files: _Files, digits: str, *, with_depth: bool) -> LazyImages:
         return LazyImages(
-            partial(_colours, files, f"frame-{digits}.color.jpg", self.colour),
-            partial(_metres, files, f"frame-{digits}.depth.pgm", self.depth, self.unit.per_metre)
+            partial(_read_colour, files, f"frame-{digits}.color.jpg", self.colour),
+            partial(
+                _read_depth, files, f"frame-{digits}.depth.pgm", self.depth, self.unit.per_metre
+            )
             if with_depth
             else None,
             unit=self.unit,
         )
 
 
-def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.float64] | None:
+def _read_pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.float64] | None:
     """Return (4, 4) scan_from_camera [m] of a frame, or None, counted, where it cannot be used."""
     names = files.names
     if f"frame-{digits}.color.jpg" not in names:
@@ -207,14 +209,14 @@ def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.floa
     return pose
 
 
-def _colours(files: _Files, name: str, camera: Camera) -> NDArray[np.uint8]:
+def _read_colour(files: _Files, name: str, camera: Camera) -> NDArray[np.uint8]:
     with open_image(io.BytesIO(files.read(name)), files.where(name)) as image:
         found = to_rgb(image)
     check_shape(found, camera, files.where(name))
     return found
 
 
-def _metres(files: _Files, name: str, camera: Camera, per_metre: float) -> NDArray[np.float32]:
+def _read_depth(files: _Files, name: str, camera: Camera, per_metre: float) -> NDArray[np.float32]:
     units = read_pgm(files.read(name), files.where(name))
     check_shape(units, camera, files.where(name))
     metres = (units / per_metre).astype(np.float32)

@@ -86,7 +86,7 @@ def axis_alignment(path: str | PathLike[str]) -> NDArray[np.float64]:
 
 
 def alignment_of(scan: Scan) -> NDArray[np.float64]:
-    """As `axis_alignment`, of a scan that was found."""
+    """Return the axis alignment (4, 4) map_from_scan [m] of a scan."""
     file = scan.file(".txt")
     said = read_meta(file).get("axisAlignment")
     if said is None:
@@ -162,7 +162,7 @@ class LabelMap:
     """Label of a ScanNet label id, the raw category where the column is empty."""
 
 
-def find_table(folder: Path) -> Path | None:
+def find_label_table(folder: Path) -> Path | None:
     """Return ScanNet's label table in a scan's folder or one of the two above it."""
     around = (folder, *folder.absolute().parents[:2])
     return next((at / name for at in around for name in TABLES if (at / name).is_file()), None)
@@ -228,8 +228,8 @@ def _group(path: Path, row: int, entry: object) -> Group:
     if isinstance(entry, dict):
         id_ = entry.get("objectId", entry.get("id"))
         label, segments = entry.get("label"), entry.get("segments")
-        whole = isinstance(segments, list) and all(type(s) is int for s in segments)
-        if type(id_) is int and isinstance(label, str) and isinstance(segments, list) and whole:
+        is_valid = isinstance(segments, list) and all(type(s) is int for s in segments)
+        if type(id_) is int and isinstance(label, str) and isinstance(segments, list) and is_valid:
             return Group(id_, label.strip() or "unknown", segments)
     raise InputError(
         f"{path}: entry {row} of segGroups lacks objectId (a number), label (text) or segments (a list "
@@ -308,7 +308,7 @@ def find_labels(
     for kind, name in FOLDERS.items():
         if wanted not in {"auto", kind}:
             continue
-        files = numbered(folder / name, (".png",))
+        files = list_numbered(folder / name, (".png",))
         if not files:
             if wanted == kind:
                 raise InputError(
@@ -316,7 +316,7 @@ def find_labels(
                     f"the scan's _2d-{name}.zip there."
                 )
             continue
-        if kind == "labels" and wanted == "auto" and find_table(folder) is None:
+        if kind == "labels" and wanted == "auto" and find_label_table(folder) is None:
             note = (
                 f"{folder / name} is not used: its numbers need ScanNet's {TABLES[0]}, which lies "
                 "neither there nor above."
@@ -324,16 +324,16 @@ def find_labels(
             return LabelImages(notes=(note,))
         size = image_size(next(iter(files.values())))
         view = camera if size == (camera.width, camera.height) else camera.resized(*size)
-        names, known = _meanings(folder, kind, label_column)
+        names, known = _read_meanings(folder, kind, label_column)
         return LabelImages(files, view, kind, names, known)
     return LabelImages()
 
 
-def _meanings(
+def _read_meanings(
     folder: Path, kind: LabelKind, column: str | None
 ) -> tuple[dict[int, str], LabelTable | None]:
     """Return the names by id, and what ids mean."""
-    table = find_table(folder)
+    table = find_label_table(folder)
     labels = read_label_map(table, column or "raw_category") if table else None
     if kind == "instances":
         above = folder.absolute().parent
@@ -350,7 +350,7 @@ def _meanings(
     return names, LabelTable(names, labels.path, 0)
 
 
-def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:
+def list_numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:
     """Return the files of a folder whose stem is a number, by it; `InputError` where two have the same."""
     try:
         files = sorted(folder.iterdir()) if folder.is_dir() else []
@@ -383,7 +383,7 @@ NYU40 = (
     "bathtub", "bag", "otherstructure", "otherfurniture", "otherprop",
 )  # fmt: skip
 """NYU's 40 classes, of which the first is 1; 0 is unannotated."""
-LEAST = 20
+MIN_PATCH = 20
 """Vertices of a patch of one class that is an object: ScanNet's own smallest segment."""
 
 
@@ -444,7 +444,7 @@ def read_scannet(
         )
     files = _annotated(scan, None if path.is_dir() else path)
     if files is None:
-        model = _by_class(scan)
+        model = _read_classes(scan)
     else:
         labels = _label_map(scan, label_table, label_column)
         mesh = read_ply(files.mesh)
@@ -452,7 +452,7 @@ def read_scannet(
         segments = _segments(files, len(mesh.vertices))
         left_out: Counter[str] = Counter()
         of_vertex = _group_of_vertex(files, groups, segments, left_out)
-        things = [_thing(group, labels, left_out) for group in groups]
+        things = [_make_object(group, labels, left_out) for group in groups]
         model = _model(mesh, things, of_vertex, left_out)
     named = scan.folder if scan.folder.absolute().name == scan.name else model.path
     if align:
@@ -500,7 +500,7 @@ def _label_map(
 ) -> LabelMap | None:
     if column is None:
         return None
-    found = Path(table) if table is not None else find_table(scan.folder)
+    found = Path(table) if table is not None else find_label_table(scan.folder)
     if found is None:
         raise InputError(
             f"{scan.folder}: label_column needs ScanNet's {TABLES[0]}, which lies neither there nor in "
@@ -550,7 +550,7 @@ def _group_of_vertex(
     return of_vertex
 
 
-def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> ModelObject:
+def _make_object(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> ModelObject:
     if labels is None:
         return ModelObject(str(group.id), group.label)
     label = labels.of_raw.get(group.label)
@@ -561,7 +561,7 @@ def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> Mod
     )
 
 
-def _by_class(scan: Scan) -> Model:
+def _read_classes(scan: Scan) -> Model:
     file = scan.file(LABELLED)
     coloured = scan.file(ANNOTATED[0][0])
     vertex = read_columns(file).get("vertex")
@@ -576,11 +576,11 @@ def _by_class(scan: Scan) -> Model:
     if mesh.path == file:  # its colours are a legend's
         left_out["colours that tell classes"] = len(mesh.vertices)
         mesh = replace(mesh, colours=np.full(mesh.vertices.shape, 255, np.uint8))
-    patch = patches(mesh.triangles, label)
+    patch = label_patches(mesh.triangles, label)
     roots, inverse, counts = np.unique(patch, return_inverse=True, return_counts=True)
     known = label[roots] > 0
-    small = known & (counts < LEAST)
-    left_out[f"patches of fewer than {LEAST} vertices"] = int(small.sum())
+    small = known & (counts < MIN_PATCH)
+    left_out[f"patches of fewer than {MIN_PATCH} vertices"] = int(small.sum())
     known &= ~small
     row = np.where(known, np.cumsum(known) - 1, -1)
     things = [
@@ -589,7 +589,7 @@ def _by_class(scan: Scan) -> Model:
     return _model(mesh, things, row[inverse], left_out)
 
 
-def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:
+def label_patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the lowest vertex (V,) of the connected patch of one label (V,) that every vertex is of."""
     edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     edges = edges[label[edges[:, 0]] == label[edges[:, 1]]]

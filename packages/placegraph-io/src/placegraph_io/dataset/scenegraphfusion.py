@@ -48,7 +48,7 @@ def read_scenegraphfusion(
 ) -> Model:
     """Read what SceneGraphFusion predicted of a scan.
 
-    A thing's label is the likeliest class of its segments, said in its attribute `probability`;
+    A thing's label is the likeliest class of its segments, entry in its attribute `probability`;
     relations are the likeliest of each edge, without *none*. Surfels of segments of which nothing
     was predicted, for they were small, are one thing "unknown".
 
@@ -68,19 +68,19 @@ def read_scenegraphfusion(
     """
     folder = Path(path)
     folder = folder.parent if folder.name in PREDICTIONS else folder
-    graph = _graph(_found(folder, PREDICTIONS), folder)
+    graph = _read_graph(_find_file(folder, PREDICTIONS), folder)
     left_out: Counter[str] = Counter()
-    surfels = read_surfels(_found(folder, SURFELS), left_out)
+    surfels = read_surfels(_find_file(folder, SURFELS), left_out)
     ids = graph.thing_of(surfels.segments)
     if not (ids >= 0).any():
         raise InputError(
             f"{surfels.path} and {graph.path} share no segment; take both from one run."
         )
     if mesh is None:
-        model = squares(surfels, ids)
+        model = make_squares(surfels, ids)
         of = model.thing_of
     else:
-        model, of = lent(Path(mesh), surfels, ids, left_out)
+        model, of = transfer_labels(Path(mesh), surfels, ids, left_out)
     things, thing_of, missing = make_objects(of, len(model.triangles), graph.table())
     row = {thing.id: i for i, thing in enumerate(things)}
     relations = {(row.get(str(a)), name, row.get(str(b))) for a, name, b in graph.relations()}
@@ -96,7 +96,7 @@ def read_scenegraphfusion(
     )
 
 
-def _found(folder: Path, names: tuple[str, ...]) -> Path:
+def _find_file(folder: Path, names: tuple[str, ...]) -> Path:
     found = next((folder / name for name in names if (folder / name).is_file()), None)
     if found is None:
         raise InputError(
@@ -145,26 +145,26 @@ class _Graph:
         return {relation for relation in found if relation[0] != relation[2]}
 
 
-def _graph(path: Path, folder: Path) -> _Graph:
-    nodes, edges = (_object(path, _of_scan(path, folder), key) for key in ("nodes", "edges"))
+def _read_graph(path: Path, folder: Path) -> _Graph:
+    nodes, edges = (_object(path, _select_scan(path, folder), key) for key in ("nodes", "edges"))
     labels: dict[int, tuple[str, float]] = {}
-    for key, said in nodes.items():
-        if _number(key) is None:
+    for key, entry in nodes.items():
+        if _parse_number(key) is None:
             raise InputError(f"{path}: {key[:40]!r} is no number of a segment; run it again.")
-        label, probability = _likeliest(path, said)
+        label, probability = _most_likely(path, entry)
         if label:
             labels[int(key)] = label, probability
     joined: dict[tuple[int, int], str] = {}
-    for key, said in edges.items():
+    for key, entry in edges.items():
         a, _, b = key.partition("_")
-        one, other = _number(a), _number(b)
+        one, other = _parse_number(a), _parse_number(b)
         if one is None or other is None:
             raise InputError(f"{path}: {key[:40]!r} is no edge `from_to`; run it again.")
-        joined[one, other] = _likeliest(path, said)[0]
-    return _Graph(path, labels, joined, _merged(labels, joined))
+        joined[one, other] = _most_likely(path, entry)[0]
+    return _Graph(path, labels, joined, _merge_parts(labels, joined))
 
 
-def _of_scan(path: Path, folder: Path) -> dict[str, Any]:
+def _select_scan(path: Path, folder: Path) -> dict[str, Any]:
     """Return the graph, alone or under the name of its scan."""
     content = read_json(path)
     if not isinstance(content, dict):
@@ -188,26 +188,28 @@ def _object(path: Path, graph: dict[str, Any], key: str) -> dict[str, Any]:
     return found
 
 
-def _number(text: str) -> int | None:
+def _parse_number(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
 
 
-def _likeliest(path: Path, said: object) -> tuple[str, float]:
+def _most_likely(path: Path, entry: object) -> tuple[str, float]:
     """Return the likeliest name, and how likely it is, of a name, a list of names, or log-probabilities.
 
     The program writes 0 for the logarithm of a probability of 0. So what the others leave of 1 is
     what a 0 has, if it is alone; ("", 0) where that cannot be told.
     """
-    if isinstance(said, list) and said:
-        said = said[0]
-    if isinstance(said, str):
-        return said, 1.0
-    if not isinstance(said, dict) or not said:
-        raise InputError(f"{path}: {str(said)[:60]} is neither a name nor names with numbers.")
-    if not all(type(v) in {int, float} and abs(v) < 1e300 for v in said.values()):
-        raise InputError(f"{path}: {str(said)[:60]} holds what is no number; run it again.")
-    shares = {name: math.exp(min(v, 0.0)) for name, v in said.items() if v != 0}
-    zeros = [name for name, v in said.items() if v == 0]
+    if isinstance(entry, list) and entry:
+        entry = entry[0]
+    if isinstance(entry, str):
+        return entry, 1.0
+    if not isinstance(entry, dict) or not entry:
+        raise InputError(f"{path}: {str(entry)[:60]} is neither a name nor names with numbers.")
+    if not all(type(v) in {int, float} and abs(v) < 1e300 for v in entry.values()):
+        raise InputError(
+            f"{path}: {str(entry)[:60]} holds invalid numbers; run SceneGraphFusion again."
+        )
+    shares = {name: math.exp(min(v, 0.0)) for name, v in entry.items() if v != 0}
+    zeros = [name for name, v in entry.items() if v == 0]
     rest = 1.0 - sum(shares.values())
     if len(zeros) == 1 and rest > 0:
         shares[zeros[0]] = rest
@@ -217,7 +219,7 @@ def _likeliest(path: Path, said: object) -> tuple[str, float]:
     return best, shares[best]
 
 
-def _merged(
+def _merge_parts(
     labels: dict[int, tuple[str, float]], edges: dict[tuple[int, int], str]
 ) -> dict[int, int]:
     """Return the smallest segment of those that are the same part, of one label, for each segment."""
@@ -289,7 +291,9 @@ def read_surfels(path: Path, left_out: Counter[str]) -> Surfels:
     )
 
 
-def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tuple[Model, Rows]:
+def transfer_labels(
+    path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]
+) -> tuple[Model, Rows]:
     """Return a mesh, and the number of the thing of each of its triangles."""
     from placegraph.io.mesh.obj import is_obj, read_obj
 
@@ -307,8 +311,8 @@ def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tup
     return model, majority_vote(of[model.triangles])
 
 
-def squares(surfels: Surfels, ids: Rows) -> Model:
-    """Return the squares that lie as the surfels of a thing in each cube do on the whole.
+def make_squares(surfels: Surfels, ids: Rows) -> Model:
+    """Return a square for the surfels of each thing in each cube, at their mean.
 
     `thing_of` holds numbers of things, not rows.
     """

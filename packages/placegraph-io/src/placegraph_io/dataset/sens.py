@@ -49,7 +49,7 @@ from placegraph_io.dataset.scannet import (
     camera_of_matrix,
     find_labels,
     is_rigid,
-    numbered,
+    list_numbered,
     read_matrix,
     read_meta,
 )
@@ -65,7 +65,7 @@ _LARGEST_SIDE = 1 << 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensHeader:
-    """What stands before the frames."""
+    """Header of a file."""
 
     path: Path
     sensor: str
@@ -82,14 +82,14 @@ class SensHeader:
     depth_per_metre: float
     count: int
     """Frames, as the file says."""
-    begin: int
+    first_frame: int
     """Where the first one begins."""
     size: int
     """Bytes of the whole file."""
 
 
 class SensFrame(NamedTuple):
-    """Where a frame's images lie, and what stands before them."""
+    """Pose, stamp and offsets of the images of a frame."""
 
     number: int
     world_from_camera: NDArray[np.float64]
@@ -112,9 +112,9 @@ def read_header(path: Path) -> SensHeader:
         way that is not read.
 
     """
-    with _file(path) as file:
+    with _open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
-        version, length = struct.unpack("<IQ", _exactly(file, path, 12, "its header"))
+        version, length = struct.unpack("<IQ", _read_exactly(file, path, 12, "its header"))
         if version != VERSION:
             raise InputError(
                 f"{path} is no .sens file of version {VERSION} (it says {version}); download it again, "
@@ -122,10 +122,10 @@ def read_header(path: Path) -> SensHeader:
             )
         if length > min(_LONGEST_NAME, size):
             raise InputError(f"{path}: the sensor's name has {length} bytes; download it again.")
-        sensor = _exactly(file, path, length, "its header").decode("utf-8", "replace")
-        fixed = _FIXED.unpack(_exactly(file, path, _FIXED.size, "its header"))
-        (count,) = struct.unpack("<Q", _exactly(file, path, 8, "its header"))
-        begin = file.tell()
+        sensor = _read_exactly(file, path, length, "its header").decode("utf-8", "replace")
+        fixed = _FIXED.unpack(_read_exactly(file, path, _FIXED.size, "its header"))
+        (count,) = struct.unpack("<Q", _read_exactly(file, path, 8, "its header"))
+        first_frame = file.tell()
     matrices = np.array(fixed[:64]).reshape(4, 4, 4)
     header = SensHeader(
         path=path,
@@ -139,7 +139,7 @@ def read_header(path: Path) -> SensHeader:
         depth_size=(fixed[68], fixed[69]),
         depth_per_metre=fixed[70],
         count=count,
-        begin=begin,
+        first_frame=first_frame,
         size=size,
     )
     _check(header)
@@ -180,8 +180,8 @@ def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]
 
     """
     found: list[SensFrame] = []
-    with _file(header.path) as file:
-        at = header.begin
+    with _open_file(header.path) as file:
+        at = header.first_frame
         for number in range(header.count):
             file.seek(at)
             head = file.read(_FRAME.size)
@@ -207,10 +207,10 @@ def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]
 def read_colour(header: SensHeader, frame: SensFrame) -> NDArray[np.uint8]:
     """Colours (H, W, 3) uint8 of a frame; `InputError` where they are broken or of another size."""
     name = f"{header.path}, colour of frame {frame.number}"
-    data = _slice(header.path, frame.colour_at, frame.colour_bytes, name)
+    data = _read_slice(header.path, frame.colour_at, frame.colour_bytes, name)
     width, height = header.colour_size
     if header.colour_coding == RAW:
-        _length(name, len(data), 3 * width * height)
+        _check_length(name, len(data), 3 * width * height)
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)
     with open_image(io.BytesIO(data), name) as image:
         if image.size != header.colour_size:
@@ -225,34 +225,34 @@ def read_depth(header: SensHeader, frame: SensFrame) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 [m] of a frame, NaN: no reading; `InputError` where it is broken."""
     name = f"{header.path}, depth of frame {frame.number}"
     at = frame.colour_at + frame.colour_bytes
-    data = _slice(header.path, at, frame.depth_bytes, name)
+    data = _read_slice(header.path, at, frame.depth_bytes, name)
     width, height = header.depth_size
     if header.depth_coding == ZLIB_DEPTH:
         try:  # no more than belongs there is unpacked
             data = zlib.decompressobj().decompress(data, 2 * width * height + 1)
         except zlib.error as error:
             raise InputError(f"{name} is damaged ({error}); download the file again.") from error
-    _length(name, len(data), 2 * width * height)
+    _check_length(name, len(data), 2 * width * height)
     units = np.frombuffer(data, "<u2").reshape(height, width)
     metres = (units / header.depth_per_metre).astype(np.float32)
     metres[units == 0] = np.nan
     return metres
 
 
-def _length(name: str, length: int, wanted: int) -> None:
+def _check_length(name: str, length: int, wanted: int) -> None:
     if length != wanted:
         raise InputError(
             f"{name} has {length} bytes where its size needs {wanted}; download the file again."
         )
 
 
-def _slice(path: Path, at: int, length: int, name: str) -> bytes:
-    with _file(path) as file:
+def _read_slice(path: Path, at: int, length: int, name: str) -> bytes:
+    with _open_file(path) as file:
         file.seek(at)
-        return _exactly(file, path, length, name)
+        return _read_exactly(file, path, length, name)
 
 
-def _exactly(file: BinaryIO, path: Path, length: int, what: str) -> bytes:
+def _read_exactly(file: BinaryIO, path: Path, length: int, what: str) -> bytes:
     data = file.read(length)
     if len(data) < length:
         if not data and not file.tell():
@@ -261,7 +261,7 @@ def _exactly(file: BinaryIO, path: Path, length: int, what: str) -> bytes:
     return data
 
 
-def _file(path: Path) -> BinaryIO:
+def _open_file(path: Path) -> BinaryIO:
     try:
         return check_regular(path).open("rb")
     except FileNotFoundError as error:
@@ -281,7 +281,7 @@ _INTRINSICS = ("intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt")
 
 def is_sens(path: Path) -> bool:
     """Return whether a path is a `.sens` file, or a folder with one of its name or with one alone."""
-    return _sens_of(path) is not None
+    return _find_sens(path) is not None
 
 
 def is_scannet_export(path: Path) -> bool:
@@ -293,7 +293,7 @@ def is_scannet_export(path: Path) -> bool:
         return False
 
 
-def _sens_of(path: Path) -> Path | None:
+def _find_sens(path: Path) -> Path | None:
     try:
         if path.is_file():
             return path if path.suffix.lower() == ".sens" else None
@@ -340,7 +340,7 @@ def read_sens(
         `labels` is none of its values; the table has no such column.
 
     """
-    file = _sens_of(Path(path))
+    file = _find_sens(Path(path))
     if file is None:
         raise InputError(f"{path} is no .sens file, nor the folder of one.")
     counts: Counter[str] = Counter()
@@ -357,7 +357,7 @@ def read_sens(
             "images are aligned."
         )
     marks = find_labels(file.parent, labels, camera, label_column=label_column)
-    used = _tracked(file, entries, counts)
+    used = _select_tracked(file, entries, counts)
     frames = [
         _frame(header, entry, stamp, camera, depth_camera, marks)
         for entry, stamp in zip(used, _stamps(used, notes), strict=True)
@@ -374,7 +374,9 @@ def _stamps(entries: Sequence[SensFrame], notes: list[str]) -> NDArray[np.float6
     return stamps
 
 
-def _tracked(file: Path, entries: Sequence[SensFrame], counts: Counter[str]) -> list[SensFrame]:
+def _select_tracked(
+    file: Path, entries: Sequence[SensFrame], counts: Counter[str]
+) -> list[SensFrame]:
     """Return the entries with a pose and a colour image."""
     used = []
     for entry in entries:
@@ -434,15 +436,15 @@ def read_scannet_export(
 
     """
     path = Path(path)
-    colours = numbered(path / "color", ENDINGS)
+    colours = list_numbered(path / "color", ENDINGS)
     if not colours:
         raise InputError(f"{path / 'color'} holds no image such as 0.jpg; export the frames again.")
-    depths = numbered(path / "depth", (".png",))
+    depths = list_numbered(path / "depth", (".png",))
     counts: Counter[str] = Counter()
     camera = _exported_camera(path, "color", next(iter(colours.values())))
     depth_camera = _exported_camera(path, "depth", next(iter(depths.values()))) if depths else None
     marks = find_labels(path, labels, camera, label_column=label_column)
-    poses = numbered(path / "pose", (".txt",))
+    poses = list_numbered(path / "pose", (".txt",))
     frames = []
     for index, colour in colours.items():
         pose = read_matrix(poses[index]) if index in poses else None

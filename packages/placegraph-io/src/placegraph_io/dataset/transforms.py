@@ -34,9 +34,11 @@ from placegraph.io.capture.posed import (
 from placegraph_io.up import upright
 
 _FILE = "transforms.json"
-_BENT = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}
+_DISTORTION = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}
 _LENSES = {"OPENCV": "opencv", "PINHOLE": "opencv", "OPENCV_FISHEYE": "fisheye"}
-_SURE = 0.15  # by how much y or z must be more nearly one direction of the images than the other
+_MIN_DIFFERENCE = (
+    0.15  # by how much y or z must be more nearly one direction of the images than the other
+)
 _UNSCALED = {"colmap_im_id", "sharpness"}
 """Keys of frames whose poses COLMAP found, which knows no metres."""
 
@@ -66,22 +68,24 @@ def read_transforms(
         raise InputError(
             f"{file} has poses of COLMAP, which are not in metres; open COLMAP's own model, or give scale."
         )
-    poses = [_pose(file, frame, i) for i, frame in enumerate(frames)]
-    map_from_world, note = _upright(np.stack(poses), up, _written_by(content), file)
+    poses = [_read_pose(file, frame, i) for i, frame in enumerate(frames)]
+    map_from_world, note = _level(np.stack(poses), up, _up_axis_of_writer(content), file)
     left_out: Counter[str] = Counter()
-    shots = []
+    frames_ = []
     for i, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
-        image = _image(path, frame, i)
+        image = _find_image(path, frame, i)
         if image is None:
             left_out["no colour image"] += 1
             continue
         moved = pose.copy()
         moved[:3, 3] *= scale or 1.0
-        shots.append(_shot(path, content, i, image, map_from_world @ moved @ ARKIT_FROM_OPENCV))
-    return make_capture(path, shots, left_out=left_out, notes=(note,))
+        frames_.append(
+            _read_frame(path, content, i, image, map_from_world @ moved @ ARKIT_FROM_OPENCV)
+        )
+    return make_capture(path, frames_, left_out=left_out, notes=(note,))
 
 
-def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
+def _read_pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
     name = f"{file}: frames[{i}].transform_matrix"
     try:
         rows = np.array(frame.get("transform_matrix"), np.float64)
@@ -92,7 +96,7 @@ def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
     return orthonormalize_pose(rows, name)
 
 
-def _written_by(content: dict[str, Any]) -> int | None:
+def _up_axis_of_writer(content: dict[str, Any]) -> int | None:
     """Return the axis that is up (1: y, 2: z) for whoever writes such a file; None: it does not tell."""
     if {"depth_integer_scale", "integer_depth_scale"} & set(content):
         return 1  # NeRFCapture
@@ -101,7 +105,7 @@ def _written_by(content: dict[str, Any]) -> int | None:
     return None
 
 
-def _upright(
+def _level(
     poses: NDArray[np.float64], up: ArrayLike | None, axis: int | None, file: Path
 ) -> tuple[NDArray[np.float64], str]:
     """Return the transform (4, 4) to z up, and how up was found: as given, as written, or by the cameras.
@@ -118,7 +122,7 @@ def _upright(
         how = "as given"
     elif axis is not None:
         direction = np.eye(3)[axis]
-    elif abs(y - z) >= _SURE:
+    elif abs(y - z) >= _MIN_DIFFERENCE:
         direction, how = np.eye(3)[1 if y > z else 2], "which lies in one direction of the images"
     else:
         raise InputError(
@@ -130,17 +134,17 @@ def _upright(
     return move, f"Up is {' '.join(f'{v:g}' for v in direction)}, {how}."
 
 
-def _image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
+def _find_image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
     """Return the colour image of a frame, whose ending need not be said."""
     said = frame.get("file_path")
     if not isinstance(said, str) or not said:
         raise InputError(f"{path / _FILE}: frames[{i}].file_path is not the name of an image.")
-    file = _inside(path, said, i)
+    file = _check_inside(path, said, i)
     tried = [file, *(file.with_name(file.name + ending) for ending in ENDINGS)]
     return next((f for f in tried if f.is_file()), None)
 
 
-def _inside(path: Path, name: str, i: int) -> Path:
+def _check_inside(path: Path, name: str, i: int) -> Path:
     """Return the file by its name, which must not lead out of the folder."""
     file = path / name
     try:
@@ -155,7 +159,7 @@ def _inside(path: Path, name: str, i: int) -> Path:
     return file
 
 
-def _shot(
+def _read_frame(
     path: Path, content: dict[str, Any], i: int, image: Path, pose: NDArray[np.float64]
 ) -> StoredFrame:
     file, frame = path / _FILE, content["frames"][i]
@@ -170,9 +174,13 @@ def _shot(
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
         raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
     intrinsics = [read_number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
-    bent = [read_number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
-    bent = bent if any(bent) or lens == "fisheye" else []
-    camera = make_camera(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)
+    distortion = [
+        read_number(file, said, field) if field in said else 0.0 for field in _DISTORTION[lens]
+    ]
+    distortion = distortion if any(distortion) or lens == "fisheye" else []
+    camera = make_camera(
+        f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, distortion, lens
+    )
     depth_camera = metres = None
     named = frame.get("depth_file_path") or frame.get("depth_path")
     per_metre = 1000.0
@@ -181,7 +189,7 @@ def _shot(
         if not 1e-6 <= step <= 1.0:
             raise InputError(f"{file}: integer_depth_scale is {step:g}; it is metres in a unit.")
         per_metre = 1.0 / step
-    if isinstance(named, str) and (depth := _inside(path, named, i)).is_file():
+    if isinstance(named, str) and (depth := _check_inside(path, named, i)).is_file():
         depth_camera = resize_camera(camera, image_size(depth), depth)
         metres = depth_file(depth, depth_camera, per_metre)
     unit = DepthUnit(f"the depth images that {file} names", per_metre)

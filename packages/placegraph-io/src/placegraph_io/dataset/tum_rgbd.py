@@ -58,23 +58,23 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
     published ones of the camera that the folder's name tells. Raises `InputError` where neither
     says, a list or file is missing or broken, or no stamps fit.
     """
-    trajectory = read_tum(poses or _truth(path))
-    camera, depth_camera, per_metre, said = _cameras(path)
-    colours, depths = _listed(path, "rgb.txt"), _listed(path, "depth.txt")
+    trajectory = read_tum(poses or _find_ground_truth(path))
+    camera, depth_camera, per_metre, unit_source = _cameras(path)
+    colours, depths = _read_list(path, "rgb.txt"), _read_list(path, "depth.txt")
     stamps = [stamp for stamp, _ in colours]
     depth_of = match_stamps([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
     pose_of = match_stamps(trajectory.stamps, stamps, SAME_MOMENT)
     if poses and len(trajectory) == len(colours):
         pose_of = np.arange(len(colours))
     left_out: Counter[str] = Counter()
-    shots = []
-    unit = DepthUnit(said, per_metre)
+    frames = []
+    unit = DepthUnit(unit_source, per_metre)
     for i, (stamp, file) in enumerate(colours):
         if depth_of[i] < 0 or pose_of[i] < 0:
             left_out[f"no {'depth' if depth_of[i] < 0 else 'pose'} within 20 ms"] += 1
             continue
         depth = depth_file(depths[depth_of[i]][1], depth_camera, per_metre)
-        shots.append(
+        frames.append(
             StoredFrame(
                 name=f"rgb.txt, {file.name}",
                 stamp=stamp,
@@ -85,10 +85,10 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
             )
         )
     notes = () if poses else (f"Poses are those of {path / 'groundtruth.txt'}, the truth.",)
-    return make_capture(path, shots, left_out=left_out, notes=notes)
+    return make_capture(path, frames, left_out=left_out, notes=notes)
 
 
-def _truth(path: Path) -> Path:
+def _find_ground_truth(path: Path) -> Path:
     file = path / "groundtruth.txt"
     if not file.is_file():
         raise InputError(
@@ -99,7 +99,7 @@ def _truth(path: Path) -> Path:
 
 
 def _cameras(path: Path) -> tuple[Camera, Camera, float, str]:
-    """Return the camera of colour and of depth, units of depth in a metre, and where that is said."""
+    """Return the camera of colour and of depth, units of depth in a metre, and the source of that."""
     file = path / "camera.json"
     if file.is_file():
         content = read_camera(file, depth_scale=PER_METRE)
@@ -116,7 +116,7 @@ def _cameras(path: Path) -> tuple[Camera, Camera, float, str]:
     return camera, camera, PER_METRE, f"{path / 'depth'}, written by the benchmark's rule"
 
 
-def _listed(path: Path, name: str) -> list[tuple[float, Path]]:
+def _read_list(path: Path, name: str) -> list[tuple[float, Path]]:
     """Return the stamps and files of a list, whose rows are `stamp file`."""
     rows = []
     for number, line in enumerate(read_text(path / name).splitlines(), 1):
