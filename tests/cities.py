@@ -92,8 +92,8 @@ def one_thread():
 def make_network():
     """Network of random weights: a seed, fields of the shape that differ, how much it adds."""
 
-    def make(seed=0, fusion=0.3, known=None, **list_weight_shapes):
-        shape = Shape(**{**SMALL.to_dict(), **list_weight_shapes})
+    def make(seed=0, fusion=0.3, known=None, **sizes):
+        shape = Shape(**{**SMALL.to_dict(), **sizes})
         arrays = adding(random_arrays(shape, seed, known), fusion)
         return GraphTransformer(shape, arrays, f"random {seed}", known)
 

@@ -279,7 +279,9 @@ def find_fault(walls: OuterWalls, fit: WallFit) -> str:
     return ""
 
 
-def find_slides(walls: OuterWalls, footprint: Footprint, fits: Sequence[WallFit]) -> list[WallFit]:
+def find_slides(
+    walls: OuterWalls, footprint: Footprint, candidates: Sequence[WallFit]
+) -> list[WallFit]:
     """Find unobservable directions of fits; return one fit in the middle of each.
 
     Its covariance spans the way along which the map slides, and its score counts the maps that have room
@@ -289,7 +291,7 @@ def find_slides(walls: OuterWalls, footprint: Footprint, fits: Sequence[WallFit]
     middle = walls.points.mean(axis=0)
     angles = np.arctan2(walls.normals[:, 1], walls.normals[:, 0])
     main = float(np.angle(np.exp(4j * angles).sum())) / 4.0
-    for fit in fits:
+    for fit in candidates:
         for turn in main - fit.heading + np.pi / 2.0 * np.arange(4):
             along = np.array([np.cos(turn), np.sin(turn)])
             width = float(np.ptp(transform_points(walls.points, fit.heading, fit.shift) @ along))

@@ -99,7 +99,7 @@ def fit_points(
     sigma = np.ones(len(here)) if accuracy is None else np.maximum(_MIN_SIGMA, accuracy)
     sources = here[:, :2]
     heading, weights = _fit_heading(
-        sources, targets, sigma, told=accuracy is not None, method=method
+        sources, targets, sigma, has_accuracy=accuracy is not None, method=method
     )
     total = weights.sum()
     middle, aim = (weights @ side / total for side in (sources, targets))
@@ -114,9 +114,9 @@ def fit_points(
     if in_time:
         spread *= _count_correlated(away[weights > 0])
     arms = np.square(sources - middle).sum(axis=1)
-    held = weights / weights.max() / sigma**2
-    height, of_height = _fit_height(here[:, 2], there[:, 2], sigma, held)
-    covariance = np.diag([spread / held.sum()] * 2 + [of_height, spread / (held @ arms)])
+    precision = weights / weights.max() / sigma**2
+    height, of_height = _fit_height(here[:, 2], there[:, 2], sigma, precision)
+    covariance = np.diag([spread / precision.sum()] * 2 + [of_height, spread / (precision @ arms)])
     # north is elsewhere at the points' middle than at the first of them
     start = replace(base, height=height, heading=heading)
     centred = start.shift_origin(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
@@ -126,7 +126,7 @@ def fit_points(
 
 
 def _fit_heading(
-    sources: Floats, targets: Floats, sigma: Floats, *, told: bool, method: str
+    sources: Floats, targets: Floats, sigma: Floats, *, has_accuracy: bool, method: str
 ) -> tuple[float, Floats]:
     """Return heading [rad] and weights (N,) of Tukey's fit."""
     some = np.unique(np.linspace(0, len(sources) - 1, _MAX_PAIRED_POINTS).astype(int))
@@ -151,10 +151,10 @@ def _fit_heading(
     heading, scale = -float(np.angle(turns[k, 0])), float(halves[k]) / 1.177  # of a Rayleigh
     weights = np.zeros(len(sources))
     weights[[i[k], j[k]]] = 1.0
-    floor = 1.0 if told else _MIN_SIGMA
+    floor = 1.0 if has_accuracy else _MIN_SIGMA
     scale = max(scale, floor)
     # the widest that are still taken for good; a map is rarely wrong by less than this
-    limit = _TUKEY_LIMIT * max(scale, 1.0 if told else 0.1)
+    limit = _TUKEY_LIMIT * max(scale, 1.0 if has_accuracy else 0.1)
     for _ in range(20):
         off = _distances(sources, targets, heading, weights) / sigma
         tukey = np.where(off < limit, (1.0 - (off / limit) ** 2) ** 2, 0.0)
@@ -195,9 +195,9 @@ def _count_correlated(away: Floats) -> float:
     return (1.0 + share) / (1.0 - share)
 
 
-def _fit_height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[float, float]:
+def _fit_height(z: Floats, heights: Floats, sigma: Floats, weights: Floats) -> tuple[float, float]:
     """Return the height of z = 0 [m] and its variance, by the median of known differences."""
-    both = np.isfinite(z) & np.isfinite(heights) & (held > 0)
+    both = np.isfinite(z) & np.isfinite(heights) & (weights > 0)
     if not both.any():
         return 0.0, UNKNOWN_HEIGHT**2
     difference = heights[both] - z[both]

@@ -131,7 +131,7 @@ class WorldMode(Explained):
 
 @dataclass(frozen=True, repr=False)
 class WorldEstimate(Estimate[WorldMode]):
-    """Where in a world: one posterior over place, room and pose."""
+    """Estimate of a world: one posterior over place, room and pose."""
 
     elsewhere: float = 0.0
     """Probability of being in none of the scenes, and nowhere on the cities' maps."""
@@ -143,7 +143,7 @@ class WorldEstimate(Estimate[WorldMode]):
     """Estimate of the frames in each scene that was looked into."""
     notes: tuple[str, ...] = ()
     """Parts of the question that could not be used, and why."""
-    answered: tuple[str, ...] = ()
+    answered_questions: tuple[str, ...] = ()
     """Questions that were answered; they are not asked again."""
 
     def next_question(self, world: World) -> Question | None:
@@ -152,7 +152,7 @@ class WorldEstimate(Estimate[WorldMode]):
         if self.status is not Status.AMBIGUOUS or best is None:
             return None
         if best.place is None:
-            return choose_question(self.modes, self.answered)
+            return choose_question(self.modes, self.answered_questions)
         for part, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.towns[part.partition("//")[0]].ask(part, estimate)
@@ -167,7 +167,7 @@ class WorldEstimate(Estimate[WorldMode]):
         }
 
 
-def choose_question(modes: Sequence[WorldMode], answered: Sequence[str]) -> Question | None:
+def choose_question(modes: Sequence[WorldMode], excluded: Sequence[str]) -> Question | None:
     """Return the yes-or-no question with most information about the building, else about the room."""
     buildings: dict[str, float] = defaultdict(float)
     rooms: dict[str, float] = defaultdict(float)
@@ -182,7 +182,7 @@ def choose_question(modes: Sequence[WorldMode], answered: Sequence[str]) -> Ques
             if name and entropy > MIN_GAIN:
                 text = f"Are you in {words.format(name)}?"
                 asked.append(Question(text, (YES, NO), (Subject(name, label),), entropy))
-        left = [q for q in asked if q.text not in answered]
+        left = [q for q in asked if q.text not in excluded]
         if left:
             return max(left, key=lambda q: q.gain)
     return None

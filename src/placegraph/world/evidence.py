@@ -232,7 +232,7 @@ class WorldEvidence:
     inside: IndoorMatch | None
     scenes: dict[str, SceneEvidence]
     near: tuple[float, float] | None = None
-    others: RemainingScenes | None = None
+    remaining: RemainingScenes | None = None
     obstacle: str = ""
     """Sentence that says why no town can search for the text."""
 
@@ -253,7 +253,7 @@ class WorldEvidence:
     @property
     def total_near(self) -> float:
         """Number of scenes, each counted as far as it fits the location prior."""
-        total = self.others.near if self.others else sum(w.near for w in self.scenes.values())
+        total = self.remaining.near if self.remaining else sum(w.near for w in self.scenes.values())
         return total if self.near is None else max(1.0, total)
 
     def prior(self, name: str) -> float:
@@ -327,14 +327,14 @@ def collect_evidence(world: World, query: WorldQuery, text: OutdoorSearch) -> Wo
         ):
             buildings[k] = match
     rest = iter(buildings)
-    weigher = _SceneWeigher(query, floors, inside, spoken, "|".join(denied))
-    found = {n: weigher.weigh(n, s, [next(rest) for _ in s], above[n]) for n, s in scenes.items()}
+    scorer = _SceneScorer(query, floors, inside, spoken, "|".join(denied))
+    found = {n: scorer.score(n, s, [next(rest) for _ in s], above[n]) for n, s in scenes.items()}
     near = None if query.near is None else (float(query.near[0]), float(query.near[1]))
-    return WorldEvidence(parsed, towns, inside, found, near, world.others, text.obstacle)
+    return WorldEvidence(parsed, towns, inside, found, near, world.remaining, text.obstacle)
 
 
 @dataclass(frozen=True, eq=False)
-class _SceneWeigher:
+class _SceneScorer:
     """Statements that weigh single scenes."""
 
     query: WorldQuery
@@ -345,7 +345,7 @@ class _SceneWeigher:
     denied: str
     """Names of places that the speaker is not in."""
 
-    def weigh(
+    def score(
         self, name: str, anchors: tuple[AnchorHypothesis, ...],
         buildings: Sequence[BuildingMatch | None], above: int,
     ) -> SceneEvidence:  # fmt: skip

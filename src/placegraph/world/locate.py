@@ -54,18 +54,18 @@ COMPASS_CONCENTRATION, COMPASS_OUTLIERS = 8.0, 0.1
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 
-def locate(world: World, asked: WorldQuery) -> WorldEstimate:
+def locate(world: World, given: WorldQuery) -> WorldEstimate:
     """Return one posterior over place, room and pose; parameters and errors: `World.locate`."""
-    if asked.budget is not None and not world.planets:
+    if given.budget is not None and not world.planets:
         raise OptionError("`budget` applies only to worlds in shards, and here is none; remove it.")
-    query = add_answers(asked)
+    query = add_answers(given)
     text = match_outdoors(world, query)
     if world.candidates is not None:
         world = world.candidates.select(world, query, text)
     if query.capture is not None and not world.scenes and query.text is None:
         raise OptionError(f"capture: {NO_SCENES[0].lower()}{NO_SCENES[1:]}")
     evidence = collect_evidence(world, query, text)
-    notes = world.others.notes if world.others else ()
+    notes = world.remaining.notes if world.remaining else ()
     if query.capture is not None and world.scenes:
         found = _locate_by_frames(world, query, evidence)
     else:
@@ -73,8 +73,8 @@ def locate(world: World, asked: WorldQuery) -> WorldEstimate:
         notes += (NO_SCENES,) if query.capture is not None else ()
     status, reason = limit_status(found, world, query, text.towns)
     notes += tuple(note for town in text.towns.values() for note in town.notes)
-    answered = tuple(answer.question.text for answer in asked.answers)
-    return replace(found, status=status, reason=reason, notes=notes, answered=answered)
+    answered = tuple(answer.question.text for answer in given.answers)
+    return replace(found, status=status, reason=reason, notes=notes, answered_questions=answered)
 
 
 def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
@@ -87,7 +87,7 @@ def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) ->
             town.estimate.status, tuple(modes), town.estimate.reason,
             elsewhere=town.posterior.elsewhere, understood=evidence.parsed, cities=evidence.parts,
         )  # fmt: skip
-    has_scenes = is_indoors and (evidence.scenes or evidence.others)
+    has_scenes = is_indoors and (evidence.scenes or evidence.remaining)
     mapped, in_town = (
         (PRIOR_MAPPED, PRIOR_IN_TOWN) if has_scenes else (0.0, PRIOR_MAPPED + PRIOR_IN_TOWN)
     )
@@ -100,8 +100,8 @@ def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) ->
     }
     unknown = 1.0 - mapped - (in_town if towns else 0.0)
     weights = np.array([*logs.values(), *towns.values(), np.log(unknown)])
-    if mapped and evidence.others:  # of no mode, and not elsewhere
-        rest = np.log(mapped / evidence.total_near) + evidence.others.weight
+    if mapped and evidence.remaining:  # of no mode, and not elsewhere
+        rest = np.log(mapped / evidence.total_near) + evidence.remaining.weight
         weights = np.append(weights, rest)
     shares = np.exp(weights - np.logaddexp.reduce(weights)).tolist()
     modes = []
@@ -214,7 +214,7 @@ def _propose_scenes(
     world: World, frames: Sequence[Frame], evidence: WorldEvidence
 ) -> SceneEstimate:
     """Return the scenes that frames may show, with all other evidence, likeliest first."""
-    others, count = world.others, len(world.scenes)
+    others, count = world.remaining, len(world.scenes)
     if others is None:
         weighed = infer_from_frames(world.library, frames, None, SearchOptions())
         found = weighed.estimate(world.library, count)

@@ -147,9 +147,9 @@ def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
     ]
 
 
-def _list_names(thing: _MapObject) -> Iterator[str]:
-    tags = thing.tags
-    yield thing.osm
+def _list_names(element: _MapObject) -> Iterator[str]:
+    tags = element.tags
+    yield element.osm
     for key, value in tags.items():
         if key in _NAMES or key.startswith("name:"):
             yield from (" ".join(v.split()) for v in value.split(";"))
@@ -158,13 +158,19 @@ def _list_names(thing: _MapObject) -> Iterator[str]:
         yield from (f"{street} {number}", f"{number} {street}")
 
 
-def _is_building(thing: _MapObject) -> bool:
-    return not thing.point and thing.tags.get("building", "no") != "no" and len(thing.rings[0]) > 3
+def _is_building(element: _MapObject) -> bool:
+    return (
+        not element.point
+        and element.tags.get("building", "no") != "no"
+        and len(element.rings[0]) > 3
+    )
 
 
-def _find_buildings(thing: _MapObject, buildings: Iterable[_MapObject]) -> list[_MapObject]:
+def _find_buildings(element: _MapObject, buildings: Iterable[_MapObject]) -> list[_MapObject]:
     """Return the buildings that an object stands in."""
-    middle = thing.rings[0][:-1].mean(axis=0) if len(thing.rings[0]) > 3 else thing.rings[0][0]
+    middle = (
+        element.rings[0][:-1].mean(axis=0) if len(element.rings[0]) > 3 else element.rings[0][0]
+    )
     found = []
     for building in buildings:
         ring = building.rings[0]

@@ -145,8 +145,8 @@ def read_floors(text: str) -> tuple[tuple[FloorStatement, ...], str]:
     return tuple(found), re.sub(r"[,;]+\s*([.,;!?])", r"\1", " ".join(left.split())).strip(" ,;")
 
 
-def _read_floor(found: re.Match[str], language: str) -> FloorStatement:
-    ordinal = found["nth"] or (found["n"] if language == "en" else None)
+def _read_floor(match: re.Match[str], language: str) -> FloorStatement:
+    ordinal = match["nth"] or (match["n"] if language == "en" else None)
     levels: dict[float, float]
     if ordinal is not None:
         digits, word = re.match(r"\d+", ordinal), ordinal.casefold()
@@ -154,22 +154,22 @@ def _read_floor(found: re.Match[str], language: str) -> FloorStatement:
             digits[0] if digits else next(n for w, n in _NUMBER.items() if word.startswith(w))
         )
         levels = {k: 1.0} if language == "de" else {k: 0.5, k - 1.0: 0.5}
-    elif found["zero"]:
+    elif match["zero"]:
         levels = {0.0: 1.0}
     else:
         levels = (
             dict.fromkeys(UPPER_LEVELS, _ON_TOP)
-            if found["up"]
+            if match["up"]
             else dict.fromkeys(BASEMENT_LEVELS, 1.0)
         )
     return FloorStatement(
-        found[0].removesuffix(found["of"] or "").strip(), levels, bool(found["no"])
+        match[0].removesuffix(match["of"] or "").strip(), levels, bool(match["no"])
     )
 
 
-def _drop_floor(found: re.Match[str]) -> str:
+def _drop_floor(match: re.Match[str]) -> str:
     """Return what stays of the words of a floor: "on the second floor of the hotel" is in the hotel."""
-    after = " ".join((found["of"] or "").casefold().split())
+    after = " ".join((match["of"] or "").casefold().split())
     return _INSIDE_WORDS.get(after, "im") if after else ""
 
 
@@ -212,7 +212,7 @@ class ParsedSentence:
 def parse_sentence(
     text: str,
     towns: Mapping[str, Town],
-    things: Sequence[str],
+    objects: Sequence[str],
     heading: float | None = None,
     names: Collection[str] = (),
     language: str | None = None,
@@ -244,10 +244,10 @@ def parse_sentence(
     floors, left = read_floors(text)
     full: dict[str, Description] = {}
     for name, town in (towns if left else {}).items():
-        said = read_outside(town.words, left, heading=heading, language=language)
-        full[name] = translate_rooms(resolve_addresses(said, town), town.words)
+        description = read_outside(town.words, left, heading=heading, language=language)
+        full[name] = translate_rooms(resolve_addresses(description, town), town.words)
     own = {_normalize(name) for name in names}
-    out = {name: _find_outdoors(d, towns[name].words, things, own) for name, d in full.items()}
+    out = {name: _find_outdoors(d, towns[name].words, objects, own) for name, d in full.items()}
     outside = {name: _keep_outside(d, out[name]) for name, d in full.items()}
     outside = {name: d for name, d in outside.items() if d.statements}
     spoken = {
@@ -257,7 +257,7 @@ def parse_sentence(
         for word in _split_words(d.mentions[i].words)
     }
     inside = None
-    if left and things:
+    if left and objects:
         foreign = next((d for d in full.values() if d.language != "en"), None)
         inside = read_inside(left) if foreign is None else convert_to_indoor(foreign)
     parts = {word for name in own for word in name.split()}
@@ -304,37 +304,39 @@ def resolve_addresses(description: Description, town: Town) -> Description:
 
 
 def _find_outdoors(
-    said: Description, town: TownWords, things: Sequence[str], own: Collection[str]
+    description: Description, town: TownWords, objects: Sequence[str], own: Collection[str]
 ) -> set[int]:
     """Return the mentions of something on the town's map, and not in a room."""
     out, either = set(), set()
-    for m in said.mentions[LISTENER + 1 :]:
+    for m in description.mentions[LISTENER + 1 :]:
         words = _normalize(m.words)
         known = any(s.weight >= MIN_SENSE_WEIGHT and s.label in town.label_index for s in m.senses)
         if m.name:
             is_out = bool(town.name_index.named(m.name)) or words not in own
         elif room_kind(words):
-            held = {room_kind(thing) for thing in things}
+            held = {room_kind(thing) for thing in objects}
             whole = " " in words and words in {
                 _normalize(s.label.partition("=")[2]) for s in m.senses
             }
             is_out = known and (whole or room_kind(words) not in held)  # a post office is no office
         else:  # rooms of this world hold such things, or homes
             is_out = not any(
-                (match_labels(words, t) >= EXACT).any() for t in (things, table().labels) if t
+                (match_labels(words, t) >= EXACT).any() for t in (objects, table().labels) if t
             )
         if is_out:
             out.add(m.id)
         elif known and not room_kind(words):
             either.add(m.id)
-    for s in said.statements:  # what both have is outside where it lies north, or by a church
+    for (
+        s
+    ) in description.statements:  # what both have is outside where it lies north, or by a church
         beside = bool(_list_ends(s) & out) and SPEAKER not in ends(s)
         if beside or _WINDS.intersection(_split_words(s.text)):
             out |= either & _list_ends(s)
-    return out if things else out | either  # where no room is mapped, what is known is outside
+    return out if objects else out | either  # where no room is mapped, what is known is outside
 
 
-def _keep_outside(said: Description, out: Collection[int]) -> Description:
+def _keep_outside(description: Description, out: Collection[int]) -> Description:
     """Drop the statements about objects inside.
 
     Statements about the room of the speaker become ones about the speaker: "in the kitchen of the hotel".
@@ -342,49 +344,49 @@ def _keep_outside(said: Description, out: Collection[int]) -> Description:
     known = {*out, SPEAKER, LISTENER}
     rooms = {
         s.target
-        for s in said.statements
+        for s in description.statements
         if s.source == SPEAKER and s.relation in WITHIN and s.target not in known
     }
     kept = []
-    for s in said.statements:
+    for s in description.statements:
         of_room = s.source in rooms and s.relation is Relation.NEAR
         moved = replace(s, source=SPEAKER, relation=Relation.INSIDE) if of_room else s
         if _list_ends(moved) <= known and _list_ends(moved) - {SPEAKER, LISTENER}:
             kept.append(moved)
-    return replace(said, statements=tuple(kept))
+    return replace(description, statements=tuple(kept))
 
 
 def _list_ends(s: OutdoorStatement) -> set[int]:
     return {*ends(s), s.target2 if s.target2 is not None else SPEAKER}
 
 
-def _keep_inside(said: Sentence, outside: Collection[str]) -> Sentence | None:
+def _keep_inside(sentence: Sentence, outside: Collection[str]) -> Sentence | None:
     """Drop the statements about objects outside; return None where nothing is left.
 
     A relation to something outside becomes one to the speaker: "in the library, by the window".
     """
-    mentions = [_drop_words(m, outside) for m in said.mentions]
+    mentions = [_drop_words(m, outside) for m in sentence.mentions]
     away = {i for i, m in enumerate(mentions) if m is None}
     kept: list[Statement] = []
-    for s in said.statements:
+    for s in sentence.statements:
         there = [t for t in s.mentions if t not in away]
         if len(there) == len(s.mentions):
-            new = any(mentions[t] is not said.mentions[t] for t in there)
+            new = any(mentions[t] is not sentence.mentions[t] for t in there)
             kept.append(replace(s, kind=Kind.ROOM) if new and len(there) == 1 else s)
         elif s.kind is Kind.RELATED and s.mentions[1] in there:
             kept.append(replace(s, kind=Kind.NEAR, mentions=(s.mentions[1],), relation="next to"))
-    both = (new or old for new, old in zip(mentions, said.mentions, strict=True))
-    return replace(said, mentions=tuple(both), statements=tuple(kept)) if kept else None
+    both = (new or old for new, old in zip(mentions, sentence.mentions, strict=True))
+    return replace(sentence, mentions=tuple(both), statements=tuple(kept)) if kept else None
 
 
-def _drop_words(thing: Mention, outside: Collection[str]) -> Mention | None:
+def _drop_words(mention: Mention, outside: Collection[str]) -> Mention | None:
     """Drop words of things outside, "the kitchen of the hotel"; return None where no room is left."""
-    words = _split_words(thing.label)
+    words = _split_words(mention.label)
     left = [w for w in words if w not in outside]
     if left == words:
-        return thing
+        return mention
     own = " ".join(w for w in left if w != "of")
-    return replace(thing, label=own, room=room_kind(own)) if room_kind(own) else None
+    return replace(mention, label=own, room=room_kind(own)) if room_kind(own) else None
 
 
 def _split_words(text: str) -> list[str]:
@@ -396,19 +398,19 @@ def _normalize(text: str) -> str:
     return " ".join(_split_words(text))
 
 
-def translate_rooms(said: Description, town: TownWords) -> Description:
+def translate_rooms(description: Description, town: TownWords) -> Description:
     """Give objects of rooms their English words; names on the town's map stay."""
-    english = _load_tables().get(said.language)
+    english = _load_tables().get(description.language)
     if english is None:
-        return said
-    mentions, known = list(said.mentions), set()
-    for i, m in enumerate(said.mentions[LISTENER + 1 :], LISTENER + 1):
+        return description
+    mentions, known = list(description.mentions), set()
+    for i, m in enumerate(description.mentions[LISTENER + 1 :], LISTENER + 1):
         word = _translate(m.words, english)
         if word and not (m.name and town.name_index.named(m.name)):
             mentions[i] = replace(m, words=word, name="")
             known.add(m.words)
-    ignored = tuple(i for i in said.ignored if i.text not in known)
-    return replace(said, mentions=tuple(mentions), ignored=ignored)
+    ignored = tuple(i for i in description.ignored if i.text not in known)
+    return replace(description, mentions=tuple(mentions), ignored=ignored)
 
 
 def _translate(words: str, english: Mapping[str, str]) -> str:
@@ -421,35 +423,35 @@ def _translate(words: str, english: Mapping[str, str]) -> str:
     return plain if room_kind(plain) else ""
 
 
-def convert_to_indoor(said: Description) -> Sentence:
+def convert_to_indoor(description: Description) -> Sentence:
     """Convert a description with English words (`translate_rooms`) into statements about rooms."""
-    english = _load_tables().get(said.language, {})
-    mentions = said.mentions[LISTENER + 1 :]
+    english = _load_tables().get(description.language, {})
+    mentions = description.mentions[LISTENER + 1 :]
     own = {
         m.id
         for m in mentions
         if m.words in english.values() or (english and room_kind(m.words) and not m.name)
     }
-    things = [Mention(m.words, m.words, m.count, room=room_kind(m.words)) for m in mentions]
+    objects = [Mention(m.words, m.words, m.count, room=room_kind(m.words)) for m in mentions]
     made: dict[tuple[Kind, tuple[int, ...]], Statement] = {}
-    for s in said.statements:
-        for kind, nodes in _convert_statement(s, own, things):
+    for s in description.statements:
+        for kind, nodes in _convert_statement(s, own, objects):
             rows = tuple(node - LISTENER - 1 for node in nodes)
             relation = "next to" if kind is Kind.RELATED else ""
             new = Statement(
                 kind, rows, relation, negated=s.negated, certainty=s.certainty, text=s.text
             )
             made.setdefault((kind, rows), new)
-    return Sentence(said.text, tuple(things), tuple(made.values()))
+    return Sentence(description.text, tuple(objects), tuple(made.values()))
 
 
 def _convert_statement(
-    s: OutdoorStatement, own: set[int], things: list[Mention]
+    s: OutdoorStatement, own: set[int], objects: list[Mention]
 ) -> list[tuple[Kind, tuple[int, ...]]]:
     """Return the kinds and mentions of the indoor statements that an outdoor one stands for."""
 
     def is_room(node: int) -> bool:
-        return node > LISTENER and bool(things[node - LISTENER - 1].room)
+        return node > LISTENER and bool(objects[node - LISTENER - 1].room)
 
     nodes = [n for n in (s.source, s.target) if n in own]
     inside = (Relation.INSIDE, Relation.SAME)

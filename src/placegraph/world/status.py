@@ -109,13 +109,13 @@ def decide_without_frames(
 
 
 def limit_status(
-    found: WorldEstimate, world: World, query: WorldQuery, searched: Mapping[str, TownMatch]
+    estimate: WorldEstimate, world: World, query: WorldQuery, searched: Mapping[str, TownMatch]
 ) -> tuple[Status, str]:
     """Return the status and reason, given what was not searched and where the location prior is off.
 
     Where a part that matters was not searched, nothing is sure.
     """
-    reason, status = found.reason, found.status
+    reason, status = estimate.reason, estimate.status
     if query.near is not None and status is not Status.OK:
         hints = [t.explain_prior(query.near, query.radius) for t in world.towns.values()]
         if hints and None not in hints:

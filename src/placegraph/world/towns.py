@@ -84,13 +84,13 @@ class Town(Protocol):
     def is_street(self, name: str) -> bool:
         """Return whether a name means streets, and nothing else."""
 
-    def match(self, said: Description, query: WorldQuery) -> TownMatch | str:
+    def match(self, description: Description, query: WorldQuery) -> TownMatch | str:
         """Search for a description; return what was found, or why nothing can be searched for."""
 
     def explain_prior(self, near: Sequence[float], radius: float) -> str | None:
         """Return None where the location prior is on the map; else a hint, which may be empty."""
 
-    def ask(self, part: str, found: CityEstimate) -> Question | None:
+    def ask(self, part: str, estimate: CityEstimate) -> Question | None:
         """Return the question that tells the places of a part (`TownMatch.parts`) apart."""
 
 
@@ -191,11 +191,11 @@ class CityTown:
         """Return whether a name means streets, and nothing else."""
         return len(find_roads(self.words, name)) > 0
 
-    def match(self, said: Description, query: WorldQuery) -> TownMatch | str:
+    def match(self, description: Description, query: WorldQuery) -> TownMatch | str:
         """Search for a description; return what was found, or why nothing can be searched for."""
         city = self.words
         hints = Hints(query.near, query.radius, query.heading, answers=query.answers)
-        request = make_request(city, said, hints, Matching())
+        request = make_request(city, description, hints, Matching())
         if not request.is_positive:
             return find_obstacle(request.query, request.understood)
         near = request.prior.near
@@ -210,10 +210,10 @@ class CityTown:
         is_off = LocationPrior.around(self.words, near, radius).is_off_map(self.words)
         return hint_swapped(self.words, near) if is_off else None
 
-    def ask(self, part: str, found: CityEstimate) -> Question | None:
+    def ask(self, part: str, estimate: CityEstimate) -> Question | None:
         """Return the question that tells the places of an estimate apart."""
         del part
-        return self.words.ask(found)
+        return self.words.ask(estimate)
 
 
 @dataclass(frozen=True, eq=False)

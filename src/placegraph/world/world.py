@@ -97,7 +97,7 @@ class World:
 
     """
 
-    others: RemainingScenes | None = None
+    remaining: RemainingScenes | None = None
     """Weight of the scenes that a question does not look into, where there are shards."""
 
     def __init__(

@@ -211,7 +211,7 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     from placegraph_learn.city.batches import forward
     from placegraph_learn.city.network import Network
 
-    known = numpy_network.known
+    known = numpy_network.word_table
     module = Network(numpy_network.shape, known.vectors.shape[1] if known else 0)
     module.load_state_dict({n: torch.from_numpy(a) for n, a in numpy_network.arrays.items()})
     with torch.no_grad():
@@ -234,7 +234,7 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
 def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
     ours = make_network(**sizes)
     lessons, rows, made = batch
-    lessons = replace(lessons, subwords=ours.shape.subwords, known=ours.known)
+    lessons = replace(lessons, subwords=ours.shape.subwords, known=ours.word_table)
     logit, cosine, embedding, residual = torch_scores(ours, lessons, made)
     texts = lessons.pool.texts
     places = PlaceGraphs.of_views(harbour, lessons.pool.views[lessons.pool.views >= 0])
@@ -342,9 +342,9 @@ def test_weights_come_back_as_they_were_written(file, made):
 
 def test_word_vectors_come_along(knowing):
     network, made, path = knowing
-    found, known = GraphTransformer.open(path), network.known
-    assert found.known.words == known.words
-    assert np.array_equal(found.known.vectors, known.vectors)
+    found, known = GraphTransformer.open(path), network.word_table
+    assert found.word_table.words == known.words
+    assert np.array_equal(found.word_table.vectors, known.vectors)
     assert found.fingerprint == made.fingerprint
     for other in (None, WordVectors(("cafe", "oil"), known.vectors)):
         assert replace(made, words=other).fingerprint != made.fingerprint

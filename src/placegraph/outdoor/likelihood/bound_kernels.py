@@ -25,17 +25,17 @@ MASS, WEST, SOUTH, EAST, NORTH = range(5)
 @kernel
 def allocate_sight(n_mentions):
     """Allocate mass and box of each mention, and of the speaker, for viewpoints of `TILES_AT_ONCE` tiles."""
-    seen = np.empty((n_mentions + 1, 5, TILES_AT_ONCE * SLOTS), np.float32)
+    extents = np.empty((n_mentions + 1, 5, TILES_AT_ONCE * SLOTS), np.float32)
     for m in range(n_mentions):
-        _clear(seen[m])
-    seen[ME] = VIEW_HALF_WIDTH  # the last row is the speaker's
-    seen[ME, MASS] = 1.0
-    seen[ME, WEST : SOUTH + 1] = -VIEW_HALF_WIDTH
-    return seen, np.ones(n_mentions + 1, np.bool_)
+        _clear(extents[m])
+    extents[ME] = VIEW_HALF_WIDTH  # the last row is the speaker's
+    extents[ME, MASS] = 1.0
+    extents[ME, WEST : SOUTH + 1] = -VIEW_HALF_WIDTH
+    return extents, np.ones(n_mentions + 1, np.bool_)
 
 
 @kernel(finite=True)
-def bound_views(statements, mentions, views, tiles, at, seen, there, bound):
+def bound_views(statements, mentions, views, tiles, at, extents, there, bound):
     """Bound the viewpoints of tiles (ascending, at most `TILES_AT_ONCE`), slot by slot, in `bound`.
 
     The bound is the likelihood ratio of the statements if every direction were right (less the share
@@ -44,20 +44,20 @@ def bound_views(statements, mentions, views, tiles, at, seen, there, bound):
     """
     n = SLOTS * len(tiles)
     for m in range(len(mentions.starts) - 1):
-        there[m] = _sum_masses(seen[m], mentions, views, at, m, tiles)
-    is_possible = _bound_tiles(statements, seen, there, views, tiles, bound[:n])
+        there[m] = _sum_masses(extents[m], mentions, views, at, m, tiles)
+    is_possible = _bound_tiles(statements, extents, there, views, tiles, bound[:n])
     for m in range(len(mentions.starts) - 1):
         if there[m]:
-            _clear(seen[m])
+            _clear(extents[m])
     return is_possible
 
 
 @kernel(inline="always")
-def _clear(seen):
+def _clear(extents):
     """Set the masses of a mention to 0, and its boxes to empty ones."""
-    seen[MASS] = 0.0
-    seen[WEST : SOUTH + 1] = FAR_AWAY
-    seen[EAST : NORTH + 1] = -FAR_AWAY
+    extents[MASS] = 0.0
+    extents[WEST : SOUTH + 1] = FAR_AWAY
+    extents[EAST : NORTH + 1] = -FAR_AWAY
 
 
 @kernel(finite=True, _nrt=False)
@@ -80,7 +80,7 @@ def skip_to_tile(views, p, end, tile):
 
 
 @kernel(finite=True, _nrt=False)
-def _sum_masses(seen, mentions, views, at, m, tiles):
+def _sum_masses(extents, mentions, views, at, m, tiles):
     """Sum the masses of a mention in sight of the viewpoints of tiles; return whether there is any."""
     there = False
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
@@ -92,30 +92,30 @@ def _sum_masses(seen, mentions, views, at, m, tiles):
                 break
             if views.run_tiles[p] == tiles[i]:
                 there = True
-                _add_run(seen, views, p, i * SLOTS, views.present[tiles[i]], weight)
+                _add_run(extents, views, p, i * SLOTS, views.present[tiles[i]], weight)
         at[k] = p
     return there
 
 
 @kernel(finite=True, _nrt=False)
-def _add_run(seen, views, p, base, present, weight):
+def _add_run(extents, views, p, base, present, weight):
     """Add the postings of a run to the masses and boxes of its tile's viewpoints."""
     bits, q = views.run_slots[p], np.int64(views.run_first[p])
     bits = bits & present  # a forged map may have others, or too few postings
     while bits != 0 and q < len(views.postings):
         i = base + slot_of(bits)
         grade, west, south, east, north = unpack(np.int64(views.postings[q]))
-        seen[WEST, i] = min(seen[WEST, i], west)
-        seen[SOUTH, i] = min(seen[SOUTH, i], south)
-        seen[EAST, i] = max(seen[EAST, i], east)
-        seen[NORTH, i] = max(seen[NORTH, i], north)
-        seen[MASS, i] += weight * views.levels[grade]
+        extents[WEST, i] = min(extents[WEST, i], west)
+        extents[SOUTH, i] = min(extents[SOUTH, i], south)
+        extents[EAST, i] = max(extents[EAST, i], east)
+        extents[NORTH, i] = max(extents[NORTH, i], north)
+        extents[MASS, i] += weight * views.levels[grade]
         bits &= bits - 1
         q += 1
 
 
 @kernel(finite=True)
-def _bound_tiles(statements, seen, there, views, tiles, bound):
+def _bound_tiles(statements, extents, there, views, tiles, bound):
     """Bound the viewpoints of tiles, 0 where no statement can hold; return whether any can."""
     is_possible = False
     total, pairs = np.ones(len(bound), np.float32), np.zeros(len(bound), np.float32)
@@ -135,7 +135,14 @@ def _bound_tiles(statements, seen, there, views, tiles, bound):
         if statements.op[s] == DIRECTION:
             opposite = statements.table[s, TABLE // 2]
         _multiply_by_gain(
-            bound, seen[a], seen[b], in_sight, smoothing, gain, statements.bearing[s], opposite
+            bound,
+            extents[a],
+            extents[b],
+            in_sight,
+            smoothing,
+            gain,
+            statements.bearing[s],
+            opposite,
         )
     if is_possible:
         for i in range(len(bound)):
@@ -145,7 +152,7 @@ def _bound_tiles(statements, seen, there, views, tiles, bound):
             if statements.negated[s] and statements.target[s] == ME and a != ME and there[a]:
                 in_any_direction = statements.op[s] != DIRECTION
                 _multiply_by_absence(
-                    bound, seen[a], statements.noise[s], statements.bearing[s], in_any_direction
+                    bound, extents[a], statements.noise[s], statements.bearing[s], in_any_direction
                 )
     return is_possible
 
@@ -196,16 +203,21 @@ def _multiply_by_gain(bound, a, b, in_sight, smoothing, gain, towards, opposite)
 
 
 @kernel(finite=True, _nrt=False)
-def _multiply_by_absence(bound, seen, noise, towards, in_any_direction):
+def _multiply_by_absence(bound, extents, noise, towards, in_any_direction):
     """Lower the bounds of viewpoints that have an object in sight, or in a direction, that is denied."""
     ux, uy = towards
     for i in range(len(bound)):
-        west, south, east, north = seen[WEST, i], seen[SOUTH, i], seen[EAST, i], seen[NORTH, i]
+        west, south, east, north = (
+            extents[WEST, i],
+            extents[SOUTH, i],
+            extents[EAST, i],
+            extents[NORTH, i],
+        )
         ahead = min(west * ux, east * ux) + min(south * uy, north * uy)
         left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
         right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
         if in_any_direction or (ahead > 8.0 and max(-left, right) < 0.7 * ahead):
-            absent = np.exp(-2.0 * seen[MASS, i])
+            absent = np.exp(-2.0 * extents[MASS, i])
             bound[i] *= (1.0 - noise) * absent + noise
 
 
@@ -241,8 +253,8 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
                 heaviest = max(heaviest, weights[v])
             tile_bound[t] *= heaviest
     highest, n, floor = np.empty(2 * most + TILES_AT_ONCE * SLOTS), 0, least
-    seen = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
-    many = 0
+    bounded = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
+    count = 0
     share = np.ones(len(tile_bound))
     every, size = np.flatnonzero(tile_bound > 0.0), FIRST_TILES
     while len(every) > 0:
@@ -250,9 +262,9 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
         if len(every) > size:
             bar = np.partition(tile_bound[every], len(every) - size)[len(every) - size]
             first = every[tile_bound[every] > bar]
-        seen, many, n, least = _bound_single_views(
+        bounded, count, n, least = _bound_single_views(
             statements, mentions, views, weights, first, tile_bound, share, most,
-            highest, n, least, seen, many,
+            highest, n, least, bounded, count,
         )  # fmt: skip
         if len(every) <= size:
             break
@@ -260,14 +272,14 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
         size *= 4
     if drawn:
         rest = _sample_tiles(
-            views, np.flatnonzero(tile_bound > 0.0), tile_bound, share, seen[1][:many].sum(),
+            views, np.flatnonzero(tile_bound > 0.0), tile_bound, share, bounded[1][:count].sum(),
             max(1, drawn // SAMPLES_PER_TILE),
         )  # fmt: skip
-        seen, many, n, least = _bound_single_views(
+        bounded, count, n, least = _bound_single_views(
             statements, mentions, views, weights, rest, tile_bound, share, most,
-            highest, n, INFINITE, seen, many,
+            highest, n, INFINITE, bounded, count,
         )  # fmt: skip
-    rows, bounds, multiplicity = seen[0][:many], seen[1][:many], seen[2][:many]
+    rows, bounds, multiplicity = bounded[0][:count], bounded[1][:count], bounded[2][:count]
     return _select_best(rows, bounds, multiplicity, highest[:n], floor, most, drawn)
 
 
@@ -381,16 +393,16 @@ def _sum_tile_masses(of_pairs, of_total, mentions, views, at, m, first, last):
 
 @kernel(finite=True)
 def _bound_single_views(
-    statements, mentions, views, weights, tiles, tile_bound, share, most, highest, n, least, seen, many
+    statements, mentions, views, weights, tiles, tile_bound, share, most, highest, n, least, bounded, count
 ):  # fmt: skip
-    """Bound the viewpoints of tiles whose own bound exceeds `least`, and add them to those `seen`.
+    """Bound the viewpoints of tiles whose own bound exceeds `least`, and add them to those `bounded`.
 
-    There are `many` of these: rows, bounds, and the `share` of their tile. All viewpoints of sampled
+    There are `count` of these: rows, bounds, and the `share` of their tile. All viewpoints of sampled
     tiles are added (`least` is then `INFINITE`); else the `n` `highest` bounds are kept. The bound
     (`tile_bound`) of tiles that were bounded becomes 0.
     """
     at = views.token_starts[mentions.tokens]
-    sight, there = allocate_sight(len(mentions.starts) - 1)
+    extents, there = allocate_sight(len(mentions.starts) - 1)
     bound = np.empty(TILES_AT_ONCE * SLOTS)
     strip = np.empty(TILES_AT_ONCE, np.int64)
     drawn = least >= INFINITE
@@ -403,14 +415,16 @@ def _bound_single_views(
             k += 1
             if size < TILES_AT_ONCE and k < len(tiles):
                 continue
-        if many + TILES_AT_ONCE * SLOTS > len(seen[0]):
-            seen = (
-                np.concatenate((seen[0], np.empty_like(seen[0]))),
-                np.concatenate((seen[1], np.empty_like(seen[1]))),
-                np.concatenate((seen[2], np.empty_like(seen[2]))),
+        if count + TILES_AT_ONCE * SLOTS > len(bounded[0]):
+            bounded = (
+                np.concatenate((bounded[0], np.empty_like(bounded[0]))),
+                np.concatenate((bounded[1], np.empty_like(bounded[1]))),
+                np.concatenate((bounded[2], np.empty_like(bounded[2]))),
             )
-        if size and bound_views(statements, mentions, views, strip[:size], at, sight, there, bound):
-            rows, bounds, multiplicity = seen
+        if size and bound_views(
+            statements, mentions, views, strip[:size], at, extents, there, bound
+        ):
+            rows, bounds, multiplicity = bounded
             for i in range(size):
                 of_tile = bound[i * SLOTS : (i + 1) * SLOTS]
                 bits, row = views.present[strip[i]], views.first[strip[i]]
@@ -418,9 +432,9 @@ def _bound_single_views(
                     _multiply_by_prior(of_tile, bits, row, weights)
                 for slot in range(SLOTS):
                     if of_tile[slot] > 0.0:
-                        rows[many] = row + below(bits, slot)
-                        bounds[many], multiplicity[many] = of_tile[slot], share[strip[i]]
-                        many += 1
+                        rows[count] = row + below(bits, slot)
+                        bounds[count], multiplicity[count] = of_tile[slot], share[strip[i]]
+                        count += 1
                         if of_tile[slot] > least:
                             highest[n] = of_tile[slot]
                             n += 1
@@ -430,7 +444,7 @@ def _bound_single_views(
         for i in range(size):
             tile_bound[strip[i]] = 0.0
         size = 0
-    return seen, many, n, least
+    return bounded, count, n, least
 
 
 @kernel(finite=True, _nrt=False)
@@ -443,14 +457,14 @@ def _multiply_by_prior(bound, bits, row, weights):
 
 
 @kernel(finite=True)
-def _sample_tiles(views, tiles, tile_bound, share, known, most):
+def _sample_tiles(views, tiles, tile_bound, share, bounded_weight, most):
     """Sample `most` tiles, ascending, that represent all; `share` becomes how many each represents."""
     heights = np.empty(len(tiles))
     rest = 0.0
     for i in range(len(tiles)):
         heights[i] = tile_bound[tiles[i]] * (views.first[tiles[i] + 1] - views.first[tiles[i]])
         rest += heights[i]
-    if rest <= NEGLIGIBLE * known:
+    if rest <= NEGLIGIBLE * bounded_weight:
         return tiles[:0]
     if len(tiles) <= most:
         return tiles

@@ -98,15 +98,20 @@ MAX_OBJECTS = 96
 
 
 @kernel(finite=True, _nrt=False)
-def _object_posterior(statements, m, fits):
-    """Compute P(object | all statements about mention m), unnormalized, in `fits`; return the gain.
+def _object_posterior(statements, m, matches):
+    """Compute P(object | all statements about mention m), unnormalized, in `matches`; return the gain.
 
     The gain is the likelihood ratio of one object for all statements against one for each:
     sum over objects of P(object) prod P(s | object) / P(s).
     """
-    many, fit, given, posterior = fits.many[m], fits.fit[m], fits.given, fits.posterior[m]
+    many, fit, given, posterior = (
+        matches.counts[m],
+        matches.fit[m],
+        matches.given,
+        matches.posterior[m],
+    )
     for i in range(many):
-        posterior[i] = fit[i] / fits.mass[m]
+        posterior[i] = fit[i] / matches.mass[m]
     n_about = 0
     for s in range(len(statements.op)):
         if statements.negated[s] or statements.op[s] == BETWEEN:
@@ -119,7 +124,7 @@ def _object_posterior(statements, m, fits):
             row = 0 if other == ME else side
             mean = np.float32(0.0)
             for i in range(many):
-                mean += fit[i] / fits.mass[m] * given[s, row, i]
+                mean += fit[i] / matches.mass[m] * given[s, row, i]
             if mean < 1e-3:
                 continue
             n_about += 1
@@ -134,23 +139,23 @@ def _object_posterior(statements, m, fits):
 
 
 @kernel(finite=True, _nrt=False)
-def log_coherence(statements, fits, together):
+def log_coherence(statements, matches, together):
     """Return the log gain of mentions that mean one object throughout, with prior probability `together`."""
     log_gain = 0.0
-    for m in range(len(fits.many)):
-        if fits.many[m] > 1:
-            gain = _object_posterior(statements, m, fits)
+    for m in range(len(matches.counts)):
+        if matches.counts[m] > 1:
+            gain = _object_posterior(statements, m, matches)
             log_gain += np.log(1.0 - together + together * gain)
     return log_gain
 
 
 @kernel(finite=True, _nrt=False)
-def assign_objects(statements, scene, seen, fits, served):
+def assign_objects(statements, scene, visible, matches, served):
     """Assign objects to all statements: the most probable one to each mention, then the best pairs."""
-    weight = fits.posterior
-    for m in range(len(fits.many)):
-        if fits.many[m]:
-            _object_posterior(statements, m, fits)
+    weight = matches.posterior
+    for m in range(len(matches.counts)):
+        if matches.counts[m]:
+            _object_posterior(statements, m, matches)
     for s in range(len(statements.op)):
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         served[s] = -1
@@ -159,31 +164,31 @@ def assign_objects(statements, scene, seen, fits, served):
         if a == ME or b == ME:
             m = b if a == ME else a
             best = np.float32(0.0)
-            for i in range(fits.many[m] if m != ME else 0):
-                p = weight[m, i] * (fits.given[s, 0, i] + np.float32(1e-6))
+            for i in range(matches.counts[m] if m != ME else 0):
+                p = weight[m, i] * (matches.given[s, 0, i] + np.float32(1e-6))
                 if p > best:
                     best = p
-                    served[s, 0] = seen.objects[fits.who[m, i]]
+                    served[s, 0] = visible.objects[matches.who[m, i]]
             continue
-        where = seen.stands if op == DIRECTION else seen.at
+        where = visible.stands if op == DIRECTION else visible.at
         ux, uy = statements.bearing[s]
         best = np.float32(0.0)
-        for i in range(fits.many[a]):
-            ea = fits.who[a, i]
-            for j in range(fits.many[b]):
-                eb = fits.who[b, j]
-                if ea == eb or (op == DIRECTION and not (seen.lies[ea] and seen.lies[eb])):
+        for i in range(matches.counts[a]):
+            ea = matches.who[a, i]
+            for j in range(matches.counts[b]):
+                eb = matches.who[b, j]
+                if ea == eb or (op == DIRECTION and not (visible.lies[ea] and visible.lies[eb])):
                     continue
                 p = weight[a, i] * weight[b, j]
                 if op != BETWEEN:
                     p *= pair_fit(
                         op, statements.table[s], ux, uy, statements.distance[s],
                         where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1],
-                        scene.kind[seen.objects[eb]],
+                        scene.kind[visible.objects[eb]],
                     )  # fmt: skip
                 if p > best:
                     best = p
-                    served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]
+                    served[s, 0], served[s, 1] = visible.objects[ea], visible.objects[eb]
 
 
 REJECTED = -1e9
@@ -207,12 +212,12 @@ class InSight(NamedTuple):
     """(n, 2) point that directions refer to: `at`, or the center of an area around the speaker [m]."""
     lies: NDArray[np.bool_]
     """(n,) whether the object lies in any direction; an area around the speaker mostly does not."""
-    sight: NDArray[np.float32]
+    visibility: NDArray[np.float32]
     """(n,) probability that the object is in sight."""
     total: float
-    """Sum of `sight`."""
+    """Sum of `visibility`."""
     pairs: float
-    """Sum of `sight` products over ordered pairs of objects that are not around the speaker."""
+    """Sum of `visibility` products over ordered pairs of objects that are not around the speaker."""
     blur: float
     """Variance of the position of the viewpoint [m^2]."""
 
@@ -220,7 +225,7 @@ class InSight(NamedTuple):
 class MentionMatches(NamedTuple):
     """Objects in sight that each mention may mean."""
 
-    many: NDArray[np.int64]
+    counts: NDArray[np.int64]
     """(M,) number of objects."""
     who: NDArray[np.int32]
     """(M, MOST) rows of `InSight`."""
@@ -237,7 +242,7 @@ class MentionMatches(NamedTuple):
 
 
 @kernel(finite=True)
-def gather_in_sight(scene, objects, at, sight, total, pairs, blur, view):
+def gather_in_sight(scene, objects, at, visibility, total, pairs, blur, view):
     """Gather the objects in sight of a viewpoint `view` (2,) [m] as `InSight`."""
     stands = np.empty((len(objects), 2), np.float32)
     lies = np.ones(len(objects), np.bool_)
@@ -247,7 +252,7 @@ def gather_in_sight(scene, objects, at, sight, total, pairs, blur, view):
             stands[e, 0] = scene.center[objects[e], 0] - view[0]
             stands[e, 1] = scene.center[objects[e], 1] - view[1]
             lies[e] = stands[e, 0] ** 2 + stands[e, 1] ** 2 < SMALL_AREA * SMALL_AREA
-    return InSight(objects, at, stands, lies, sight, total, pairs, blur)
+    return InSight(objects, at, stands, lies, visibility, total, pairs, blur)
 
 
 @kernel
@@ -262,13 +267,13 @@ def allocate_matches(statements, words):
 
 
 @kernel(finite=True, _nrt=False)
-def _match_mentions(scene, words, seen, fits):
-    """Match objects in sight with mentions, in `fits`."""
-    many, who, fit, mass, given, best, _ = fits
+def _match_mentions(scene, words, visible, matches):
+    """Match objects in sight with mentions, in `matches`."""
+    many, who, fit, mass, given, best, _ = matches
     many[:], mass[:] = 0, 0.0
-    given[:, :, : len(seen.objects)] = 0.0
-    for e in range(len(seen.objects)):
-        o, met = seen.objects[e], False
+    given[:, :, : len(visible.objects)] = 0.0
+    for e in range(len(visible.objects)):
+        o, met = visible.objects[e], False
         for t in range(scene.token_starts[o], scene.token_starts[o + 1]):
             row, weight = words.row[scene.token_values[t]], scene.token_weights[t]
             for m in range(len(many) if row else 0):
@@ -277,42 +282,42 @@ def _match_mentions(scene, words, seen, fits):
             met |= row > 0
         for m in range(len(many) if met else 0):
             if best[m] > 0.0 and many[m] < MAX_OBJECTS:
-                who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
+                who[m, many[m]], fit[m, many[m]] = e, best[m] * visible.visibility[e]
                 mass[m] += fit[m, many[m]]
                 many[m] += 1
 
 
 @kernel(finite=True, _nrt=False)
-def score_statements(statements, scene, words, seen, fits, far, together, least, out, served):
+def score_statements(statements, scene, words, visible, matches, far, together, least, out, served):
     """Compute the log-likelihood ratio of every statement at a viewpoint, in `out` (S,); return their sum.
 
     The sum also rewards one object for all statements about a mention (`log_coherence`). `words` are
-    `TokenWeights`, `seen` is `InSight`, `fits` a workspace (`allocate_matches`), `far` (S,) the share of
-    distant objects, `together` the prior probability that a mention means one object throughout.
+    `TokenWeights`, `visible` is `InSight`, `matches` a workspace (`allocate_matches`), `far` (S,) the
+    share of distant objects, `together` the prior probability that a mention means one object throughout.
     Returns `REJECTED` once the sum without coherence cannot reach `least`. `served` (S, 2) gets the best
     source and target object, -1 for none; pass an empty array to skip these.
     """
-    _match_mentions(scene, words, seen, fits)
+    _match_mentions(scene, words, visible, matches)
     total = 0.0
     for s in range(len(statements.op)):
-        out[s] = _bound_statement(statements, s, seen, fits, far[s])
+        out[s] = _bound_statement(statements, s, visible, matches, far[s])
         total += out[s]
     for s in range(len(statements.op)):
         if total < least:
             return REJECTED
         total -= out[s]
-        out[s] = _score_statement(statements, s, scene, seen, fits, far[s])
+        out[s] = _score_statement(statements, s, scene, visible, matches, far[s])
         total += out[s]
     if total < least:  # the last statement
         return REJECTED
-    total += log_coherence(statements, fits, together)
+    total += log_coherence(statements, matches, together)
     if len(served):
-        assign_objects(statements, scene, seen, fits, served)
+        assign_objects(statements, scene, visible, matches, served)
     return total
 
 
 @kernel(finite=True, _nrt=False)
-def _bound_statement(statements, s, seen, fits, far):
+def _bound_statement(statements, s, visible, matches, far):
     """Bound the log-likelihood ratio of one statement: as if its geometry fitted."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
     if statements.negated[s]:
@@ -321,28 +326,28 @@ def _bound_statement(statements, s, seen, fits, far):
         return np.log((1.0 - noise) / statements.background[s] + noise)
     if a == ME or b == ME:
         m = b if a == ME else a
-        p = 0.0 if m == ME else fits.mass[m] / (seen.total + SINGLE_SMOOTHING)
+        p = 0.0 if m == ME else matches.mass[m] / (visible.total + SINGLE_SMOOTHING)
     else:
-        p = fits.mass[a] * fits.mass[b] / (seen.pairs + statements.pair_smoothing)
+        p = matches.mass[a] * matches.mass[b] / (visible.pairs + statements.pair_smoothing)
     p = min(1.0, p + far) * (1.5 if statements.number[s] > 0.0 else 1.0)
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
 @kernel(finite=True, _nrt=False)
-def _score_statement(statements, s, scene, seen, fits, far):
+def _score_statement(statements, s, scene, visible, matches, far):
     """Compute the log-likelihood ratio of one statement."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
     expected = 0.0
     if op == BETWEEN:
-        p = _mass_between(statements, s, seen, fits) / (
-            seen.pairs * seen.total + statements.pair_smoothing
+        p = _mass_between(statements, s, visible, matches) / (
+            visible.pairs * visible.total + statements.pair_smoothing
         )
     elif a == ME or b == ME:
-        expected = _mass_with_speaker(statements, s, scene, seen, fits)
-        p = expected / (seen.total + SINGLE_SMOOTHING)
+        expected = _mass_with_speaker(statements, s, scene, visible, matches)
+        p = expected / (visible.total + SINGLE_SMOOTHING)
     else:
-        expected = _mass_of_pairs(statements, s, scene, seen, fits)
-        p = expected / (seen.pairs + statements.pair_smoothing)
+        expected = _mass_of_pairs(statements, s, scene, visible, matches)
+        p = expected / (visible.pairs + statements.pair_smoothing)
     p = min(1.0, p + far)
     noise = statements.noise[s]
     if statements.negated[s]:
@@ -356,74 +361,77 @@ def _score_statement(statements, s, scene, seen, fits, far):
 
 
 @kernel(finite=True, _nrt=False)
-def _mass_with_speaker(statements, s, scene, seen, fits):
+def _mass_with_speaker(statements, s, scene, visible, matches):
     """Sum the mass of a statement about an object and the speaker: how many such objects are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
     m = statements.source[s] if forward else statements.target[s]
     ux, uy = statements.bearing[s]
-    where = seen.stands if op == DIRECTION else seen.at
+    where = visible.stands if op == DIRECTION else visible.at
     mass = 0.0
-    for i in range(fits.many[m] if m != ME else 0):
-        e = fits.who[m, i]
-        if op == DIRECTION and not seen.lies[e]:
+    for i in range(matches.counts[m] if m != ME else 0):
+        e = matches.who[m, i]
+        if op == DIRECTION and not visible.lies[e]:
             continue
         p = speaker_fit(
             op, statements.table[s], ux, uy, statements.distance[s],
-            where[e, 0], where[e, 1], scene.kind[seen.objects[e]], forward, seen.blur,
+            where[e, 0], where[e, 1], scene.kind[visible.objects[e]], forward, visible.blur,
         )  # fmt: skip
-        fits.given[s, 0, i] = p
-        mass += fits.fit[m, i] * p
+        matches.given[s, 0, i] = p
+        mass += matches.fit[m, i] * p
     return mass
 
 
 @kernel(finite=True, _nrt=False)
-def _mass_of_pairs(statements, s, scene, seen, fits):
+def _mass_of_pairs(statements, s, scene, visible, matches):
     """Sum the mass of a statement about two objects."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
     ux, uy = statements.bearing[s]
     table, stated = statements.table[s], statements.distance[s]
-    where = seen.stands if op == DIRECTION else seen.at
+    where = visible.stands if op == DIRECTION else visible.at
     mass = 0.0
-    for i in range(fits.many[a]):
-        ea = fits.who[a, i]
-        if op == DIRECTION and not seen.lies[ea]:
+    for i in range(matches.counts[a]):
+        ea = matches.who[a, i]
+        if op == DIRECTION and not visible.lies[ea]:
             continue
-        for j in range(fits.many[b]):
-            eb = fits.who[b, j]
-            if ea == eb or (op == DIRECTION and not seen.lies[eb]):
+        for j in range(matches.counts[b]):
+            eb = matches.who[b, j]
+            if ea == eb or (op == DIRECTION and not visible.lies[eb]):
                 continue
-            kind = scene.kind[seen.objects[eb]]
+            kind = scene.kind[visible.objects[eb]]
             p = pair_fit(
                 op, table, ux, uy, stated, where[ea, 0], where[ea, 1], where[eb, 0], where[eb, 1], kind
             )  # fmt: skip
-            fits.given[s, 0, i] += fits.fit[b, j] * p
-            fits.given[s, 1, j] += fits.fit[a, i] * p
-            mass += fits.fit[a, i] * fits.fit[b, j] * p
+            matches.given[s, 0, i] += matches.fit[b, j] * p
+            matches.given[s, 1, j] += matches.fit[a, i] * p
+            mass += matches.fit[a, i] * matches.fit[b, j] * p
     return mass
 
 
 @kernel(finite=True, _nrt=False)
-def _mass_between(statements, s, seen, fits):
+def _mass_between(statements, s, visible, matches):
     """Sum the mass of "the source lies between two targets"; the source may be the speaker."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]
     mass = 0.0
     if b == ME or c == ME:
         return mass
-    for k in range(1 if a == ME else fits.many[a]):
+    for k in range(1 if a == ME else matches.counts[a]):
         ax = ay = np.float32(0.0)
         wa = np.float32(1.0)
         if a != ME:
-            ax, ay = seen.at[fits.who[a, k], 0], seen.at[fits.who[a, k], 1]
-            wa = fits.fit[a, k]
-        for i in range(fits.many[b]):
-            bx, by = seen.at[fits.who[b, i], 0] - ax, seen.at[fits.who[b, i], 1] - ay
-            for j in range(fits.many[c]):
-                if fits.who[b, i] == fits.who[c, j]:
+            ax, ay = visible.at[matches.who[a, k], 0], visible.at[matches.who[a, k], 1]
+            wa = matches.fit[a, k]
+        for i in range(matches.counts[b]):
+            bx, by = visible.at[matches.who[b, i], 0] - ax, visible.at[matches.who[b, i], 1] - ay
+            for j in range(matches.counts[c]):
+                if matches.who[b, i] == matches.who[c, j]:
                     continue
-                cx, cy = seen.at[fits.who[c, j], 0] - ax, seen.at[fits.who[c, j], 1] - ay
+                cx, cy = (
+                    visible.at[matches.who[c, j], 0] - ax,
+                    visible.at[matches.who[c, j], 1] - ay,
+                )
                 lengths = np.sqrt((bx * bx + by * by) * (cx * cx + cy * cy)) + np.float32(1.0)
                 opposite = 0.5 - 0.5 * (bx * cx + by * cy) / lengths
-                mass += wa * fits.fit[b, i] * fits.fit[c, j] * opposite**4
+                mass += wa * matches.fit[b, i] * matches.fit[c, j] * opposite**4
     return mass
 
 
@@ -451,20 +459,20 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
         noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
     best = REJECTED
     most = most_things(views)
-    fits = allocate_matches(statements, words)
-    objects, sight = np.empty(most, np.int32), np.empty(most, np.float32)
+    matches = allocate_matches(statements, words)
+    objects, visibility = np.empty(most, np.int32), np.empty(most, np.float32)
     offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
     for k in range(len(chosen)):
         if np.log(bounds[k]) + noise + BOUND_SLACK < best - margin:
             continue
         tile, slot = tile_of(views, chosen[k])
         place[0], place[1] = place_of(views, tile, slot)
-        n, total, pairs = look(scene, views, tile, slot, objects, offsets, sight)
-        seen = gather_in_sight(
-            scene, objects[:n], offsets[:n], sight[:n], total, pairs, VIEW_BLUR, place
+        n, total, pairs = look(scene, views, tile, slot, objects, offsets, visibility)
+        visible = gather_in_sight(
+            scene, objects[:n], offsets[:n], visibility[:n], total, pairs, VIEW_BLUR, place
         )
         scores[k] = score_statements(
-            statements, scene, words, seen, fits, far[k], together, best - margin - relative[k],
+            statements, scene, words, visible, matches, far[k], together, best - margin - relative[k],
             each, nothing,
         )  # fmt: skip
         if scores[k] > REJECTED:
@@ -477,10 +485,10 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
 
 
 @kernel(finite=True)
-def score_exact(statements, scene, words, at, seen, far, together, with_objects):
+def score_exact(statements, scene, words, at, visible, far, together, with_objects):
     """Score exact positions `at` (B, K, 2) [m]: log-likelihood ratios (B, K).
 
-    `seen` are the objects near each group of positions: starts (B + 1,) and rows. Nearest points are
+    `visible` are the objects near each group of positions: starts (B + 1,) and rows. Nearest points are
     computed from the geometry of each position. `far` (B, K, S) is the share of distant objects. Also
     returns the ratio of each statement (B, K, S) and, if `with_objects`, its best source and target
     (B, K, S, 2).
@@ -490,11 +498,11 @@ def score_exact(statements, scene, words, at, seen, far, together, with_objects)
     scores = np.empty((groups, k), np.float32)
     each = np.empty((groups, k, n_statements), np.float32)
     served = np.empty((groups, k, n_statements if with_objects else 0, 2), np.int64)
-    fits = allocate_matches(statements, words)
-    starts, objects = seen
+    matches = allocate_matches(statements, words)
+    starts, objects = visible
     for b in range(groups):
         _score_group(
-            statements, scene, words, at[b], objects[starts[b] : starts[b + 1]], fits, far[b],
+            statements, scene, words, at[b], objects[starts[b] : starts[b + 1]], matches, far[b],
             together, scores[b], each[b], served[b],
         )  # fmt: skip
     return scores, each, served
@@ -502,12 +510,12 @@ def score_exact(statements, scene, words, at, seen, far, together, with_objects)
 
 @kernel(finite=True)
 def _score_group(
-    statements, scene, words, at, nearby, fits, far, together, scores, each, served
+    statements, scene, words, at, nearby, matches, far, together, scores, each, served
 ):  # fmt: skip
     """Score the positions of one group, in `scores`, `each` and `served`; see `score_exact`."""
     where = np.empty((len(at), len(nearby), 2), np.float32)
     distance2 = np.empty((len(at), len(nearby)), np.float32)
-    sight = np.empty(len(nearby), np.float32)
+    visibility = np.empty(len(nearby), np.float32)
     points, near, squares = at.T.copy(), np.empty((2, len(at))), np.empty(len(at))
     for i in range(len(nearby)):
         nearest_to_each(
@@ -521,17 +529,33 @@ def _score_group(
         apart = squared = np.float32(0.0)
         for i in range(len(nearby)):
             d2 = distance2[k, i]
-            sight[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SIGHT_WIDTH))
-            total += sight[i]
+            visibility[i] = 1.0 / (1.0 + np.exp((np.sqrt(d2) - SIGHT) / SIGHT_WIDTH))
+            total += visibility[i]
             if scene.kind[nearby[i]] != AREA or d2 > 0.0:
-                apart += sight[i]
-                squared += sight[i] * sight[i]
+                apart += visibility[i]
+                squared += visibility[i] * visibility[i]
         pairs = max(apart * apart - squared, np.float32(0.0))
-        seen = gather_in_sight(
-            scene, nearby, where[k], sight, total, pairs, POSITION_BLUR, at[k].astype(np.float32)
+        visible = gather_in_sight(
+            scene,
+            nearby,
+            where[k],
+            visibility,
+            total,
+            pairs,
+            POSITION_BLUR,
+            at[k].astype(np.float32),
         )
         scores[k] = score_statements(
-            statements, scene, words, seen, fits, far[k], together, REJECTED, each[k], served[k]
+            statements,
+            scene,
+            words,
+            visible,
+            matches,
+            far[k],
+            together,
+            REJECTED,
+            each[k],
+            served[k],
         )
 
 
@@ -577,7 +601,7 @@ def score_distant(statements, scene, far, positions):
                 for s in range(len(mention)):
                     if mention[s] == m and d <= 4.0 * far.scale[s]:
                         fit = _distant_fit(statements, s, d, dx, dy, far.scale[s], forward[s])
-                        out[k, s] += far.share[s] * far.fits[i] * fit
+                        out[k, s] += far.share[s] * far.weights[i] * fit
     return out
 
 

@@ -160,7 +160,7 @@ class DistantObjects(NamedTuple):
     starts: NDArray[np.int64]
     """(M + 1,) objects of a mention; none where there are too many."""
     objects: NDArray[np.int64]
-    fits: NDArray[np.float32]
+    weights: NDArray[np.float32]
     scale: NDArray[np.float32]
     """(S,) scale of the distance to the object of a statement [m]."""
     share: NDArray[np.float32]
@@ -365,7 +365,7 @@ def _find_distant(
     return DistantObjects(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=np.concatenate([o for o, _ in members]),
-        fits=np.concatenate([f for _, f in members]).astype(np.float32),
+        weights=np.concatenate([f for _, f in members]).astype(np.float32),
         scale=np.array([max(scale(s), s.distance or 0.0) for s in used], np.float32),
         share=np.array(
             [

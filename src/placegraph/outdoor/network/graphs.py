@@ -91,20 +91,20 @@ class SubwordBags:
 
     @classmethod
     def of(
-        cls, words: Sequence[str], subwords: float = 1.0, known: WordVectors | None = None
+        cls, words: Sequence[str], subwords: float = 1.0, word_vectors: WordVectors | None = None
     ) -> SubwordBags:
         """Split labels (``key=value``), names (``~`` before them) and plain words into parts.
 
-        `subwords` is the length of the sum of all subwords, against 1 of the whole word; `known` word
+        `subwords` is the length of the sum of all subwords, against 1 of the whole word; `word_vectors` word
         vectors replace the parts of the words that they hold.
         """
         letters = [np.frombuffer(w.encode("utf-32-le", "surrogatepass"), np.uint32) for w in words]
         bounds = np.concatenate(([0], np.cumsum([len(x) for x in letters]))).astype(np.int64)
         parts = split_words(np.concatenate([np.zeros(0, np.uint32), *letters]), bounds, subwords)
-        if known is None:
+        if word_vectors is None:
             return cls(*parts)
         starts, buckets, weights = parts
-        means, found = known.means(words)
+        means, found = word_vectors.means(words)
         return cls(starts, buckets, weights * ~np.repeat(found, np.diff(starts)), means)
 
     def vectors(
@@ -276,13 +276,15 @@ class PlaceGraphs:
         return cls.of_visible(city, seen, np.arange(len(seen.points)))
 
     @classmethod
-    def of_visible(cls, city: City, seen: VisibleObjects, rows: NDArray[np.int64]) -> PlaceGraphs:
+    def of_visible(
+        cls, city: City, visible: VisibleObjects, rows: NDArray[np.int64]
+    ) -> PlaceGraphs:
         """Make graphs around the points `rows` (K,) of their visible objects."""
-        chosen, kept = select_nearest(seen.starts, seen.offsets, np.asarray(rows, np.int64))
-        things = seen.objects[kept]
+        chosen, kept = select_nearest(visible.starts, visible.offsets, np.asarray(rows, np.int64))
+        things = visible.objects[kept]
         word_starts, words, weights = gather_rows(things, *city.tokens)
         return cls(
-            chosen, seen.offsets[kept].astype(np.float32), city.objects.kind[things],
+            chosen, visible.offsets[kept].astype(np.float32), city.objects.kind[things],
             word_starts, words, weights, city.words,
         )  # fmt: skip
 
@@ -427,9 +429,9 @@ class WordFits(NamedTuple):
     """(N,) negative log share of the map's objects that a node may mean, / 10; 0 for the speaker."""
 
 
-def make_word_fits(fits: WordWeights, counts: Rows, total: int) -> WordFits:
+def make_word_fits(word_weights: WordWeights, counts: Rows, total: int) -> WordFits:
     """Make `WordFits` of weights; `counts` (T,) of the `total` objects bear each word."""
-    starts, tokens, weights = fits
+    starts, tokens, weights = word_weights
     mass = np.concatenate(([0.0], np.cumsum(weights * counts[tokens])))
     share = (mass[starts[1:]] - mass[starts[:-1]]) / max(1, total)
     rarity = -np.log(np.clip(share, 1e-5, 1.0)) / 10.0

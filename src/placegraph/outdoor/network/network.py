@@ -251,11 +251,11 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         ) from error
 
 
-def _word_vectors(file: MapFile, known: tuple[str, ...]) -> WordVectors:
+def _word_vectors(file: MapFile, words: tuple[str, ...]) -> WordVectors:
     vectors = read_arrays(file, {VECTORS: (0, 0)})[VECTORS]
-    if len(vectors) != len(known):
-        raise ValueError(f"{len(known)} words with {len(vectors)} vectors")
-    return WordVectors(known, vectors)
+    if len(vectors) != len(words):
+        raise ValueError(f"{len(words)} words with {len(vectors)} vectors")
+    return WordVectors(words, vectors)
 
 
 def _open_weights(path: str | PathLike[str]) -> MapFile:
@@ -350,7 +350,7 @@ class _Pairs(NamedTuple):
     """(E, 2) source and target of a statement, counted within the text."""
     bounds: Rows
     """(K + 1,) statements of a pair."""
-    known: Floats
+    inputs: Floats
     """(E, R + 3) channels, negation, and rarity of both ends on the map."""
 
 
@@ -368,7 +368,7 @@ def _pair(
     n, size = nodes.stop - nodes.start, encoded.relations.shape[3]
     ends = texts.ends[edges]
     rarity = words.rarity[nodes][ends]
-    known = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
+    inputs = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
     return _Pairs(
         np.arange(k + 1) * n,
         encoded.starts,
@@ -376,7 +376,7 @@ def _pair(
         encoded.relations,
         np.tile(ends, (k, 1)),
         np.arange(k + 1) * len(ends),
-        np.tile(known, (k, 1)),
+        np.tile(inputs, (k, 1)),
     )
 
 
@@ -389,7 +389,7 @@ class GraphTransformer:
     """Weights by PyTorch's names."""
     fingerprint: str
     """Digest of the weights: embeddings of two networks must not be compared."""
-    known: WordVectors | None = None
+    word_table: WordVectors | None = None
     """Word vectors of the training, if any."""
 
     @staticmethod
@@ -413,7 +413,7 @@ class GraphTransformer:
 
     def check(self) -> None:
         """Raise `KeyError` or `ValueError` where a weight is missing or of another shape."""
-        for name, wanted in list_weight_shapes(self.shape, self.known).items():
+        for name, wanted in list_weight_shapes(self.shape, self.word_table).items():
             if self.arrays[name].shape != wanted:
                 raise ValueError(f"{name} has shape {self.arrays[name].shape} instead of {wanted}")
 
@@ -423,7 +423,7 @@ class GraphTransformer:
 
     def bags(self, words: tuple[str, ...]) -> SubwordBags:
         """Split labels, names and any other words into parts."""
-        return SubwordBags.of(words, self.shape.subwords, self.known)
+        return SubwordBags.of(words, self.shape.subwords, self.word_table)
 
     def embed_texts(self, texts: TextGraphs) -> Floats:
         """Embed text graphs (Eq. 9): (Q, D) of unit length."""
@@ -486,7 +486,7 @@ class GraphTransformer:
         if self.shape.statements:
             literal = kernels.sum_literal_scores(
                 pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations, pairs.ends,
-                pairs.known, pairs.bounds,
+                pairs.inputs, pairs.bounds,
             )  # fmt: skip
             logit = self.arrays["prior"][0] * literal + total[:, 0] + logit
         embedding = encoded_places.embeddings @ encoded_text.embeddings[0]
@@ -514,9 +514,9 @@ class GraphTransformer:
         """Return the messages of statements to their ends (N, d), and the sums of their scores (K, 2)."""
         features = kernels.evaluate_statements(
             weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
-            pairs.ends, pairs.known, pairs.bounds,
+            pairs.ends, pairs.inputs, pairs.bounds,
         )  # fmt: skip
-        evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.known]))
+        evidence = self._linear(f"{name}.evidence", np.column_stack([features, pairs.inputs]))
         evidence = np.maximum(evidence, 0.0)
         verdict = self._linear(f"{name}.verdict", evidence).reshape(len(pairs.bounds) - 1, -1, 2)
         messages = kernels.scatter_to_ends(

@@ -353,11 +353,11 @@ PAIR_SMOOTHING, SINGLE_SMOOTHING = np.float32(30.0), np.float32(0.5)
 
 
 @kernel(fastmath=True)
-def background_probability(said, rare_source, rare_target):
+def background_probability(stated, rare_source, rare_target):
     """Compute P(statement | anywhere)."""
     chance = np.float32(0.0)
     for r in range(len(CHANNEL_CHANCE)):
-        chance += CHANNEL_CHANCE[r] * said[r]
+        chance += CHANNEL_CHANCE[r] * stated[r]
     share = np.exp(np.float32(-10.0) * (rare_source + rare_target))
     return max(chance * share, np.float32(1e-7))
 
@@ -394,12 +394,12 @@ def score_literally(source, target, stated, m, background, of_me, negated, out):
 
 
 @kernel(fastmath=True)
-def evaluate_statements(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
+def evaluate_statements(weights, agreement, t_starts, m_starts, relations, ends, inputs, bounds):
     """Compute the features of every statement of every pair, (E, 3 H + LITERAL).
 
     For each head: the attention mass of both ends on objects that are related as stated, on any
     objects, and the ratio; then `score_literally`. `bounds` (P + 1,) delimit the statements of a pair,
-    `ends` (E, 2) are nodes of its text, `known` (E, R + 3) the stated channels and the rarity of both
+    `ends` (E, 2) are nodes of its text, `inputs` (E, R + 3) the stated channels and the rarity of both
     ends, row p of `relations` those of the place of pair p.
     """
     heads, most = weights.shape[1], weights.shape[2]
@@ -410,11 +410,11 @@ def evaluate_statements(weights, agreement, t_starts, m_starts, relations, ends,
         for e in range(bounds[p], bounds[p + 1]):
             stated[:m, :m] = 0.0
             for r in range(len(CHANNEL_CHANCE)):
-                said = known[e, r]
-                if said > 0.0:
+                share = inputs[e, r]
+                if share > 0.0:
                     for i in range(m):
                         for j in range(m):
-                            stated[i, j] += said * relations[p, r, i, j]
+                            stated[i, j] += share * relations[p, r, i, j]
             a, b = t_starts[p] + ends[e, 0], t_starts[p] + ends[e, 1]
             for h in range(heads):
                 held = source = target = np.float32(0.0)
@@ -431,11 +431,11 @@ def evaluate_statements(weights, agreement, t_starts, m_starts, relations, ends,
                 features[e, 2 * heads + h] = held / (there + np.float32(0.05))
             channels = len(CHANNEL_CHANCE)
             background = background_probability(
-                known[e], known[e, channels + 1], known[e, channels + 2]
+                inputs[e], inputs[e, channels + 1], inputs[e, channels + 2]
             )
             score_literally(
                 agreement[p, ends[e, 0]], agreement[p, ends[e, 1]], stated, m, background,
-                min(ends[e, 0], ends[e, 1]) == 0, known[e, channels] > 0.0,
+                min(ends[e, 0], ends[e, 1]) == 0, inputs[e, channels] > 0.0,
                 features[e, 3 * heads :],
             )  # fmt: skip
     return features
@@ -456,11 +456,11 @@ def scatter_to_ends(messages, ends, bounds, t_starts):
 
 
 @kernel
-def sum_literal_scores(agreement, t_starts, m_starts, relations, ends, known, bounds):
+def sum_literal_scores(agreement, t_starts, m_starts, relations, ends, inputs, bounds):
     """Sum the literal log-likelihood ratios over the statements of each pair, (P,)."""
     nothing = np.zeros((t_starts[-1], 0, np.max(m_starts[1:] - m_starts[:-1])), np.float32)
     each = evaluate_statements(
-        nothing, agreement, t_starts, m_starts, relations, ends, known, bounds
+        nothing, agreement, t_starts, m_starts, relations, ends, inputs, bounds
     )
     out = np.zeros(len(bounds) - 1, np.float32)
     for p in range(len(out)):

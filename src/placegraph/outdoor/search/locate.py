@@ -67,8 +67,8 @@ def locate(
     obstacle = find_obstacle(query, understood, tells_way=bool(request.prior.routes))
     if obstacle := obstacle or find_off_map(request, hints):
         return make_lost_estimate(obstacle, understood)
-    found = search_cells(request) if matching.ranks_cells else search_views(request)
-    return make_estimate(request, found, top)
+    posterior = search_cells(request) if matching.ranks_cells else search_views(request)
+    return make_estimate(request, posterior, top)
 
 
 def search_views(request: Request) -> Posterior:
@@ -87,23 +87,23 @@ MAX_SUPPORT = 4000
 """Largest number of points of the posterior in an estimate."""
 
 
-def make_estimate(request: Request, found: Posterior, top: int) -> CityEstimate:
+def make_estimate(request: Request, posterior: Posterior, top: int) -> CityEstimate:
     """Make the estimate of a posterior: at most `top` modes, their evidence, status and support."""
     city, query, matching = request.city, request.query, request.matching
     spacing = city.cells.size if matching.ranks_cells else SPACING
-    modes = (rank_modes if matching.is_ranking_only else find_modes)(found, top, spacing)
-    diagnostics = diagnose(found, modes, infer_claim(request.understood), query, city)
+    modes = (rank_modes if matching.is_ranking_only else find_modes)(posterior, top, spacing)
+    diagnostics = diagnose(posterior, modes, infer_claim(request.understood), query, city)
     if matching.ranks_cells:
         diagnostics = replace(
             diagnostics, cell_matcher=matching.matcher, is_ranking_only=matching.is_ranking_only
         )
     explain = partial(find_evidence, city=city, query=query)
-    estimate = decide_estimate(found, modes, diagnostics, query, city, explain)
+    estimate = decide_estimate(posterior, modes, diagnostics, query, city, explain)
     return replace(estimate, understood=request.understood, ranked=matching.is_ranking_only)
 
 
 def decide_estimate(
-    found: Posterior,
+    posterior: Posterior,
     modes: list[Mode],
     diagnostics: Diagnostics,
     query: Query | None,
@@ -115,7 +115,7 @@ def decide_estimate(
     `explain` computes the evidence at a position when a user asks for it.
     """
     if not diagnostics.cell_matcher:
-        found, modes = shrink(found, modes, diagnostics)
+        posterior, modes = shrink(posterior, modes, diagnostics)
     places = []
     for mode in modes:
         longitude, latitude = city.plane.to_lonlat(mode.position).tolist()
@@ -126,9 +126,9 @@ def decide_estimate(
     contradiction = find_contradiction(places[0] if places else None, query)
     status, reason = decide(replace(diagnostics, contradiction=contradiction))
     understood = None if query is None else query.description
-    heaviest = np.argsort(-found.probabilities, kind="stable")[:MAX_SUPPORT]
-    lonlat = city.plane.to_lonlat(found.positions[heaviest])
-    support = np.column_stack([lonlat, found.probabilities[heaviest]])
+    heaviest = np.argsort(-posterior.probabilities, kind="stable")[:MAX_SUPPORT]
+    lonlat = city.plane.to_lonlat(posterior.positions[heaviest])
+    support = np.column_stack([lonlat, posterior.probabilities[heaviest]])
     return CityEstimate(status, tuple(places), reason, understood, support, map=city)
 
 

@@ -119,16 +119,18 @@ def _add_distant(
     request: Request,
     far: DistantObjects,
     weights: NDArray[np.float64],
-    found: Candidates,
+    candidates: Candidates,
     samples: int,
 ) -> Candidates:
     """Add viewpoints around rare objects out of sight, and what those add to each statement."""
     statements, city = request.query.statements, request.city
-    extra = find_views_near_distant(city, far, found.rows)
+    extra = find_views_near_distant(city, far, candidates.rows)
     extra = extra[:: 1 + len(extra) // MAX_DISTANT_CANDIDATES]
-    chosen = np.concatenate([found.rows, extra])
-    bounds = np.concatenate([found.bounds, weights[extra] if len(weights) else np.ones(len(extra))])
-    multiplicity = np.concatenate([found.multiplicity, np.zeros(len(extra))])
+    chosen = np.concatenate([candidates.rows, extra])
+    bounds = np.concatenate(
+        [candidates.bounds, weights[extra] if len(weights) else np.ones(len(extra))]
+    )
+    multiplicity = np.concatenate([candidates.multiplicity, np.zeros(len(extra))])
     added = score_distant(statements, city.columns, far, city.views.positions_of(chosen))
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
     rows, multiplicity = select_by_bound(
@@ -271,18 +273,18 @@ def score_candidates(
     """
     sampled = candidates.multiplicity > 0.0
     own, samples = candidates.select(~sampled), candidates.select(sampled)
-    found = _score_all(request, own, margin)
+    scored = _score_all(request, own, margin)
     mass = (
-        np.exp(found.log_prior).sum()
+        np.exp(scored.log_prior).sum()
         + np.exp(request.relative(samples.rows) + request.highest) @ samples.multiplicity
     )
     rest = request.query.statements.floor + float(np.log(max(1e-12, 1.0 - mass)))
-    kept = found.scores > 0.5 * REJECTED
-    columns: Any = (column[kept] for column in found[:4])
-    found = ScoredViews(*columns)
-    if len(found.rows):
-        rest = float(np.logaddexp(rest, _estimate_rest(request, samples, found)))
-    return found._replace(log_rest=rest)
+    kept = scored.scores > 0.5 * REJECTED
+    columns: Any = (column[kept] for column in scored[:4])
+    scored = ScoredViews(*columns)
+    if len(scored.rows):
+        rest = float(np.logaddexp(rest, _estimate_rest(request, samples, scored)))
+    return scored._replace(log_rest=rest)
 
 
 def _score_all(request: Request, candidates: Candidates, margin: float) -> ScoredViews:
@@ -294,11 +296,11 @@ def _score_all(request: Request, candidates: Candidates, margin: float) -> Score
     return ScoredViews(rows, scores, relative + request.highest, candidates.distant)
 
 
-def _estimate_rest(request: Request, samples: Candidates, found: ScoredViews) -> float:
+def _estimate_rest(request: Request, samples: Candidates, scored: ScoredViews) -> float:
     """Estimate the log weight of all viewpoints that were not found, by samples of them."""
-    here = found.scores + found.log_prior
+    here = scored.scores + scored.log_prior
     total, best = float(np.logaddexp.reduce(here)), int(np.argmax(here))
-    positions = request.city.views.positions_of(found.rows)
+    positions = request.city.views.positions_of(scored.rows)
     away = np.hypot(*(positions - positions[best]).T)
     near = float(np.exp(here - total) @ (away <= MODE_RADIUS))
     weights, rest = np.zeros(0), 0.0
@@ -323,25 +325,25 @@ def are_samples_enough(weights: NDArray[np.float64], drawn: int, near: float) ->
     return bool(near * off <= TOLERANCE * (1.0 + rest) ** 2)
 
 
-def rerank(request: Request, found: ScoredViews) -> ScoredViews:
+def rerank(request: Request, scored: ScoredViews) -> ScoredViews:
     """Add the scores of the network to the log prior of the best viewpoints (Eq. 14-17).
 
     Probability shifts among these viewpoints; all of them together weigh against the rest of the city
     and against elsewhere as before.
     """
-    before = found.scores + found.log_prior
+    before = scored.scores + scored.log_prior
     best = np.argsort(-before, kind="stable")[:NUM_RERANKED]
     if len(best) < 2:
-        return found
+        return scored
     encoded = request.encoded
-    places = PlaceGraphs.of_views(encoded.city, found.rows[best].astype(np.int64))
+    places = PlaceGraphs.of_views(encoded.city, scored.rows[best].astype(np.int64))
     match = encoded.match(request.text, places, np.arange(len(best)))
     _, scale, weight = encoded.network.arrays["prior"]
-    after = scale * found.scores[best] + weight * match.residual + found.log_prior[best]
+    after = scale * scored.scores[best] + weight * match.residual + scored.log_prior[best]
     after += np.logaddexp.reduce(before[best]) - np.logaddexp.reduce(after)
-    log_prior = found.log_prior.copy()
+    log_prior = scored.log_prior.copy()
     log_prior[best] += after - before[best]
-    return found._replace(log_prior=log_prior)
+    return scored._replace(log_prior=log_prior)
 
 
 @dataclass(frozen=True)
@@ -361,21 +363,21 @@ class Posterior:
         return float(self.probabilities[east * east + north * north <= radius * radius].sum())
 
 
-def compute_posterior(request: Request, found: ScoredViews) -> Posterior:
+def compute_posterior(request: Request, scored: ScoredViews) -> Posterior:
     """Score the best viewpoints again at finer positions, and apply Bayes' rule to all.
 
     Candidates by embeddings alone hold the right one with probability `DENSE_RECALL`, and together
     weigh no more than that.
     """
-    order = np.argsort(-(found.scores + found.log_prior), kind="stable")
+    order = np.argsort(-(scored.scores + scored.log_prior), kind="stable")
     best, others = order[:NUM_REFINED], np.sort(order[NUM_REFINED:])
-    fine, ratios = score_around(request, found.rows[best], found.distant[best])
-    share = np.repeat(found.log_prior[best] - np.log(len(FINE_OFFSETS)), len(FINE_OFFSETS))
-    positions = request.city.views.positions_of(found.rows[others]).astype(np.float64)
+    fine, ratios = score_around(request, scored.rows[best], scored.distant[best])
+    share = np.repeat(scored.log_prior[best] - np.log(len(FINE_OFFSETS)), len(FINE_OFFSETS))
+    positions = request.city.views.positions_of(scored.rows[others]).astype(np.float64)
     positions = np.concatenate([positions, fine.reshape(-1, 2)])
-    scores = np.concatenate([found.scores[others], ratios.ravel()]).astype(np.float64)
-    log_prior = np.concatenate([found.log_prior[others], share])
-    rest = found.log_rest
+    scores = np.concatenate([scored.scores[others], ratios.ravel()]).astype(np.float64)
+    log_prior = np.concatenate([scored.log_prior[others], share])
+    rest = scored.log_rest
     if request.matching.source == "dense" and len(scores):
         here = np.logaddexp.reduce(scores + log_prior)
         rest = max(rest, float(here + np.log(1.0 / DENSE_RECALL - 1.0)))
@@ -449,12 +451,12 @@ class Mode:
     probability: float
 
 
-def find_modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
+def find_modes(posterior: Posterior, top: int, spacing: float) -> list[Mode]:
     """Find the heaviest peaks of a posterior whose positions lie on a grid of `spacing` [m]."""
-    seeds = np.argsort(-found.probabilities, kind="stable")[:NUM_SEEDS]
+    seeds = np.argsort(-posterior.probabilities, kind="stable")[:NUM_SEEDS]
     own = (spacing**2 / 12.0 + 1.0) * np.eye(2)
     places, covariances, masses = find_peaks(
-        found.positions, found.probabilities, seeds, max(top, MIN_PEAKS), MODE_SEPARATION,
+        posterior.positions, posterior.probabilities, seeds, max(top, MIN_PEAKS), MODE_SEPARATION,
         MODE_RADIUS,
     )  # fmt: skip
     return [
@@ -463,13 +465,14 @@ def find_modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     ]
 
 
-def rank_modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
+def rank_modes(posterior: Posterior, top: int, spacing: float) -> list[Mode]:
     """Find peaks of positions in their order, best first, whatever they weigh; see `find_modes`."""
     # each outweighs all below it together
-    weights = 0.5 ** np.arange(1.0, 1.0 + len(found.positions))
-    best = find_modes(replace(found, probabilities=weights), top, spacing)
+    weights = 0.5 ** np.arange(1.0, 1.0 + len(posterior.positions))
+    best = find_modes(replace(posterior, probabilities=weights), top, spacing)
     return [
-        replace(mode, probability=found.mass_within(mode.position, MODE_RADIUS)) for mode in best
+        replace(mode, probability=posterior.mass_within(mode.position, MODE_RADIUS))
+        for mode in best
     ]
 
 

@@ -105,35 +105,35 @@ class Diagnostics:
     """Sentence appended to the reason."""
 
 
-def decide(found: Diagnostics) -> tuple[Status, str]:
+def decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     """Return the status and the reason of an estimate."""
-    status, reason = _decide(found)
-    return status, f"{reason} {found.remark}".strip()
+    status, reason = _decide(diagnostics)
+    return status, f"{reason} {diagnostics.remark}".strip()
 
 
-def _decide(found: Diagnostics) -> tuple[Status, str]:
-    ranked = f"The {found.cell_matcher} matcher only ranks places; its scores are no probabilities."
-    if found.obstacle:
-        return Status.LOST, found.obstacle
-    if found.contradiction:
-        return Status.LOST, f"The description contradicts itself: {found.contradiction}"
-    if found.is_ranking_only and found.best is not None:
+def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
+    ranked = f"The {diagnostics.cell_matcher} matcher only ranks places; its scores are no probabilities."
+    if diagnostics.obstacle:
+        return Status.LOST, diagnostics.obstacle
+    if diagnostics.contradiction:
+        return Status.LOST, f"The description contradicts itself: {diagnostics.contradiction}"
+    if diagnostics.is_ranking_only and diagnostics.best is not None:
         return Status.AMBIGUOUS, ranked
-    if found.elsewhere > 0.5:
+    if diagnostics.elsewhere > 0.5:
         return Status.LOST, "No place on the map fits the description better than chance."
-    if found.best is None:
+    if diagnostics.best is None:
         return (
             Status.LOST,
             "No place on the map has the objects of any statement in sight together.",
         )
-    names, claim = found.unknown_names, found.claim
-    sure = claim.of_radius.apply(found.near_best, unknown_name=bool(names))
-    if sure >= MIN_CONFIDENCE and found.best >= MIN_BEST and not names:
-        if found.cell_matcher:
+    names, claim = diagnostics.unknown_names, diagnostics.claim
+    sure = claim.of_radius.apply(diagnostics.near_best, unknown_name=bool(names))
+    if sure >= MIN_CONFIDENCE and diagnostics.best >= MIN_BEST and not names:
+        if diagnostics.cell_matcher:
             return Status.AMBIGUOUS, ranked
         wide = f" within {claim.radius:.0f} m" if claim.radius > MODE_RADIUS else ""
         return Status.OK, f"One place holds {sure:.0%} of the probability{wide}."
-    best = claim.of_place.apply(found.best, unknown_name=bool(names))
+    best = claim.of_place.apply(diagnostics.best, unknown_name=bool(names))
     if names:
         are = "are" if len(names) > 1 else "is"
         why = f"{_quote(names)} {are} not on this map, so the place cannot be sure."
@@ -141,7 +141,9 @@ def _decide(found: Diagnostics) -> tuple[Status, str]:
         why = f"Too many places fit: the best holds only {best:.1%} of the probability."
     else:
         why = f"The best place holds only {best:.0%} of the probability; others fit as well."
-    unread = f" Not understood: {_quote(found.unread[:MAX_QUOTED])}." if found.unread else ""
+    unread = (
+        f" Not understood: {_quote(diagnostics.unread[:MAX_QUOTED])}." if diagnostics.unread else ""
+    )
     return Status.AMBIGUOUS, why + unread
 
 
@@ -152,7 +154,11 @@ def _quote(words: tuple[str, ...]) -> str:
 
 
 def diagnose(
-    found: Posterior, modes: list[Mode], claim: Claim, query: Query | None, city: City | None = None
+    posterior: Posterior,
+    modes: list[Mode],
+    claim: Claim,
+    query: Query | None,
+    city: City | None = None,
 ) -> Diagnostics:
     """Collect the findings of a posterior, its modes and its query that decide on the status.
 
@@ -167,9 +173,9 @@ def diagnose(
             names = [text.mentions[node].name for node in sorted(query.by_kind & used)]
         unread = [i.text.strip() for i in text.ignored if i.reason in UNREAD]
     return Diagnostics(
-        elsewhere=found.elsewhere,
+        elsewhere=posterior.elsewhere,
         best=modes[0].probability if modes else None,
-        near_best=found.mass_within(modes[0].position, claim.radius) if modes else 0.0,
+        near_best=posterior.mass_within(modes[0].position, claim.radius) if modes else 0.0,
         claim=claim,
         unknown_names=tuple(dict.fromkeys(names)),
         unread=tuple(dict.fromkeys(filter(None, unread))),
@@ -177,18 +183,18 @@ def diagnose(
 
 
 def shrink(
-    found: Posterior, modes: list[Mode], diagnostics: Diagnostics
+    posterior: Posterior, modes: list[Mode], diagnostics: Diagnostics
 ) -> tuple[Posterior, list[Mode]]:
     """Calibrate a posterior and its modes by the best one; the rest of the probability lies elsewhere."""
     best = diagnostics.best
     if best is None or best <= 0.0:
-        return found, modes
+        return posterior, modes
     unknown = bool(diagnostics.unknown_names)
     factor = diagnostics.claim.of_place.apply(best, unknown_name=unknown) / best
-    shares = factor * found.probabilities
-    lost = float(found.probabilities.sum() - shares.sum())
+    shares = factor * posterior.probabilities
+    lost = float(posterior.probabilities.sum() - shares.sum())
     return (
-        replace(found, probabilities=shares, elsewhere=found.elsewhere + lost),
+        replace(posterior, probabilities=shares, elsewhere=posterior.elsewhere + lost),
         [replace(mode, probability=factor * mode.probability) for mode in modes],
     )
 

@@ -311,11 +311,13 @@ def inject_uniform(belief: Belief, grid: TrackGrid) -> Belief:
     return mix_uniform(belief, grid, 1.0 - PRIOR_KIDNAPPED, 1.0 - PRIOR_RETURNED, fresh)
 
 
-def mix_uniform(belief: Belief, grid: TrackGrid, kept: float, stays: float, fresh: float) -> Belief:
-    """Keep shares of the mass on the map (`kept`) and elsewhere (`stays`); add `fresh` uniform mass."""
-    mass = belief.mass * np.float32(kept)
+def mix_uniform(
+    belief: Belief, grid: TrackGrid, stay_on_map: float, stay_elsewhere: float, fresh: float
+) -> Belief:
+    """Keep shares of the mass on the map and of the mass elsewhere; add `fresh` uniform mass."""
+    mass = belief.mass * np.float32(stay_on_map)
     mass.ravel()[grid.cells] += np.float32(fresh * (1.0 - PRIOR_ELSEWHERE) / len(grid.cells))
-    return Belief(mass, stays * belief.elsewhere + fresh * PRIOR_ELSEWHERE)
+    return Belief(mass, stay_elsewhere * belief.elsewhere + fresh * PRIOR_ELSEWHERE)
 
 
 MAX_STATEMENTS = 24

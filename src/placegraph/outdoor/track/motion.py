@@ -283,17 +283,19 @@ def _split_clauses(sentence: list[Word]) -> Iterator[tuple[int, int]]:
 
 def _parse_sentence(text: str, spans: list[tuple[int, int]]) -> Iterator[Leg | str]:
     """Parse the clauses of a sentence into legs and sentences about places."""
-    going = False
+    is_under_way = False
     place: tuple[int, int] | None = None
     for a, b in spans:
-        found, rest = _parse_clause(text[a:b], going=going, alone=len(spans) == 1)
+        found, rest = _parse_clause(
+            text[a:b], is_under_way=is_under_way, is_only_clause=len(spans) == 1
+        )
         if not found:
             place = (a if place is None else place[0], b)
             continue
         if place is not None:
             yield f"{text[slice(*place)].strip()}."
             place = None
-        going = True
+        is_under_way = True
         yield from found
         if rest:
             place = (b - len(rest), b)
@@ -301,7 +303,9 @@ def _parse_sentence(text: str, spans: list[tuple[int, int]]) -> Iterator[Leg | s
         yield f"{text[slice(*place)].strip()}."
 
 
-def _parse_clause(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
+def _parse_clause(
+    clause: str, *, is_under_way: bool, is_only_clause: bool
+) -> tuple[list[Leg | str], str]:
     """Parse the motion in a clause; return legs, and the part that is about a place."""
     words = STEPS.sub(r"\1 paces", write_digits(clause))
     if match := STAY.match(words):
@@ -313,12 +317,12 @@ def _parse_clause(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | 
         at = PREPOSITIONS.get(match["how"].lower(), "at")
         sentence = f"I am {at} {match['what'].strip()}."
         leg = Leg(clause, DEFAULT_DISTANCE, DEFAULT_SPREAD)
-        return [sentence] if going else [leg, sentence], ""
+        return [sentence] if is_under_way else [leg, sentence], ""
     if until:
-        return [f"I am at {until[1].strip()}."] if going else [], ""
+        return [f"I am at {until[1].strip()}."] if is_under_way else [], ""
     if match := MOTION.match(words):
         return _parse_motion(clause, match), ""
-    bare = _parse_bare_leg(clause, words) if going or alone else None
+    bare = _parse_bare_leg(clause, words) if is_under_way or is_only_clause else None
     return [] if bare is None else [bare], ""
 
 

@@ -58,7 +58,7 @@ from placegraph.outdoor.track.motion import Leg, split_legs
 class TrackStep:
     """One call of a tracker, and its result."""
 
-    said: str
+    text: str
     """The text, or the motion in words."""
     status: Status
     best: Place | None
@@ -328,7 +328,7 @@ class CityTracker:
     def _compile(self, text: str | Description) -> Query:
         return compile_query(parse(self.city, text, heading=self.heading), self.city)
 
-    def _record(self, said: str, why: str) -> CityEstimate:
+    def _record(self, text: str, why: str) -> CityEstimate:
         """Make the estimate of the current belief, and add the call to the history."""
         measurement, query = self._measurement, self._measurement.query
         if self._understood or self._shares is not None:
@@ -344,7 +344,7 @@ class CityTracker:
             understood = query.description if query else None
             reason = why or "No text was about a place yet; describe the objects around you."
             self._estimate = make_lost_estimate(reason, understood)
-        self._history += (TrackStep(said, self._estimate.status, self._estimate.best),)
+        self._history += (TrackStep(text, self._estimate.status, self._estimate.best),)
         return self._estimate
 
     def __repr__(self) -> str:

@@ -144,7 +144,9 @@ class Pairs:
         from placegraph_learn.city.network import Network
 
         texts, places, words = self._graphs()
-        module = Network(network.shape, network.known.vectors.shape[1] if network.known else 0)
+        module = Network(
+            network.shape, network.word_table.vectors.shape[1] if network.word_table else 0
+        )
         module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in network.arrays.items()})
         module.to(device).eval()
         bags = SimpleNamespace(

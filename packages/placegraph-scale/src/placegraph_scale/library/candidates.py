@@ -172,7 +172,7 @@ class CandidateScenes(SceneShards):
         modes = () if weighed is None else tuple(
             replace(weighed.mode(self, row), scene=name) for row, name in names.items()
         )  # fmt: skip
-        out.others = RemainingScenes(
+        out.remaining = RemainingScenes(
             len(self), float(near.sum()) + missing, float(np.logaddexp.reduce(rest)), modes,
             weighed.elsewhere if weighed else 0.0, {"seconds": weighed.seconds if weighed else {}},
             tuple(notes),

@@ -339,7 +339,7 @@ def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
         before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
         anchors = at[far.anchors]
         far = DistantObjects(
-            before[far.starts], at[far.objects][there], far.fits[there], far.scale, far.share,
+            before[far.starts], at[far.objects][there], far.weights[there], far.scale, far.share,
             anchors[anchors >= 0],
         )  # fmt: skip
     return city, replace(query, mentions=mentions, distant=far)
