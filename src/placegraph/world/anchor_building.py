@@ -32,13 +32,13 @@ WALL_THICKNESS, THICKNESS_SIGMA = 0.3, 0.12
 """Thickness of outer walls, and its standard deviation [m]."""
 _WALL_SIGMA = 0.35  # standard deviation of a footprint's walls from the building's [m]
 _OUTER_SHARE = (
-    0.7  # share of a map's outline that is the building's wall; the rest borders on neighbors
+    0.7  # share of a map's outline that is the building's wall; the rest borders on neighbours
 )
 _INNER_DENSITY, _OUTSIDE_DENSITY = (
     0.03,
     1e-4,
 )  # density of the rest inside, and outside of the building [1/m]
-_WINDOW_SHARE = 0.95  # share of windows that are in walls without a neighbor
+_WINDOW_SHARE = 0.95  # share of windows that are in walls without a neighbour
 _ENTRANCE_SIGMA = 0.7  # distance of a drawn entrance from its door [m]
 _GRID_CELL, _MAX_GRID_CELLS = (
     0.25,
@@ -223,7 +223,7 @@ def _score(
     walls: OuterWalls, footprint: Footprint, pose: tuple[float, Floats, float], sigma: float,
     covariance: Floats,
 ) -> WallFit:  # fmt: skip
-    """Score a pose by walls, windows without a neighbor, and doors at entrances."""
+    """Score a pose by walls, windows without a neighbour, and doors at entrances."""
     heading, shift, thick = pose
     moved = transform_points(walls.points, heading, shift)
     inwards, _, near, which = match_walls(walls, footprint, moved, heading)

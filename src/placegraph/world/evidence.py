@@ -281,9 +281,9 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
     """Parse the text of a query, and search all towns for it; raises as `World.locate`."""
     if query.text is None:
         return OutdoorSearch()
-    things: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
     if world.candidates is not None:
-        things, names = world.candidates.things, world.candidates.find_names(query.text)
+        labels, names = world.candidates.labels, world.candidates.find_names(query.text)
     else:
         anchors = (s for scene in world.scenes.values() for s in AnchorHypothesis.of_scene(scene))
         names = {*world.scenes, *(s.anchor.building for s in anchors)} - {""}
@@ -292,9 +292,9 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
             for entry in map(world.library.entry, world.library):
                 every |= dict.fromkeys(entry.signature.graph.labels)
                 every |= dict.fromkeys(entry.signature.rooms)
-            things = tuple(every)
+            labels = tuple(every)
     towns = world.towns
-    parsed = parse_sentence(query.text, towns, things, query.heading, names, query.language)
+    parsed = parse_sentence(query.text, towns, labels, query.heading, names, query.language)
     found: dict[str, TownMatch] = {}
     obstacles: dict[str, None] = {}
     for name, outside in parsed.outside.items():

@@ -28,7 +28,7 @@ from placegraph.io.osm.osm import POINT, read_osm
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
 _NAMES = ("name", "official_name", "alt_name", "short_name", "old_name", "loc_name")
 _NEAR_DISTANCE = 5.0  # what lies this close to a building may be its neighbour, or its entrance [m]
-_NEIGHBOR_DISTANCE = 0.6  # what is beyond a wall is looked for this far outside of it [m]
+_NEIGHBOUR_DISTANCE = 0.6  # what is beyond a wall is looked for this far outside of it [m]
 _PIECE_LENGTH, _MAX_PIECES = 1.0, 400  # of walls, length [m] and number
 
 WALL, WINDOW, DOOR = 0, 1, 2
@@ -231,7 +231,7 @@ def _make_footprint(
     along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-9)[:, None]
     normals, middles = np.stack([along[:, 1], -along[:, 0]], axis=1), (start + end) / 2.0
     normals[contains_points(middles + 0.05 * normals, rings)] *= -1.0
-    beyond, shared = middles + _NEIGHBOR_DISTANCE * normals, np.zeros(len(start), np.bool_)
+    beyond, shared = middles + _NEIGHBOUR_DISTANCE * normals, np.zeros(len(start), np.bool_)
     for other in others:
         shared |= contains_points(beyond, other)
     at = [t.rings[0][0] for t in doors]

@@ -69,7 +69,7 @@ class SceneCandidates(Protocol):
     """All scenes of a world that has libraries in shards, of which a question looks into few."""
 
     @property
-    def things(self) -> tuple[str, ...]:
+    def labels(self) -> tuple[str, ...]:
         """Labels of all objects, and names of their rooms."""
 
     def find_names(self, text: str) -> set[str]:

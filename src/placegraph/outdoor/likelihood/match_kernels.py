@@ -196,7 +196,7 @@ REJECTED = -1e9
 BOUND_SLACK = 1.5
 """Largest log-likelihood ratio by which a bound may fall short of the score."""
 SMALL_AREA = 25.0
-"""An area around the speaker still lies in the direction of its center, if that is this near [m]."""
+"""An area around the speaker still lies in the direction of its centre, if that is this near [m]."""
 SINGLE_SMOOTHING = 0.5
 """Additive smoothing of the number of objects in sight, as `pair_smoothing` is of pairs."""
 
@@ -209,7 +209,7 @@ class InSight(NamedTuple):
     at: NDArray[np.float32]
     """(n, 2) nearest point, from the viewpoint, east and north [m]."""
     stands: NDArray[np.float32]
-    """(n, 2) point that directions refer to: `at`, or the center of an area around the speaker [m]."""
+    """(n, 2) point that directions refer to: `at`, or the centre of an area around the speaker [m]."""
     lies: NDArray[np.bool_]
     """(n,) whether the object lies in any direction; an area around the speaker mostly does not."""
     visibility: NDArray[np.float32]

@@ -35,7 +35,7 @@ from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import POINT
 
 
-class LabeledObjects(Protocol):
+class LabelledObjects(Protocol):
     """Map objects by row; `CityObjects` is one."""
 
     @property
@@ -54,7 +54,7 @@ class Lexicon(Protocol):
     """Vocabulary of a map; its tokens are labels, then names. A `City` is one."""
 
     @property
-    def objects(self) -> LabeledObjects:
+    def objects(self) -> LabelledObjects:
         """Map objects; at least those that `bearers` returns."""
 
     @property

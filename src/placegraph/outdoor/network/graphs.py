@@ -6,7 +6,7 @@ their sequences of 3 to 5 letters. Rare tags, unknown words and names thus resem
 spelling. A network may also be trained with word vectors from a file (`WordVectors`, Sec. III-A of the
 paper), and hashed subwords for the rest.
 
-Node 0 of every graph is the speaker of a text, or the center of a place. All others are objects.
+Node 0 of every graph is the speaker of a text, or the centre of a place. All others are objects.
 """
 
 from __future__ import annotations
@@ -237,12 +237,12 @@ def _make_channels(relation: Relation, bearing: float | None) -> NDArray[np.floa
 
 @dataclass(frozen=True, eq=False)
 class PlaceGraphs:
-    """K place graphs (Eq. 7-8): objects around a center, nearest first, which determine the relations."""
+    """K place graphs (Eq. 7-8): objects around a centre, nearest first, which determine the relations."""
 
     starts: NDArray[np.int64]
-    """(K + 1,) objects of a place, without its center."""
+    """(K + 1,) objects of a place, without its centre."""
     offsets: NDArray[np.float32]
-    """(N, 2) positions relative to the center: east, north [m]."""
+    """(N, 2) positions relative to the centre: east, north [m]."""
     kinds: NDArray[np.uint8]
     """(N,) point, line or area."""
     word_starts: NDArray[np.int64]
@@ -305,7 +305,7 @@ class NodeWords(NamedTuple):
 
 
 class GraphBatch(NamedTuple):
-    """B padded graphs of `size` nodes; node 0 is the speaker, or the center."""
+    """B padded graphs of `size` nodes; node 0 is the speaker, or the centre."""
 
     nodes: Floats
     """(B, size, F): texts have (is here, log count), places (is here, kind (3), offset (2) and
@@ -384,7 +384,7 @@ def compute_agreements(
     words: WordFits,
     size: tuple[int, int],
 ) -> Floats:
-    """Compute how well objects of places fit mentions of texts, (P, n, m); the speaker fits the center."""
+    """Compute how well objects of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
     return compute_agreement(
         texts.starts, text_rows, words.starts, words.tokens, words.weights,
         places.starts, place_rows, places.word_starts, places.words, places.weights,

@@ -525,7 +525,7 @@ class GraphTransformer:
         return messages, verdict.sum(axis=1)
 
     def _encode(self, side: str, batch: GraphBatch, vectors: Floats) -> EncodedGraphs:
-        """Apply GPS layers: messages along labeled edges plus attention to the whole graph."""
+        """Apply GPS layers: messages along labelled edges plus attention to the whole graph."""
         b, size = batch.mask.shape
         at = np.flatnonzero(batch.mask.reshape(-1))
         starts = np.concatenate(([0], np.cumsum(batch.mask.sum(axis=1)))).astype(np.int64)

@@ -70,7 +70,7 @@ def _bucket(letters, kind):
 
 
 REACH = 34.0
-"""Largest distance of the objects of a place from its center [m]."""
+"""Largest distance of the objects of a place from its centre [m]."""
 MAX_OBJECTS = 36
 """Largest number of objects of a place; the nearest are taken."""
 
@@ -131,7 +131,7 @@ POINT, LINE, AREA = 0, 1, 2
 def place_relations(starts, offsets, kinds, rows, size):
     """Compute the relations of node i to node j of places `rows` (K,): (K, R, size, size) float32.
 
-    Node 0 is the center. Two objects at one point lie in no direction of each other.
+    Node 0 is the centre. Two objects at one point lie in no direction of each other.
     """
     out = np.zeros((len(rows), len(OPPOSITE), size, size), np.float32)
     for k in range(len(rows)):
@@ -155,7 +155,7 @@ def place_relations(starts, offsets, kinds, rows, size):
                     for wind in range(4):
                         out[k, wind, i, j] = out[k, OPPOSITE[wind], j, i] = shares[wind]
                 kind = kinds[first + i - 1]
-                if j == 0 and kind == AREA and d2 == 0.0:  # the center lies in i
+                if j == 0 and kind == AREA and d2 == 0.0:  # the centre lies in i
                     out[k, INSIDE, 0, i] = out[k, CONTAINS, i, 0] = 1.0
                 if j == 0 and kind == LINE and d2 <= ALONG_DISTANCE * ALONG_DISTANCE:
                     out[k, ALONG, 0, i] = out[k, ALONG, i, 0] = 1.0
@@ -181,7 +181,7 @@ def compute_agreement(
     text_starts, texts, fit_starts, fit_tokens, fit_weights,
     place_starts, places, word_starts, words, weights, n, m, n_words,
 ):  # fmt: skip
-    """Compute how well objects of a place fit mentions of a text, (P, n, m); the speaker fits the center."""
+    """Compute how well objects of a place fit mentions of a text, (P, n, m); the speaker fits the centre."""
     out = np.zeros((len(texts), n, m), np.float32)
     fits = np.zeros((n, n_words), np.float32)
     last = -1
@@ -210,7 +210,7 @@ def compute_agreement(
 
 @kernel(fastmath=True)
 def pass_messages(x, starts, relations):
-    """Sum x (N, c) over the neighbors by each relation, (N, R * c); rows are scaled by degree."""
+    """Sum x (N, c) over the neighbours by each relation, (N, R * c); rows are scaled by degree."""
     c, n_relations = x.shape[1], relations.shape[1]
     out = np.zeros((len(x), n_relations * c), np.float32)
     for b in range(len(starts) - 1):

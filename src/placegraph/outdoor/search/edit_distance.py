@@ -399,7 +399,7 @@ def rank(
 
     Parameters
     ----------
-    centers
+    centres
         East and north (K, 2) [m] of the cells' middles. Statements about the speaker then take part:
         the speaker is a node that stands there. Without them they do not, as in the paper.
     timeout

@@ -72,7 +72,7 @@ class TrackGrid:
     """Grid of square cells around the viewpoints of a map, at the stride of these."""
 
     low: Floats
-    """(2,) center of the first cell, east and north [m]."""
+    """(2,) centre of the first cell, east and north [m]."""
     rows: int
     columns: int
     cells: NDArray[np.int64]
@@ -88,7 +88,7 @@ class TrackGrid:
         return cls(low, rows, columns, row * columns + column)
 
     def positions(self, cells: NDArray[np.int64]) -> Floats:
-        """Return the centers (n, 2) of cells (n,), east and north [m]."""
+        """Return the centres (n, 2) of cells (n,), east and north [m]."""
         row, column = np.divmod(cells, self.columns)
         return np.asarray(self.low + STRIDE * np.stack([column, row], axis=1))
 

@@ -76,7 +76,7 @@ class CandidateScenes(SceneShards):
         return self.library.entry(self.name(row)), self.library.scene(self.name(row))
 
     @cached_property
-    def things(self) -> tuple[str, ...]:
+    def labels(self) -> tuple[str, ...]:
         """Labels of all objects, and names of their rooms."""
         every = (x for s in self.shards for x in (*s.meta["labels"], *s.meta["rooms"]))
         return tuple(dict.fromkeys(map(str, every)))
