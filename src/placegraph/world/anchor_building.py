@@ -31,27 +31,13 @@ from placegraph.world.outlines import (
 WALL_THICKNESS, THICKNESS_SIGMA = 0.3, 0.12
 """Thickness of outer walls, and its standard deviation [m]."""
 _WALL_SIGMA = 0.35  # standard deviation of a footprint's walls from the building's [m]
-_OUTER_SHARE = (
-    0.7  # share of a map's outline that is the building's wall; the rest borders on neighbours
-)
-_INNER_DENSITY, _OUTSIDE_DENSITY = (
-    0.03,
-    1e-4,
-)  # density of the rest inside, and outside of the building [1/m]
-_WINDOW_SHARE = 0.95  # share of windows that are in walls without a neighbour
+_OUTER_SHARE = 0.7  # of a map's outline that is the building's wall, and not a neighbour's
+_INNER_DENSITY, _OUTSIDE_DENSITY = 0.03, 1e-4  # of other points, inside and outside [1/m]
+_WINDOW_SHARE = 0.95  # of windows that are in walls without a neighbour
 _ENTRANCE_SIGMA = 0.7  # distance of a drawn entrance from its door [m]
-_GRID_CELL, _MAX_GRID_CELLS = (
-    0.25,
-    1000,
-)  # of the grid of shifts [m], and their largest number along each axis
-_MAX_HEADINGS, _MAX_SHIFTS = (
-    8,
-    8,
-)  # largest numbers of headings, and of shifts of each, that are refined
-_MIN_COSINE, _MAX_WALL_DISTANCE = (
-    0.9,
-    1.0,
-)  # of matching walls: smallest cosine, largest distance [m]
+_GRID_CELL, _MAX_GRID_CELLS = 0.25, 1000  # of shifts [m], and their largest number per axis
+_MAX_HEADINGS, _MAX_SHIFTS = 8, 8  # largest numbers that are refined: headings, shifts of each
+_MIN_COSINE, _MAX_WALL_DISTANCE = 0.9, 1.0  # of matching walls; distance in [m]
 _MIN_WINDOWS = 4  # number of windows that make up for a small share of outer walls
 _MAX_LOG_RATIO = 25.0  # largest log-likelihood ratio to the best of fits that are refined
 

@@ -28,7 +28,6 @@ from placegraph.outdoor.search.edit_distance import (
     Edge,
     LabelledGraph,
     Node,
-    check_center,
     distance,
     rank,
 )
@@ -39,7 +38,7 @@ BEARING = {"north": 0.0, "east": 0.5 * math.pi, "south": math.pi, "west": 1.5 * 
 
 def edit_distance(description, graph, *, center=None, timeout=TIMEOUT, plain=False):
     """Distance from a text's graph to one cell's."""
-    centers = None if center is None else np.reshape(check_center(center), (1, 2))
+    centers = None if center is None else [center]
     ranked = rank(description, [graph], centers=centers, timeout=timeout, plain=plain)
     return Distance(float(ranked.costs[0]), bool(ranked.exact[0]))
 
@@ -284,11 +283,11 @@ def test_bad_options_are_refused():
     for timeout in (0.0, -1.0, math.nan, "soon"):
         with pytest.raises(OptionError, match="timeout"):
             edit_distance(TEXT, SQUARE, timeout=timeout)
-    with pytest.raises(OptionError, match="center"):
+    with pytest.raises(OptionError, match="centers have shape"):
         edit_distance(TEXT, SQUARE, center=(1.0,))
     with pytest.raises(OptionError, match="centers"):
         rank(TEXT, [SQUARE], centers=[(0.0, 0.0), (1.0, 1.0)])
-    with pytest.raises(DescriptionError, match="no thing"):
+    with pytest.raises(DescriptionError, match="no object"):
         edit_distance(said([], []), SQUARE)
 
 

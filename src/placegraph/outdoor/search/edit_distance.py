@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,33 +18,32 @@ from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
     Description,
-    Mention,
     Relation,
     Statement,
 )
 from placegraph.outdoor.map.directions_kernels import name_direction
 
 UNNAMED = 0.4
-"""How well a thing without a name fits a mention by name of its kind."""
+"""Fit of an object without a name to a mention with one, of its kind."""
 HERE = "<speaker>"
-"""Label of the node that stands for whoever speaks; no map has it."""
+"""Label of the node of the speaker; no map has it."""
 BEARINGS = {"north": 0.0, "east": 0.5 * math.pi, "south": math.pi, "west": 1.5 * math.pi}
 SECTOR = math.radians(50.0)
-"""A direction of Eq. 6 serves bearings this near; "north-east" is served by north and by east."""
-PLACED = {Relation.NEAR: "near", Relation.INSIDE: "inside", Relation.ALONG: "along"}
+"""Largest error of a direction of Eq. 6: both north and east fit "north-east"."""
+RELATIONS = {Relation.NEAR: "near", Relation.INSIDE: "inside", Relation.ALONG: "along"}
 
 
 class Node(NamedTuple):
-    """A thing of either graph."""
+    """Object of either graph."""
 
     labels: Mapping[str, float]
-    """What it may be called and how well that fits, in (0, 1]."""
+    """Labels with their weights, in (0, 1]."""
     name: str = ""
-    """Proper name, in lower case, or empty."""
+    """Proper name in lower case, or empty."""
 
 
 class Edge(NamedTuple):
-    """A relation: the source is one of `relations` of the target."""
+    """Relations of a source to a target, any of which may be meant."""
 
     source: int
     target: int
@@ -60,120 +59,83 @@ class LabelledGraph:
 
     @classmethod
     def of_description(cls, description: Description, *, speaker: bool = False) -> LabelledGraph:
-        """Graph of what a text says of things; without `speaker`, only of things among themselves.
+        """Make the graph of a description, with the speaker as a node if `speaker` is set.
 
-        Directions, "near", "inside" and "along" are edges. What is denied, counted or far away,
-        and relations of three things, have no counterpart in a scene graph and are left out.
-
-        Raises
-        ------
-        DescriptionError
-            Where nothing of that kind is said.
+        Directions, "near", "inside" and "along" become edges. Negated and distant statements, and
+        those of three objects, have no counterpart in a scene graph. Raises `DescriptionError` where
+        nothing is left.
         """
         row: dict[int, int] = {}
         nodes: list[Node] = []
-        told = [s for s in description.statements if not s.negated and not s.far]
-        seen = {n for s in told for n in (s.source, s.target)}
+        statements = [s for s in description.statements if not s.negated and not s.far]
+        used = {n for s in statements for n in (s.source, s.target)} - {SPEAKER, LISTENER}
         for mention in description.mentions:
-            if mention.id in seen and mention.id not in (SPEAKER, LISTENER):
+            if mention.id in used:
+                labels: dict[str, float] = {}
+                for sense in mention.senses:
+                    labels[sense.label] = max(sense.weight, labels.get(sense.label, 0.0))
                 row[mention.id] = len(nodes)
-                nodes.append(_spoken(mention))
+                nodes.append(Node(labels, mention.name.casefold()))
         if not nodes:
             raise DescriptionError(
-                "The text names no thing that a scene graph could hold; say what stands where."
+                "The text mentions no object that a scene graph could hold; describe objects and "
+                "their relations."
             )
-        if speaker and any(SPEAKER in (s.source, s.target) for s in told if _relations(s)):
+        related = [(s, _relations(s)) for s in statements if _relations(s)]
+        if speaker and any(SPEAKER in (s.source, s.target) for s, _ in related):
             row[SPEAKER] = len(nodes)
             nodes.append(Node({HERE: 1.0}))
         edges = {
-            Edge(row[s.source], row[s.target], _relations(s)): None
-            for s in told
-            if s.source in row and s.target in row and s.source != s.target and _relations(s)
+            Edge(row[s.source], row[s.target], relations): None
+            for s, relations in related
+            if s.source in row and s.target in row and s.source != s.target
         }
         return cls(tuple(nodes), tuple(edges))
 
     @classmethod
     def of_scene_graph(cls, graph: SceneGraph, center: ArrayLike | None = None) -> LabelledGraph:
-        """Graph of a cell; with its `center` (2,) [m], the speaker stands there.
-
-        Raises
-        ------
-        OptionError
-            Where the centre is not two numbers.
-        """
+        """Make the graph of a cell; with its `center` (2,) [m], the speaker is a node there."""
         nodes = [
             Node({label: 1.0}, name.casefold())
             for label, name in zip(graph.labels, graph.names, strict=True)
         ]
-        edges = [
-            Edge(s, t, frozenset((relation,)))
-            for s, t, relation in zip(
-                graph.sources.tolist(), graph.targets.tolist(), graph.relations, strict=True
-            )
-        ]
+        ends = zip(graph.sources.tolist(), graph.targets.tolist(), graph.relations, strict=True)
+        edges = [Edge(s, t, frozenset((relation,))) for s, t, relation in ends]
         if center is not None:
-            edges += _from_here(graph, center)
+            here = len(graph)
             nodes.append(Node({HERE: 1.0}))
+            for i, delta in enumerate(graph.positions[:, :2] - np.asarray(center, np.float64)):
+                if delta.any():  # directions (Eq. 6) between each object and the speaker
+                    edges.append(Edge(i, here, frozenset((name_direction(delta),))))
+                    edges.append(Edge(here, i, frozenset((name_direction(-delta),))))
         return cls(tuple(nodes), tuple(edges))
 
-    def of_relations(self, kinds: Iterable[str]) -> LabelledGraph:
-        """The same nodes with the edges of these relations only."""
-        kept = frozenset(kinds)
-        return LabelledGraph(self.nodes, tuple(e for e in self.edges if e.relations & kept))
 
-
-def fit(a: Node, b: Node) -> float:
-    """Return how well node b is what node a is called, 0 to 1."""
+def compute_fit(a: Node, b: Node) -> float:
+    """Compute how well node b fits the labels and name of node a, 0 to 1."""
     if a.name and a.name == b.name:
         return 1.0
-    fits = max((w * _called(b, label) for label, w in a.labels.items()), default=0.0)
-    if a.name:  # another thing of its kind has another name; one without may be it
-        fits *= 0.0 if b.name else UNNAMED
-    return fits
-
-
-def _called(node: Node, label: str) -> float:
-    """Return how well a label, or ``key=*``, fits a node."""
-    if label.endswith("=*"):
-        return max((w for own, w in node.labels.items() if own.startswith(label[:-1])), default=0.0)
-    return node.labels.get(label, 0.0)
-
-
-def _spoken(mention: Mention) -> Node:
-    labels: dict[str, float] = {}
-    for sense in mention.senses:
-        labels[sense.label] = max(sense.weight, labels.get(sense.label, 0.0))
-    return Node(labels, mention.name.casefold())
+    fit = 0.0
+    for label, weight in a.labels.items():
+        own = b.labels.get(label, 0.0)
+        if label.endswith("=*"):
+            own = max((w for x, w in b.labels.items() if x.startswith(label[:-1])), default=0.0)
+        fit = max(fit, weight * own)
+    if a.name:  # another object of its kind has another name; one without may be it
+        fit *= 0.0 if b.name else UNNAMED
+    return fit
 
 
 def _relations(statement: Statement) -> frozenset[str]:
-    """Relations of a scene graph that a statement may mean; none where there is no such relation."""
-    here = SPEAKER in (statement.source, statement.target)
+    """Return the relations of a scene graph that a statement may mean."""
     if statement.relation is Relation.DIRECTION and statement.bearing is not None:
-        said = statement.bearing
-        turns = ((r, abs((b - said + math.pi) % math.tau - math.pi)) for r, b in BEARINGS.items())
+        stated = statement.bearing
+        turns = ((r, abs((b - stated + math.pi) % math.tau - math.pi)) for r, b in BEARINGS.items())
         return frozenset(r for r, turn in turns if turn <= SECTOR)
-    # nobody knows how near the speaker of a cell is to anything
-    kind = None if here else PLACED.get(statement.relation)
+    # distances of the speaker from objects are unknown
+    is_of_speaker = SPEAKER in (statement.source, statement.target)
+    kind = None if is_of_speaker else RELATIONS.get(statement.relation)
     return frozenset((kind,)) if kind else frozenset()
-
-
-def _from_here(graph: SceneGraph, center: ArrayLike) -> list[Edge]:
-    """Directions (Eq. 6) between all things and the speaker in the middle."""
-    here, edges = len(graph), []
-    for i, delta in enumerate(graph.positions[:, :2] - check_center(center)):
-        if delta.any():
-            edges.append(Edge(i, here, frozenset((name_direction(delta),))))
-            edges.append(Edge(here, i, frozenset((name_direction(-delta),))))
-    return edges
-
-
-def check_center(center: ArrayLike) -> NDArray[np.float64]:
-    """East and north (2,) [m]; raises `OptionError` where it is something else."""
-    at = np.asarray(center, np.float64)
-    if at.shape != (2,) or not np.isfinite(at).all():
-        raise OptionError(f"center is {center!r}; give east and north in metres.")
-    return at
 
 
 DELETED = -1
@@ -181,35 +143,24 @@ DELETED = -1
 
 @dataclass(frozen=True)
 class Problem:
-    """An assignment of text nodes (rows) to cell nodes (columns), each to at most one."""
+    """Assignment of text nodes (rows) to cell nodes (columns), each to at most one."""
 
     cost: NDArray[np.float64]
-    """(M, N) cost of a cell node that stands for a text node; infinite where it cannot."""
+    """(M, N) cost of matching a text node with a cell node; infinite where that is impossible."""
     text_edges: tuple[Edge, ...]
     cell_edges: tuple[Edge, ...]
     node_insertion: float
     edge_insertion: float
     base: float = 0.0
-    """Cost of what was already decided."""
-
-    @property
-    def all_deleted(self) -> float:
-        """Cost of deleting the text graph."""
-        return float(len(self.cost) + len(self.text_edges))
-
-    @property
-    def all_inserted(self) -> float:
-        """Cost of inserting the cell graph."""
-        nodes, edges = self.cost.shape[1], len(self.cell_edges)
-        return nodes * self.node_insertion + edges * self.edge_insertion
+    """Cost of nodes and edges that were removed."""
 
 
-def reduced(problem: Problem) -> Problem:
-    """Drop what does not change the distance where cell edges are inserted for nothing.
+def reduce_problem(problem: Problem) -> Problem:
+    """Remove nodes and edges that do not change the distance where inserted cell edges are free.
 
-    A cell node that no text node fits is inserted, a text node that fits none is deleted with its
-    edges; a cell edge counts only where it serves a text edge between nodes it may stand for.
-    Serving one wrongly costs as much as deleting it. So the distance is the same.
+    Cell nodes without a matching text node are inserted, and text nodes without one are deleted with
+    their edges. A cell edge counts only where it fits a text edge between nodes that may match: a wrong
+    edge costs as much as a deleted one.
     """
     possible = np.isfinite(problem.cost)
     rows, columns = np.flatnonzero(possible.any(1)), np.flatnonzero(possible.any(0))
@@ -244,11 +195,11 @@ def reduced(problem: Problem) -> Problem:
     )
 
 
-def bound(problem: Problem) -> tuple[float, float]:
-    """Upper and lower bound of the distance.
+def bound_distance(problem: Problem) -> tuple[float, float]:
+    """Compute an upper and a lower bound of the distance.
 
-    Text nodes take, the choosiest first, whatever then costs least; then each may choose anew as
-    long as that helps. The lower bound lets every node take what it likes and counts no edges.
+    The upper bound is greedy: text nodes with the fewest matches choose first, and then again as long as
+    the cost falls. The lower bound matches every node with its best and ignores edges.
     """
     cost = problem.cost
     m, n = cost.shape
@@ -269,11 +220,11 @@ def bound(problem: Problem) -> tuple[float, float]:
             break
     lowest = np.minimum(cost.min(1, initial=1.0), 1.0).sum() if n else float(m)
     insertions = max(0, n - m) * problem.node_insertion
-    return total(problem, choice.tolist()), float(lowest) + insertions
+    return compute_cost(problem, choice.tolist()), float(lowest) + insertions
 
 
-def total(problem: Problem, choice: Sequence[int]) -> float:
-    """Cost of an assignment: the cell node of every text node, or `DELETED`."""
+def compute_cost(problem: Problem, choice: Sequence[int]) -> float:
+    """Compute the cost of an assignment: the cell node of every text node, or `DELETED`."""
     used = [u for u in choice if u != DELETED]
     nodes = sum(1.0 if u == DELETED else problem.cost[a, u] for a, u in enumerate(choice))
     nodes += (problem.cost.shape[1] - len(used)) * problem.node_insertion
@@ -296,7 +247,7 @@ class _Edges:
             self.cell[c.source, c.target].append(c.relations)
 
     def around(self, a: int, u: int, choice: NDArray[np.int64]) -> float:
-        """Cost of the edges between text node a, put on cell node u, and those already put."""
+        """Compute the cost of edges between text node a, matched with cell node u, and other matches."""
         cost = 0.0
         others = (
             self.at[a] if self.insertion == 0.0 else set(np.flatnonzero(choice != DELETED).tolist())
@@ -312,7 +263,7 @@ class _Edges:
         return cost
 
     def pair(self, text: Sequence[frozenset[str]], cell: Sequence[frozenset[str]]) -> float:
-        """Cost of turning the edges of one pair of nodes into those of another."""
+        """Compute the cost of changing the edges of one pair of nodes into those of another."""
         free = list(cell)
         wrong = 0
         for relations in sorted(text, key=len):
@@ -321,11 +272,11 @@ class _Edges:
                 wrong += 1
             else:
                 free.remove(match)
-        served = min(wrong, len(free)) if self.insertion else 0  # wrongly, but cheaper than anew
-        return wrong + (len(free) - served) * self.insertion
+        changed = min(wrong, len(free)) if self.insertion else 0  # cheaper than inserted anew
+        return wrong + (len(free) - changed) * self.insertion
 
     def total(self, choice: Sequence[int]) -> float:
-        """Cost of all edges."""
+        """Compute the cost of all edges."""
         cost, met = 0.0, 0
         for (a, b), relations in self.text.items():
             image = (choice[a], choice[b])
@@ -338,34 +289,27 @@ class _Edges:
 TIMEOUT = 0.1
 """Time for one pair [s]: the paper's 11 pairs a second."""
 PER_ENTRY = 1e-7
-"""Time that NetworkX needs to fill an entry of its cost matrices [s]; its own clock starts after."""
+"""Time of NetworkX for an entry of its cost matrices [s], before its own clock starts."""
 DEEPEST = 400
-"""More nodes than this are not searched: NetworkX descends one call a node."""
+"""Largest number of nodes that are searched: NetworkX recurses once a node."""
 
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """Costs of edits; to delete a node or an edge of the first graph costs 1.
+    """Costs of edits; deleting a node or an edge of the first graph costs 1.
 
-    A description mentions a few of the many things of a cell: what it leaves out is no
-    contradiction. Things and relations that only the second graph has are therefore free. And
-    "the bakery" is no bench: a node that fits no sense of a mention never stands for it.
+    A description mentions few of the objects of a cell, so nodes and edges that only the second graph
+    has are free by default, and nodes match only where labels fit.
     """
 
     node_insertion: float = 0.0
     edge_insertion: float = 0.0
     mismatch: float = math.inf
-    """Of a node that stands for another of a different label; infinite where it never may."""
-
-    @property
-    def one_sided(self) -> bool:
-        """Whether only the first graph's nodes and edges have to be accounted for."""
-        return self.edge_insertion == 0.0 and math.isinf(self.mismatch)
+    """Cost of matching nodes of different labels."""
 
 
 PLAIN = Costs(1.0, 1.0, 1.0)
-"""The textbook's distance, which the paper takes: every edit costs 1. It is a metric between scene
-graphs, and mostly says how many things a cell holds."""
+"""Textbook distance, as in the paper: every edit costs 1. It mostly counts the objects of a cell."""
 
 
 class Distance(NamedTuple):
@@ -373,14 +317,14 @@ class Distance(NamedTuple):
 
     cost: float
     exact: bool
-    """False where time was up: the cost is an upper bound."""
+    """Whether the search ended in time; otherwise the cost is an upper bound."""
 
 
 class Ranked(NamedTuple):
-    """Graphs in the order of their distance, nearest first; equals stay in the order given."""
+    """Graphs in the order of their distances; ties stay in the order given."""
 
     rows: NDArray[np.int64]
-    """(K,) which of the graphs."""
+    """(K,) rows of the graphs."""
     costs: NDArray[np.float64]
     """(K,) their distances."""
     exact: NDArray[np.bool_]
@@ -400,38 +344,37 @@ def rank(
     Parameters
     ----------
     centres
-        East and north (K, 2) [m] of the cells' middles. Statements about the speaker then take part:
-        the speaker is a node that stands there. Without them they do not, as in the paper.
+        East and north (K, 2) [m] of the centres of the cells, where the speaker becomes a node.
+        Without them, statements about the speaker are ignored, as in the paper.
     timeout
-        When to stop improving one distance [s]; looked at between steps of the search.
+        Time limit of one distance [s]; checked between steps of the search.
     plain
-        Count every edit as 1, as the paper does, instead of by `Costs`; never about the speaker.
+        Count every edit as 1, as the paper does, and ignore the speaker.
 
     Raises
     ------
     DescriptionError
-        The text names no things.
+        The text mentions no objects.
     MissingExtraError
         NetworkX or SciPy is not installed.
     OptionError
-        The time limit is not above 0, or a centre is not two numbers.
+        The time limit is not above 0, or there is not one centre a graph.
     """
     if centers is not None and np.shape(centers) != (len(graphs), 2):
-        raise OptionError(f"centers: shape {np.shape(centers)} for {len(graphs)} graphs.")
+        raise OptionError(
+            f"centers have shape {np.shape(centers)} for {len(graphs)} graphs; give east and north of "
+            "each cell."
+        )
     middles = [None] * len(graphs) if centers is None or plain else list(np.asarray(centers))
     text = LabelledGraph.of_description(
         description, speaker=bool(middles and middles[0] is not None)
     )
     kinds = {r for e in text.edges for r in e.relations} | (set(BEARINGS) if plain else set())
-    found = [
-        distance(
-            text,
-            LabelledGraph.of_scene_graph(graph, middle).of_relations(kinds),
-            costs=PLAIN if plain else Costs(),
-            timeout=timeout,
-        )
-        for graph, middle in zip(graphs, middles, strict=True)
-    ]
+    found = []
+    for graph, middle in zip(graphs, middles, strict=True):
+        cell = LabelledGraph.of_scene_graph(graph, middle)
+        cell = replace(cell, edges=tuple(e for e in cell.edges if e.relations & kinds))
+        found.append(distance(text, cell, costs=PLAIN if plain else Costs(), timeout=timeout))
     costs = np.array([d.cost for d in found])
     order = np.argsort(costs, kind="stable")
     return Ranked(order, costs[order], np.array([d.exact for d in found], np.bool_)[order])
@@ -444,38 +387,35 @@ def distance(
     costs: Costs | None = None,
     timeout: float = TIMEOUT,
 ) -> Distance:
-    """Cost of the cheapest edits that turn the first graph into the second, or a bound on it.
+    """Compute the cost of the cheapest edits that turn the first graph into the second, or a bound on it.
 
-    Raises
-    ------
-    MissingExtraError
-        NetworkX or SciPy is not installed.
-    OptionError
-        The time limit is not above 0.
+    Raises `MissingExtraError` without NetworkX or SciPy, `OptionError` for a bad time limit.
     """
     costs = costs or Costs()
     if not (isinstance(timeout, int | float) and timeout > 0.0):
-        raise OptionError(f"timeout is {timeout!r} s; give the search some time.")
+        raise OptionError(f"timeout is {timeout!r} s; give a time greater than 0.")
     nx = _networkx()
     start = time.perf_counter()
-    problem = _problem(first, second, costs)
-    if costs.one_sided:
-        problem = reduced(problem)
-    best, lowest = bound(problem)
+    problem = _make_problem(first, second, costs)
+    if costs.edge_insertion == 0.0 and math.isinf(costs.mismatch):
+        problem = reduce_problem(problem)
+    best, lowest = bound_distance(problem)
     if best <= lowest + 1e-9:
         return Distance(problem.base + best, exact=True)
     entries = (len(problem.text_edges) + len(problem.cell_edges)) ** 2
     rest = timeout - (time.perf_counter() - start) - PER_ENTRY * entries
     if rest <= 0.0 or sum(problem.cost.shape) > DEEPEST:
         return Distance(problem.base + best, exact=False)
-    return _searched(problem, best, rest, nx)
+    return _search(problem, best, rest, nx)
 
 
-def _searched(problem: Problem, best: float, timeout: float, nx: Any) -> Distance:  # noqa: ANN401
-    """Let NetworkX improve a bound."""
+def _search(problem: Problem, best: float, timeout: float, nx: Any) -> Distance:  # noqa: ANN401
+    """Improve a bound by NetworkX."""
     start = time.perf_counter()
-    forbidden = 1.0 + 2.0 * (problem.all_deleted + problem.all_inserted)
-    cost = np.minimum(problem.cost, forbidden)
+    deleted = float(len(problem.cost) + len(problem.text_edges))
+    inserted = problem.cost.shape[1] * problem.node_insertion
+    inserted += len(problem.cell_edges) * problem.edge_insertion
+    cost = np.minimum(problem.cost, 1.0 + 2.0 * (deleted + inserted))
     text, cell = nx.MultiDiGraph(), nx.MultiDiGraph()
     for graph, count, edges in (
         (text, cost.shape[0], problem.text_edges),
@@ -500,32 +440,23 @@ def _searched(problem: Problem, best: float, timeout: float, nx: Any) -> Distanc
     return Distance(problem.base + best, exact=time.perf_counter() - start < timeout)
 
 
-def _problem(first: LabelledGraph, second: LabelledGraph, costs: Costs) -> Problem:
-    cost = [[_node_cost(a, b, costs) for b in second.nodes] for a in first.nodes]
-    return Problem(
-        np.array(cost, np.float64).reshape(len(first.nodes), len(second.nodes)),
-        first.edges,
-        second.edges,
-        costs.node_insertion,
-        costs.edge_insertion,
-    )
-
-
-def _node_cost(a: Node, b: Node, costs: Costs) -> float:
-    """Cost of node b standing for node a."""
-    fits = fit(a, b)
+def _make_problem(first: LabelledGraph, second: LabelledGraph, costs: Costs) -> Problem:
+    fits = [[compute_fit(a, b) for b in second.nodes] for a in first.nodes]
+    fit = np.array(fits, np.float64).reshape(len(first.nodes), len(second.nodes))
     if math.isinf(costs.mismatch):
-        return 1.0 - fits if fits > 0.0 else math.inf
-    return 0.0 if fits >= 1.0 else costs.mismatch
+        cost = np.where(fit > 0.0, 1.0 - fit, np.inf)
+    else:
+        cost = np.where(fit >= 1.0, 0.0, costs.mismatch)
+    edges = first.edges, second.edges
+    return Problem(cost, *edges, costs.node_insertion, costs.edge_insertion)
 
 
-def _networkx() -> Any:  # noqa: ANN401  # the module itself, which may not be there
+def _networkx() -> Any:  # noqa: ANN401  # a module that may be missing
     try:
         import networkx as nx
         import scipy.optimize  # noqa: F401  # solves its assignments; it would import it while timed
     except ImportError as error:
         raise MissingExtraError(
-            "Edit distances need NetworkX and SciPy; `pip install 'placegraph[networkx]'` "
-            "brings them."
+            "Edit distances need NetworkX and SciPy: pip install 'placegraph[networkx]'."
         ) from error
     return nx
