@@ -50,42 +50,22 @@ def weight(score):
 # --- directions ---
 
 
-def test_directions_are_soft(around, said, weight):
-    city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
+@pytest.mark.parametrize("target", ["me", BAKERY])
+def test_directions_are_soft(target, around, said, weight):
+    city, p = around([(0, 15, tags(FOUNTAIN)), (0, -15, tags(BAKERY)), (9, 0, tags(BENCH))])
 
     def heard(degrees):
-        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), "me")), p(0, 0))
+        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), target)), p(0, 0))
 
     exact, a_little, much, opposite = map(heard, (0, 50, 90, 180))
     assert exact - a_little > 0.5
     assert a_little - opposite > 1.0
-    assert exact - opposite > 2.0
     assert much - opposite < 0.5
     assert heard(20) > exact - 0.3
     for degrees in (10, 45, 70, 120):
         assert heard(degrees) == pytest.approx(heard(-degrees), abs=0.1)
-
-
-def test_directions_between_things_are_soft(around, said, weight):
-    city, p = around([(-5, 18, tags(FOUNTAIN)), (-5, -12, tags(BAKERY)), (9, 0, tags(BENCH))])
-
-    def heard(degrees):
-        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), BAKERY)), p(0, 0))
-
-    exact, a_little, opposite = map(heard, (0, 50, 180))
-    assert exact - a_little > 0.5
-    assert a_little - opposite > 1.0
-    other = weight(city, said((BAKERY, "south", FOUNTAIN)), p(0, 0))
-    assert other == pytest.approx(exact, abs=0.02), "A north of B is B south of A"
-
-
-def test_me_as_source_or_target(around, said, weight):
-    city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
-    one = weight(city, said((FOUNTAIN, "north", "me")), p(0, 0))
-    other = weight(city, said(("me", "south", FOUNTAIN)), p(0, 0))
-    wrong = weight(city, said(("me", "north", FOUNTAIN)), p(0, 0))
-    assert one == pytest.approx(other, abs=1e-4)
-    assert one > wrong + 2
+    inverse = weight(city, said((target, "south", FOUNTAIN)), p(0, 0))
+    assert inverse == pytest.approx(exact, abs=0.02), "A north of B is B south of A"
 
 
 def test_loosely_meant_directions_are_softer(around, said, weight):
@@ -165,14 +145,8 @@ def test_one_bench_cannot_be_north_of_itself(around, said, weight):
 
 
 def test_served_are_the_right_things(around, said, score):
-    city, p = around(
-        [
-            (0, 15, tags(FOUNTAIN)),
-            (0, -15, tags(FOUNTAIN)),
-            (15, 0, tags(BENCH)),
-            (-15, 0, tags(BENCH)),
-        ]
-    )
+    things = [(0, 15, FOUNTAIN), (0, -15, FOUNTAIN), (15, 0, BENCH), (-15, 0, BENCH)]
+    city, p = around([(east, north, tags(label)) for east, north, label in things])
     _, _, served = score(
         city, said((FOUNTAIN, "south", "me"), (BENCH, "west", "me")), p(0, 0), together=0.9
     )
@@ -186,13 +160,9 @@ def test_served_are_the_right_things(around, said, score):
 
 def test_near(around, said, weight):
     city, p = around([(0, 0, tags(BAKERY)), (5, 3, tags(BENCH))])
-    text = said(("me", "near", BAKERY))
-    heard = [weight(city, text, p(-x, 0)) for x in (3, 20, 30, 60)]
+    heard = [weight(city, said(("me", "near", BAKERY)), p(-x, 0)) for x in (3, 20, 30, 60)]
     assert heard == sorted(heard, reverse=True)
     assert heard[0] > heard[-1] + 2
-
-
-def test_near_each_other(around, said, weight):
     close, p = around([(0, 8, tags(BAKERY)), (4, 10, tags(FOUNTAIN))])
     apart, q = around([(0, 22, tags(BAKERY)), (0, -22, tags(FOUNTAIN))])
     text = said((BAKERY, "near", FOUNTAIN))
@@ -214,16 +184,11 @@ def test_inside(around, said, weight):
     assert inside == pytest.approx(edge, abs=0.5)
     assert inside > beside + 0.5
     assert beside > away
-    in_hole = weight(city, text, p(0, 0))
-    assert in_hole <= inside + 1e-3
-
-
-def test_a_thing_inside(around, said, weight):
-    city, p = around(*park_world())
-    text = said((FOUNTAIN, "inside", PARK))
-    nothing = said((STOP, "inside", PARK))
-    assert weight(city, text, p(15, 10)) > 2
-    assert weight(city, nothing, p(15, 10)) < 0
+    assert weight(city, text, p(0, 0)) <= inside + 1e-3, "in a hole of the park"
+    assert weight(city, said((FOUNTAIN, "inside", PARK)), p(15, 10)) > 2
+    assert weight(city, said((STOP, "inside", PARK)), p(15, 10)) < 0
+    negated = said(("me", "inside", PARK, {"negated": True}))
+    assert weight(city, negated, p(15, 15)) < weight(city, negated, p(120, 0)) - 0.5
 
 
 def test_along(around, said, weight):
@@ -301,12 +266,6 @@ def test_negation_turns_a_statement_round(statement, around, said, weight):
     assert weight(city, yes, p(0, 0)) > weight(city, yes, p(85, 0)) + 1
 
 
-def test_not_in_the_park(around, said, weight):
-    city, p = around(*park_world())
-    text = said(("me", "inside", PARK, {"negated": True}))
-    assert weight(city, text, p(15, 15)) < weight(city, text, p(120, 0)) - 0.5
-
-
 def test_a_denied_direction_spares_the_others(around, said, weight):
     city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
     north = weight(city, said((BAKERY, "north", "me", {"negated": True})), p(0, 0))
@@ -323,15 +282,11 @@ def test_numbers(there, around, said, weight):
     }
     assert max(heard, key=heard.get) == there
     assert heard[there] > heard[12] + 0.5
-
-
-def test_numbers_of_things_beside_things(around, said, weight):
-    trees = [(6 * i - 9, 15, tags(TREE)) for i in range(4)]
-    city, p = around([*trees, (0, -5, tags(FOUNTAIN)), (-8, -8, tags(BENCH))])
-    four, one = (
-        weight(city, said((TREE, "north", FOUNTAIN, {"count": n})), p(0, 0)) for n in (4, 1)
-    )
-    assert four > one
+    if there == 4:
+        four, one = (
+            weight(city, said((TREE, "north", FOUNTAIN, {"count": n})), p(0, 0)) for n in (4, 1)
+        )
+        assert four > one
 
 
 # --- rarity, names, certainty ---
@@ -356,14 +311,13 @@ def test_names_say_more_than_kinds(around, said, weight):
 
 def test_hedged_statements_say_less(around, said, weight):
     city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
-    right = [
-        weight(city, said((BAKERY, "north", "me", {"certainty": c})), p(0, 0))
-        for c in (1.0, 0.5, 0.1)
-    ]
-    wrong = [
-        weight(city, said((STOP, "north", "me", {"certainty": c})), p(0, 0))
-        for c in (1.0, 0.5, 0.1)
-    ]
+    right, wrong = (
+        [
+            weight(city, said((what, "north", "me", {"certainty": c})), p(0, 0))
+            for c in (1.0, 0.5, 0.1)
+        ]
+        for what in (BAKERY, STOP)
+    )
     assert right == sorted(right, reverse=True)
     assert wrong == sorted(wrong)
     assert right[-1] > 0 > wrong[-1]
