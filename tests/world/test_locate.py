@@ -16,11 +16,7 @@ def test_a_library_on_its_street_is_found_by_frames_and_a_sentence(world, films)
     text = "I am in the library on Lange Straße"
     estimate = world.locate(text, films["study"], frames=slice(3), seed=0)
     best = estimate.best
-    assert (estimate.status, best.scene, best.building) == (
-        Status.OK,
-        "reading",
-        "Stadtbibliothek",
-    )
+    assert (estimate.status, best.scene, best.building) == (Status.OK, "reading", "Stadtbibliothek")
     assert (best.room, best.level, best.earth.room) == ("study", "0", "study")
     assert best.longitude == pytest.approx(9.99, abs=0.01)
     assert best.earth.geopose()["position"]["lat"] == pytest.approx(best.latitude)

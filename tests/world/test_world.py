@@ -9,13 +9,7 @@ import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.demo.flat import TWIN_FLAT, WINDOW, write_scenes
 from placegraph.demo.world import FLAT, TOWNS
-from placegraph.errors import (
-    InputError,
-    MapError,
-    MissingExtraError,
-    OptionError,
-    PlacegraphError,
-)
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, PlacegraphError
 
 
 def test_maps_are_opened_when_they_are_asked_for_and_kept(folder):

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
 from placegraph.core.geo import Anchor, EarthPose
-from placegraph.core.geometry import LocalPlane
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.indoor.language.likeness import table
 from placegraph.indoor.language.score import compared, of_scenes, score
 from placegraph.indoor.language.sentence import Kind, Sentence
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from placegraph.world.sentence import FloorStatement
     from placegraph.world.towns import BuildingMatch, TownMatch
     from placegraph.world.world import World
-
-Floats = NDArray[np.float64]
 
 FIT_UNANCHORED = 0.1
 """How well a scene without an anchor fits a location prior, against one that stands right there."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geojson import is_inside
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from placegraph.outdoor.search.posterior import Posterior
     from placegraph.outdoor.search.request import Request
     from placegraph.world.estimate import WorldQuery
-
-Floats = NDArray[np.float64]
 
 SHARE_NEAREST, SHARE_NEXT, FALLOFF, SHARE_ANY = 0.8, 0.4, 12.0, 0.003
 """Share of houses whose address is of the nearest street with a name; of one that is hardly farther,

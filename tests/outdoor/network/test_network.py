@@ -3,11 +3,13 @@
 import json
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.outdoor.likelihood.query import compile_query
@@ -21,6 +23,7 @@ from placegraph.outdoor.network.graphs import (
 )
 from placegraph.outdoor.network.network import (
     GraphTransformer,
+    MatchScores,
     Shape,
     find_shipped_weights,
     read_weights,
@@ -47,53 +50,46 @@ def some(places):
     return np.arange(0, len(places), 6)
 
 
-def test_embeddings_have_unit_length(network, texts, places):
-    for embeddings in (network.embed_texts(texts), network.embed_places(places)):
+def test_embeddings_have_unit_length_and_do_not_depend_on_the_batch(network, texts, places, some):
+    vectors = network.word_vectors(places.vocabulary)
+    for embeddings, rows, encode in (
+        (network.embed_texts(texts), range(len(texts)), lambda r: network.encode_texts(texts, r)),
+        (network.embed_places(places), some, lambda r: network.encode_places(places, r, vectors)),
+    ):
         assert embeddings.dtype == np.float32
+        assert embeddings.shape[1] == network.shape.dimension
         assert np.allclose(np.linalg.norm(embeddings, axis=1), 1.0, atol=1e-5)
-    assert network.embed_texts(texts).shape == (len(texts), network.shape.dimension)
-    assert network.embed_places(places).shape == (len(places), network.shape.dimension)
+        for row in rows:
+            assert encode(np.array([row])).embeddings[0] == pytest.approx(embeddings[row], abs=1e-5)
 
 
-def test_embeddings_alone_are_embeddings_in_a_batch(network, texts, places, some):
-    together = network.embed_texts(texts)
-    for q in range(len(texts)):
-        alone = network.encode_texts(texts, np.array([q])).embeddings[0]
-        assert alone == pytest.approx(together[q], abs=1e-5)
-    vectors, together = network.word_vectors(places.vocabulary), network.embed_places(places)
-    for k in some:
-        alone = network.encode_places(places, np.array([k]), vectors).embeddings[0]
-        assert alone == pytest.approx(together[k], abs=1e-5)
+def assert_equal(found, expected, rel=1e-4):
+    assert found.logit == pytest.approx(expected.logit, rel=rel, abs=1e-4)
+    assert found.residual == pytest.approx(expected.residual, rel=rel, abs=1e-4)
+    assert found.cosine == pytest.approx(expected.cosine, abs=1e-4)
 
 
 def test_many_pairs_at_once_are_pairs_one_by_one(network, texts, places, words, some):
     for q in range(0, len(texts), 5):
         together = network.match(texts, q, places, some, words)
         assert together.logit.std() > 0.01  # places differ
-        for i, k in enumerate(some):
-            alone = network.match(texts, q, places, np.array([k]), words)
-            assert alone.logit[0] == pytest.approx(together.logit[i], rel=1e-4, abs=1e-4)
-            assert alone.cosine[0] == pytest.approx(together.cosine[i], abs=1e-4)
+        alone = [network.match(texts, q, places, np.array([k]), words) for k in some]
+        assert_equal(MatchScores(*map(np.concatenate, zip(*alone, strict=True))), together)
         assert together.probability == pytest.approx(1 / (1 + np.exp(-together.logit)))
 
 
 def shuffled_things(places, rng):
     """The same places; their things stand in another order."""
-    order = np.concatenate(
-        [a + rng.permutation(b - a) for a, b in zip(places.starts, places.starts[1:], strict=False)]
-    )
-    counts = np.diff(places.word_starts)
-    entry = np.concatenate(
-        [np.arange(places.word_starts[i], places.word_starts[i + 1]) for i in order]
-    )
+    starts = places.starts
+    order = [a + rng.permutation(b - a) for a, b in pairwise(starts)]
+    order = np.concatenate(order)
+    words = places.word_starts
+    entry = np.concatenate([np.arange(words[i], words[i + 1]) for i in order])
     return replace(
-        places,
-        offsets=places.offsets[order],
-        kinds=places.kinds[order],
-        word_starts=np.concatenate(([0], np.cumsum(counts[order]))),
-        words=places.words[entry],
-        weights=places.weights[entry],
-    )
+        places, offsets=places.offsets[order], kinds=places.kinds[order],
+        word_starts=np.concatenate(([0], np.cumsum(np.diff(words)[order]))),
+        words=places.words[entry], weights=places.weights[entry],
+    )  # fmt: skip
 
 
 def test_the_order_of_things_does_not_matter(network, texts, places, words, some, rng):
@@ -101,9 +97,7 @@ def test_the_order_of_things_does_not_matter(network, texts, places, words, some
     assert not np.array_equal(others.offsets, places.offsets)
     assert network.embed_places(others) == pytest.approx(network.embed_places(places), abs=1e-4)
     ours, theirs = (network.match(texts, 3, p, some, words) for p in (places, others))
-    assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
-    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
-    assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
+    assert_equal(theirs, ours)
 
 
 def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, places, some, said):
@@ -122,9 +116,7 @@ def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, 
         found.append((network.embed_texts(graphs), network.match(graphs, 0, places, some, words)))
     (first, ours), (second, theirs) = found
     assert second == pytest.approx(first, abs=1e-5)
-    assert theirs.logit == pytest.approx(ours.logit, rel=1e-4, abs=1e-4)
-    assert theirs.residual == pytest.approx(ours.residual, rel=1e-4, abs=1e-4)
-    assert theirs.cosine == pytest.approx(ours.cosine, abs=1e-4)
+    assert_equal(theirs, ours)
 
 
 class Watched(GraphTransformer):
@@ -141,7 +133,6 @@ def watched(network):
 
 
 def test_cross_attention_sees_the_partner(network, make_network, texts, places, words, some):
-    """The published code's does not: its text embedding is the same whatever the place (0.0)."""
     joint = watched(network)
     joint.match(texts, 0, places, some, words)
     (of_text,), (of_place,) = joint.seen["pool_text"], joint.seen["pool_place"]
@@ -175,8 +166,6 @@ def test_without_statements_only_the_embeddings_are_judged(
 
 
 def test_a_place_without_things_is_a_place(network, texts, harbour, words):
-    from placegraph.core.graph import SceneGraph
-
     none = np.zeros(0, np.int64)
     empty = SceneGraph((), (), np.zeros((0, 2)), none, none, ())
     places = places_of_graphs([empty], np.zeros((1, 2)))
@@ -185,7 +174,7 @@ def test_a_place_without_things_is_a_place(network, texts, harbour, words):
     assert np.isfinite(network.match(texts, 0, places, np.array([0]), words).logit).all()
 
 
-def test_words_that_no_training_saw_have_vectors(network):
+def test_unknown_words_have_vectors(network):
     vectors = network.word_vectors(("shop=zwirbelei", "~Ωmega", ""))
     assert vectors.shape == (3, network.shape.width)
     assert np.isfinite(vectors).all()
@@ -372,17 +361,13 @@ def test_word_vectors_that_do_not_fit_are_refused(tmp_path, knowing, arrays, say
         GraphTransformer.open(rewritten(path, arrays=arrays))
 
 
-def test_weights_are_small(file, made):
+def test_weights_are_small_and_their_fingerprint_is_of_the_arrays(file, made):
     numbers = sum(a.size for a in made.arrays.values())
     assert file.stat().st_size < 2 * numbers + 20_000
     full = sum(np.prod(size) for size in Shape().arrays().values())
     assert 2 * full < 4_000_000  # what may ship
-
-
-def test_fingerprints_tell_networks_apart(made):
-    other = dict(made.arrays)
-    other["judge.2.bias"] = other["judge.2.bias"] + 1.0
-    assert replace(made, arrays=other).fingerprint != made.fingerprint
+    bias = {"judge.2.bias": made.arrays["judge.2.bias"] + 1.0}
+    assert replace(made, arrays=made.arrays | bias).fingerprint != made.fingerprint
     assert replace(made, training={}).fingerprint == made.fingerprint
 
 
@@ -411,14 +396,19 @@ def test_the_shipped_network_is_sound():
         ({"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}}, r"other labels.*city train"),
         ({"meta": {"labels": None}}, r"other labels"),
         ({"meta": {"graphs": {"channels": ["north"]}}}, r"other graphs"),
-        ({"meta": {"shape": None}}, r"do not fit together"),
-        ({"meta": {"shape": {"width": "wide"}}}, r"do not fit together"),
-        ({"meta": {"shape": {"width": 1 << 40}}}, r"do not fit together"),
-        ({"meta": {"shape": {"depth": 3}}}, r"do not fit together"),
-        ({"meta": {"shape": []}}, r"do not fit together"),
-        ({"meta": {"shape": {"heads": 0}}}, r"do not fit together"),
-        ({"meta": {"shape": {"width": 48, "heads": 5}}}, r"do not fit together"),
-        ({"meta": {"shape": {"layers": -1}}}, r"do not fit together"),
+        *(
+            ({"meta": {"shape": shape}}, r"do not fit together")
+            for shape in (
+                None,
+                [],
+                {"width": "wide"},
+                {"width": 1 << 40},
+                {"depth": 3},
+                {"heads": 0},
+                {"width": 48, "heads": 5},
+                {"layers": -1},
+            )
+        ),
         ({"meta": {"training": 3}}, r"do not fit together"),
         ({"arrays": {"table": None}}, r"'table' is missing"),
         ({"arrays": {"table": np.zeros((64, 4), np.float16)}}, r"table has shape \(64, 4\)"),
@@ -431,18 +421,13 @@ def test_what_does_not_fit_is_refused(file, changes, says):
         GraphTransformer.open(rewritten(file, **changes))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
-def test_a_file_that_is_cut_off_is_refused(file, share):
+def test_damaged_files_are_refused(file, rng):
     data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(PlacegraphError, match=r"some\.weights"):
-        read_weights(file)
-
-
-def test_a_flipped_bit_is_noticed(file, rng):
-    data = file.read_bytes()
-    for at in rng.integers(len(data), size=6):
-        file.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
+    cut = [data[: int(share * len(data))] for share in (0.0, 0.01, 0.5, 0.999)]
+    places = rng.integers(len(data), size=6)
+    flipped = [data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :] for at in places]
+    for content in cut + flipped:
+        file.write_bytes(content)
         with pytest.raises(PlacegraphError, match=r"some\.weights"):
             read_weights(file)
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Status
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.language.text import Ignored
 from placegraph.outdoor.language.description import (
@@ -162,15 +163,15 @@ class _Surroundings:
     """(L,)"""
     pairs: NDArray[np.int64]
     """(2, M) labels, and the places that have such objects around."""
-    expected: NDArray[np.float64]
+    expected: Floats
     """(5, M) numbers, in any direction and in each of `COMPASS`."""
     names: list[str]
     """(N,)"""
-    named: NDArray[np.float64]
+    named: Floats
     """(N, K)"""
 
     @classmethod
-    def of_positions(cls, city: City, positions: NDArray[np.float64]) -> _Surroundings:
+    def of_positions(cls, city: City, positions: Floats) -> _Surroundings:
         """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
         views, objects = city.views, city.objects
         nearest = np.maximum(views.nearest(positions), 0)
@@ -208,9 +209,7 @@ def _renumber(keys: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArra
     return there, number[keys]
 
 
-def _rank_yes_no_questions(
-    weights: NDArray[np.float64], around: _Surroundings
-) -> Iterator[Question]:
+def _rank_yes_no_questions(weights: Floats, around: _Surroundings) -> Iterator[Question]:
     """Rank questions whether an object is around."""
     vocabulary = Vocabulary.default()
     label, place = around.pairs
@@ -240,7 +239,7 @@ def _entropy(yes: Any) -> Any:  # noqa: ANN401  # a number, or an array
     return -(yes * np.log(yes) + (1.0 - yes) * np.log1p(-yes))
 
 
-def _make_choice_question(weights: NDArray[np.float64], around: _Surroundings) -> list[Question]:
+def _make_choice_question(weights: Floats, around: _Surroundings) -> list[Question]:
     """Make at most one choice question, of names that together cover the likeliest places."""
     left = weights.copy()
     sure = np.minimum(around.named, 1.0)
@@ -267,10 +266,10 @@ def _make_choice_question(weights: NDArray[np.float64], around: _Surroundings) -
     return [Question(text, (*names, NONE), subjects, compute_gain(weights, answered))]
 
 
-def compute_gain(weights: NDArray[np.float64], options: NDArray[np.float64]) -> float:
+def compute_gain(weights: Floats, options: Floats) -> float:
     """Compute the mutual information [nat] of the place (K,) and the answer (O, K)."""
 
-    def entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def entropy(p: Floats) -> Floats:
         return np.asarray(-(p * np.log(np.maximum(p, 1e-12))).sum(axis=0))
 
     return float(entropy(options @ weights) - entropy(options) @ weights)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query
@@ -38,7 +39,7 @@ class Ranking(NamedTuple):
     """(k,) rows of `city.cells.points`."""
     cells: tuple[str, ...]
     """(k,) their ids."""
-    scores: NDArray[np.float64]
+    scores: Floats
     """(k,) larger is better; what they are depends on the matcher: log-likelihood ratio, log odds,
     cosine, or minus edit distance."""
 
@@ -101,9 +102,7 @@ def search_cells(request: Request) -> Posterior:
     return apply_bayes(centers[rows], fits - total, log_prior[rows], rest - total)
 
 
-def rank_cells(
-    request: Request, timeout: float = TIMEOUT
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def rank_cells(request: Request, timeout: float = TIMEOUT) -> tuple[NDArray[np.int64], Floats]:
     """Rows (K,) of `city.cells.points` of all candidates, and their scores (K,)."""
     rows = find_candidate_cells(request)
     if not len(rows):
@@ -122,7 +121,7 @@ def rank_cells(
             return rows, _relational(request, rows)
 
 
-def _by_edits(request: Request, rows: NDArray[np.int64], timeout: float) -> NDArray[np.float64]:
+def _by_edits(request: Request, rows: NDArray[np.int64], timeout: float) -> Floats:
     """Minus the edit distances (K,) of cells."""
     from placegraph.outdoor.search.edit_distance import rank
 
@@ -137,7 +136,7 @@ def _by_edits(request: Request, rows: NDArray[np.int64], timeout: float) -> NDAr
     return scores
 
 
-def _relational(request: Request, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def _relational(request: Request, rows: NDArray[np.int64]) -> Floats:
     """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network if `fused`."""
     city, scores = request.city, np.full(len(rows), -1e9)
     views = find_views_in_cells(city, rows)

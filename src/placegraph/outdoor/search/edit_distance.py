@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import DescriptionError, MissingExtraError, OptionError
 from placegraph.outdoor.language.description import (
@@ -145,7 +146,7 @@ DELETED = -1
 class Problem:
     """Assignment of text nodes (rows) to cell nodes (columns), each to at most one."""
 
-    cost: NDArray[np.float64]
+    cost: Floats
     """(M, N) cost of matching a text node with a cell node; infinite where that is impossible."""
     text_edges: tuple[Edge, ...]
     cell_edges: tuple[Edge, ...]
@@ -325,7 +326,7 @@ class Ranked(NamedTuple):
 
     rows: NDArray[np.int64]
     """(K,) rows of the graphs."""
-    costs: NDArray[np.float64]
+    costs: Floats
     """(K,) their distances."""
     exact: NDArray[np.bool_]
     """(K,)"""

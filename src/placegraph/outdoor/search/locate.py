@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place
-from placegraph.core.geometry import angle_between, bearing
+from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -81,7 +81,7 @@ def search_views(request: Request) -> Posterior:
     return compute_posterior(request, scored)
 
 
-Explain = Callable[[NDArray[np.float64]], tuple[Evidence, ...]]
+Explain = Callable[[Floats], tuple[Evidence, ...]]
 """Computes the evidence at a position (2,) [m]."""
 MAX_SUPPORT = 4000
 """Largest number of points of the posterior in an estimate."""
@@ -160,7 +160,7 @@ def name_bearing(angle: float) -> str:
     return WINDS[round(angle / (np.pi / 4)) % 8]
 
 
-def find_evidence(position: NDArray[np.float64], city: City, query: Query) -> tuple[Evidence, ...]:
+def find_evidence(position: Floats, city: City, query: Query) -> tuple[Evidence, ...]:
     """Find the evidence of every statement at a position (2,) [m]; unused statements come last."""
     unused = tuple(
         Evidence(quote_statement(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
@@ -176,7 +176,7 @@ def find_evidence(position: NDArray[np.float64], city: City, query: Query) -> tu
 
 
 def score_positions(
-    positions: NDArray[np.float64], city: City, query: Query
+    positions: Floats, city: City, query: Query
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Score the statements used at positions (N, 2) [m].
 
@@ -197,12 +197,7 @@ def score_positions(
 
 
 def _make_evidence(
-    statement: Statement,
-    ratio: float,
-    rows: list[int],
-    position: NDArray[np.float64],
-    city: City,
-    query: Query,
+    statement: Statement, ratio: float, rows: list[int], position: Floats, city: City, query: Query
 ) -> Evidence:
     verdict = "for" if ratio > DECISIVE else "against" if ratio < -DECISIVE else "silent"
     delta, error = _compute_offset(statement, rows, position, city)
@@ -228,7 +223,7 @@ def _make_evidence(
 
 
 def _find_distant_object(
-    statement: Statement, position: NDArray[np.float64], city: City, query: Query
+    statement: Statement, position: Floats, city: City, query: Query
 ) -> list[int]:
     """Find the nearest rare object out of sight that a statement may mention."""
     far = query.distant
@@ -244,8 +239,8 @@ def _find_distant_object(
 
 
 def _compute_offset(
-    statement: Statement, rows: list[int], position: NDArray[np.float64], city: City
-) -> tuple[NDArray[np.float64], float]:
+    statement: Statement, rows: list[int], position: Floats, city: City
+) -> tuple[Floats, float]:
     """Compute the vector (2,) [m] from the target object to the source object, and its error.
 
     The error is the angle [rad] by which a stated direction is wrong, 0 without one.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.core.jit import kernel
 from placegraph.errors import StoreError
 from placegraph.outdoor.likelihood.bound_kernels import (
@@ -45,11 +46,11 @@ class Candidates(NamedTuple):
 
     rows: NDArray[np.int32]
     """(K,) rows of `city.views`."""
-    bounds: NDArray[np.float64]
+    bounds: Floats
     """(K,) bounds on the likelihood ratio, times the prior against the largest."""
     distant: NDArray[np.float32]
     """(K, S) likelihood that objects out of sight add to each statement."""
-    multiplicity: NDArray[np.float64]
+    multiplicity: Floats
     """(K,) 0, or the number of viewpoints that a sample represents, itself included."""
 
     @classmethod
@@ -73,11 +74,8 @@ class Candidates(NamedTuple):
 
 
 def select_by_bound(
-    bounds: NDArray[np.float64],
-    multiplicity: NDArray[np.float64],
-    most: int,
-    samples: int = MAX_SAMPLES,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    bounds: Floats, multiplicity: Floats, most: int, samples: int = MAX_SAMPLES
+) -> tuple[NDArray[np.int64], Floats]:
     """Select the `most` candidates of largest bound, and samples that represent all others.
 
     Columns (K,) are those of `Candidates`; returns the rows, and their new multiplicity.
@@ -116,11 +114,7 @@ def find_candidates(request: Request, samples: int = MAX_SAMPLES, least: float =
 
 
 def _add_distant(
-    request: Request,
-    far: DistantObjects,
-    weights: NDArray[np.float64],
-    candidates: Candidates,
-    samples: int,
+    request: Request, far: DistantObjects, weights: Floats, candidates: Candidates, samples: int
 ) -> Candidates:
     """Add viewpoints around rare objects out of sight, and what those add to each statement."""
     statements, city = request.query.statements, request.city
@@ -256,7 +250,7 @@ class ScoredViews(NamedTuple):
     """(K,) rows of `city.views`."""
     scores: NDArray[np.float32]
     """(K,) log-likelihood ratios."""
-    log_prior: NDArray[np.float64]
+    log_prior: Floats
     """(K,)"""
     distant: NDArray[np.float32]
     """(K, S) likelihood that objects out of sight add to each statement."""
@@ -313,7 +307,7 @@ def _estimate_rest(request: Request, samples: Candidates, scored: ScoredViews) -
     return total + float(np.log(max(1e-300, rest)))
 
 
-def are_samples_enough(weights: NDArray[np.float64], drawn: int, near: float) -> bool:
+def are_samples_enough(weights: Floats, drawn: int, near: float) -> bool:
     """Whether chance alters the probability of the best place by no more than `TOLERANCE`.
 
     `weights` (K,) are those of the first of `drawn` samples, as shares of what was scored for
@@ -350,14 +344,14 @@ def rerank(request: Request, scored: ScoredViews) -> ScoredViews:
 class Posterior:
     """Probability of viewpoints; what is missing to 1 lies elsewhere, or was not scored."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """(K, 2) east, north [m]."""
-    probabilities: NDArray[np.float64]
+    probabilities: Floats
     """(K,)"""
     elsewhere: float
     """Probability that the place is not on this map, or that the text is not about one."""
 
-    def mass_within(self, position: NDArray[np.float64], radius: float) -> float:
+    def mass_within(self, position: Floats, radius: float) -> float:
         """Return the probability of a place within `radius` [m] of a position (2,)."""
         east, north = (self.positions - position).T
         return float(self.probabilities[east * east + north * north <= radius * radius].sum())
@@ -386,7 +380,7 @@ def compute_posterior(request: Request, scored: ScoredViews) -> Posterior:
 
 def score_around(
     request: Request, rows: NDArray[np.int32], added: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Score fine positions (B, 9, 2) [m] around viewpoints (B,); return these and their scores (B, 9)."""
     positions = request.city.views.positions_of(rows).astype(np.float64)[:, None] + FINE_OFFSETS
     seen = request.city.in_sight(rows)
@@ -412,12 +406,7 @@ PRIOR_ELSEWHERE = 0.03
 """Prior probability that the place is not on the map."""
 
 
-def apply_bayes(
-    positions: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    log_prior: NDArray[np.float64],
-    log_rest: float,
-) -> Posterior:
+def apply_bayes(positions: Floats, scores: Floats, log_prior: Floats, log_rest: float) -> Posterior:
     """Apply Bayes' rule to viewpoints.
 
     `scores` (K,) are log-likelihood ratios against anywhere, `log_prior` (K,) log shares of the
@@ -444,9 +433,9 @@ NUM_SEEDS = 32
 class Mode:
     """A peak of the posterior."""
 
-    position: NDArray[np.float64]
+    position: Floats
     """(2,) east, north [m]."""
-    covariance: NDArray[np.float64]
+    covariance: Floats
     """(2, 2) [m^2]."""
     probability: float
 
@@ -478,13 +467,13 @@ def rank_modes(posterior: Posterior, top: int, spacing: float) -> list[Mode]:
 
 @kernel(finite=True)
 def find_peaks(  # noqa: C901, PLR0912  # one compiled loop
-    positions: NDArray[np.float64],
-    probabilities: NDArray[np.float64],
+    positions: Floats,
+    probabilities: Floats,
     seeds: NDArray[np.int64],
     most: int,
     separation: float,
     radius: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats, Floats]:
     """Find up to `most` peaks, those with most mass around first: positions, covariances, masses.
 
     A peak is the mean of what is not more than `separation` [m] from one of the `seeds`, since peaks
@@ -536,7 +525,7 @@ def find_peaks(  # noqa: C901, PLR0912  # one compiled loop
 
 
 @kernel(inline="always")
-def _is_near(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> bool:
+def _is_near(a: Floats, b: Floats, reach: float) -> bool:
     """Whether two points (2,) lie within a distance."""
     east, north = a[0] - b[0], a[1] - b[1]
     return east * east + north * north <= reach * reach

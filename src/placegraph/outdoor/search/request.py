@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import angle_between, bearing
+from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.errors import OptionError
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
@@ -52,7 +52,7 @@ class Route(NamedTuple):
     distance: float | None = None
     """[m], where the text states one."""
 
-    def likelihood_ratio(self, delta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def likelihood_ratio(self, delta: Floats) -> Floats:
         """Return the likelihood ratio (W,) of positions (W, 2) [m] from the listener, against anywhere."""
         sigma = 0.9 * self.sigma
         off = np.exp(-0.5 * (angle_between(bearing(delta), self.bearing) / sigma) ** 2)
@@ -65,7 +65,7 @@ class Route(NamedTuple):
         return np.asarray(ring / area * 1e6 / np.maximum(_walk_density(far), 1e-6))
 
 
-def _walk_density(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _walk_density(distance: Floats) -> Floats:
     """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
     return np.asarray(
         np.exp(-0.5 * (distance / WALKING_SIGMA) ** 2) * 1e6 / (2.0 * np.pi * WALKING_SIGMA**2)
@@ -76,15 +76,15 @@ def _walk_density(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 class LocationPrior:
     """Prior of the speaker's place; every part is optional."""
 
-    near: NDArray[np.float64] | None = None
+    near: Floats | None = None
     """(2,) east, north [m] the speaker is near."""
     radius: float = 1000.0
     """Radius around `near` that holds half of the probability [m]."""
-    listener: NDArray[np.float64] | None = None
+    listener: Floats | None = None
     """(2,) east, north [m] of "you"."""
     routes: tuple[Route, ...] = ()
     """Ways from the listener to the speaker."""
-    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
+    inside: Callable[[Floats], NDArray[np.bool_]] | None = None
     """Whether the speaker may be at positions (K, 2) [m]; anywhere if not given."""
 
     @classmethod
@@ -115,7 +115,7 @@ class LocationPrior:
             city.views.near(self.near, 4.0 * self.radius + REACH)
         )
 
-    def evaluate(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evaluate(self, positions: Floats) -> Floats:
         """Return the log prior probability (W,) of all viewpoints of a map at positions (W, 2) [m].
 
         Without any knowledge the prior is uniform; it is -inf where the speaker cannot be. `near` shifts
@@ -143,7 +143,7 @@ class LocationPrior:
                 prior += np.log(route.certainty * ratio + (1.0 - route.certainty) + 0.05)
         return prior
 
-    def evaluate_views(self, views: ViewIndex) -> NDArray[np.float64]:
+    def evaluate_views(self, views: ViewIndex) -> Floats:
         """Return the log prior (W,) of all viewpoints, summing to at most 1; empty if nothing is known."""
         if not self.is_informative:
             return np.zeros(0)
@@ -153,7 +153,7 @@ class LocationPrior:
         return log_prior - (mass if self.listener is not None else max(0.0, mass))
 
 
-def share_views(city: City, near: Sequence[float], radius: float) -> NDArray[np.float64]:
+def share_views(city: City, near: Sequence[float], radius: float) -> Floats:
     """Return the prior probability (W,) of all viewpoints near a place, summing to at most 1.
 
     Raises `OptionError` where the place lies on the map only if its numbers are swapped.
@@ -192,7 +192,7 @@ def is_count(value: object) -> bool:
     return isinstance(value, int | np.integer) and value is not True and bool(value >= 1)
 
 
-def to_position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:
+def to_position(city: City, lonlat: Sequence[float], name: str) -> Floats:
     """Convert a longitude and latitude [deg] to east and north (2,) [m]; raises `OptionError`."""
     numbers = [to_number(x) for x in lonlat] if np.iterable(lonlat) else []
     if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
@@ -215,7 +215,7 @@ def hint_swapped(city: City, lonlat: Sequence[float]) -> str:
     return f" Swapped, it lies on the map: longitude comes first, {longitude},{latitude}."
 
 
-def find_in_region(city: City, positions: NDArray[np.float64], region: Region) -> NDArray[np.bool_]:
+def find_in_region(city: City, positions: Floats, region: Region) -> NDArray[np.bool_]:
     """Find which positions (K, 2) [m] lie in a region."""
     region.checked()
     longitude, latitude = city.plane.to_lonlat(positions).T
@@ -381,7 +381,7 @@ class Request:
         return self.query.token_weights(len(self.city.views.share))
 
     @cached_property
-    def log_prior(self) -> NDArray[np.float64]:
+    def log_prior(self) -> Floats:
         """Log prior (W,) of all viewpoints, or nothing where nothing is known."""
         return self.prior.evaluate_views(self.city.views)
 
@@ -391,7 +391,7 @@ class Request:
         views = len(self.city.views)
         return float(self.log_prior.max()) if len(self.log_prior) else -float(np.log(views))
 
-    def relative(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def relative(self, rows: NDArray[np.int32]) -> Floats:
         """Return the log prior (K,) of viewpoints, against the largest."""
         known = len(self.log_prior) > 0
         return self.log_prior[rows] - self.highest if known else np.zeros(len(rows))
@@ -411,7 +411,7 @@ class Request:
         """Embedding (1, D) of the text graph (Eq. 9)."""
         return self.encoded.network.embed_texts(self.text.graphs)
 
-    def inside(self, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def inside(self, positions: Floats) -> NDArray[np.bool_]:
         """Find which positions (K, 2) [m] lie in the region of `matching`."""
         region = self.matching.region
         if region is None:
