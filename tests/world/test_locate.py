@@ -179,7 +179,7 @@ def test_rooms_are_asked_for_where_the_building_is_known(world):
 def test_contradictions_are_told_of_what_is_ambiguous_too(world, films):
     estimate = world.locate("I am in the bakery", films["parlour"], refine=False)
     assert estimate.status is Status.AMBIGUOUS
-    assert "what was said of the outside is not so there" in estimate.reason
+    assert "the description of the outside does not fit" in estimate.reason
 
 
 def test_a_pose_in_a_merged_map_stands_where_its_own_part_does(world, films):

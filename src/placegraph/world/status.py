@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import angle_between
-from placegraph.indoor.status import SURE_SCENE as SURE
+from placegraph.indoor.status import SURE_SCENE, diagnostics_of
 from placegraph.world.evidence import list_rooms
 from placegraph.world.sentence import compare_floors
 
@@ -31,9 +31,9 @@ MAX_HEADING_ERROR = float(np.radians(60.0))
 def decide_by_text(
     world: World, query: WorldQuery, evidence: WorldEvidence, modes: list[WorldMode], elsewhere: float
 ) -> tuple[Status, str]:  # fmt: skip
-    """Return the status and reason of modes, best first, that a text and a location prior tell."""
+    """Decide on modes, best first, by a text and a location prior; return status and reason."""
     if not modes:
-        why = evidence.obstacle or "Nothing that was said can be found on these maps."
+        why = evidence.obstacle or "These maps hold nothing that the text mentions."
         return Status.LOST, why
     best = modes[0]
     where, share = best.where, f"({best.probability:.0%})"
@@ -47,17 +47,21 @@ def decide_by_text(
         held = best.probability / max(best.place.probability, 1e-9)
         rooms = " No mapped room fits." if evidence.is_indoors and evidence.scenes else ""
         why = town.reason
-        if held < SURE and town.status is not Status.LOST:  # its reason speaks of the town alone
+        if (
+            held < SURE_SCENE and town.status is not Status.LOST
+        ):  # its reason speaks of the town alone
             why = f"The best place holds only {best.probability:.0%} of the probability."
-        is_sure = town.status is Status.OK and held >= SURE
+        is_sure = town.status is Status.OK and held >= SURE_SCENE
         return Status.OK if is_sure else Status.AMBIGUOUS, why + rooms
     of_scene = sum(m.probability for m in modes if m.scene == best.scene)
-    if of_scene >= SURE and evidence.scenes[best.scene].ratio < 0:
-        return Status.AMBIGUOUS, f"{where} fits best {share}, but not what was said."
-    if best.probability >= SURE and (best.room or len(list_rooms(world.library, best.scene)) == 1):
+    if of_scene >= SURE_SCENE and evidence.scenes[best.scene].ratio < 0:
+        return Status.AMBIGUOUS, f"{where} fits best {share}, but the description does not fit it."
+    if best.probability >= SURE_SCENE and (
+        best.room or len(list_rooms(world.library, best.scene)) == 1
+    ):
         return Status.OK, f"{where} fits {share}."
-    if of_scene >= SURE:
-        why = f"{best.scene} fits ({of_scene:.0%}); which room of it was not told."
+    if of_scene >= SURE_SCENE:
+        why = f"{best.scene} fits ({of_scene:.0%}); the text does not tell which room."
         return Status.AMBIGUOUS, why
     rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
     others = f"; so may {'; '.join(rivals)}" if rivals else ""
@@ -67,24 +71,25 @@ def decide_by_text(
 def decide_by_frames(
     best: PoseEstimate, mode: WorldMode, evidence: WorldEvidence, query: WorldQuery
 ) -> tuple[Status, str]:
-    """Return the status and reason of the best pose, unless all else contradicts it."""
+    """Decide on the best pose: its own status, unless other evidence contradicts it."""
     where = f"In {mode.where}: {best.reason}"
     against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
-    if not against or "not what was said" in best.reason:
+    unmet = diagnostics_of(best).unmet
+    if not against or (unmet and unmet in best.reason):
         return best.status, where
     also = "But" if best.status is Status.OK else "And"
     return Status.AMBIGUOUS, f"{where} {also} {' and '.join(against)}."
 
 
 def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -> list[str]:
-    """Return what does not fit a pose, in words."""
+    """Find evidence that contradicts a pose; return it in words."""
     out = []
     if w.outside < 0:
-        out.append("what was said of the outside is not so there")
+        out.append("the description of the outside does not fit")
     if w.inside < 0 and not any(e.verdict == "for" for e in mode.evidence if not e.objects):
-        out.append("what was said of the room is not so there")
+        out.append("the description of the room does not fit")
     if mode.level and compare_floors(w.floors, mode.level) < MIN_FLOOR_RATIO:
-        out.append(f"level {mode.level} is not the floor that was said")
+        out.append(f"level {mode.level} is not the stated floor")
     if query.near is not None and w.anchors and w.near < MIN_FIX_FIT:
         out.append("it is far from the fix")
     if query.heading is not None and mode.earth is not None:
@@ -97,13 +102,13 @@ def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -
 def decide_without_frames(
     best: PoseEstimate, by_text: WorldEstimate | None, left: Sequence[WorldMode]
 ) -> tuple[Status, str]:
-    """Return the status and reason where frames fit in no scene that was looked into.
+    """Decide where frames fit none of the searched scenes.
 
-    `left` are modes by the text and the location prior in other places; they are never sure.
+    `left` are modes by the text and the location prior in other places; they are never `OK`.
     """
     if by_text is None:
         return Status.LOST, best.reason
-    reason = f"The frames fit in none of the scenes that were looked into: {best.reason}"
+    reason = f"The frames fit none of the searched scenes: {best.reason}"
     is_open = bool(left) and by_text.status is not Status.LOST
     return Status.AMBIGUOUS if is_open else Status.LOST, reason
 
@@ -111,10 +116,7 @@ def decide_without_frames(
 def limit_status(
     estimate: WorldEstimate, world: World, query: WorldQuery, searched: Mapping[str, TownMatch]
 ) -> tuple[Status, str]:
-    """Return the status and reason, given what was not searched and where the location prior is off.
-
-    Where a part that matters was not searched, nothing is sure.
-    """
+    """Limit a status where parts that matter were not searched; explain a location prior off the maps."""
     reason, status = estimate.reason, estimate.status
     if query.near is not None and status is not Status.OK:
         hints = [t.explain_prior(query.near, query.radius) for t in world.towns.values()]
@@ -122,7 +124,7 @@ def limit_status(
             reason = f"{reason} The fix is on none of the maps.{next(filter(None, hints), '')}"
     gaps = [town.gap for town in searched.values() if town.gap]
     is_short = bool(gaps) and status is Status.OK
-    if gaps and status is Status.LOST:  # nothing is known of what was not searched
+    if gaps and status is Status.LOST:  # other parts were not searched
         gaps, reason = [*gaps, f"In what was, {reason[:1].lower()}{reason[1:]}"], ""
     parts = filter(None, [reason, *gaps, *(town.cost for town in searched.values())])
     return Status.AMBIGUOUS if is_short else status, " ".join(parts)
