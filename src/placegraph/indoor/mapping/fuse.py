@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,8 +19,8 @@ from placegraph.core.threads import run_parallel
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse_kernels import (
-    SIDE,
     SIZE,
+    Blocks,
     compute_facets,
     find_farthest,
     find_visible,
@@ -142,16 +143,20 @@ def find_good_poses(poses: Floats) -> NDArray[np.bool_]:
 
 FIRST = 4096  # Blocks that there is room for at first
 BLOCK = 24 * SIZE  # Bytes of a block, less a few for its place
-TILE = 8  # Edge of the squares of pixels of which the farthest reading is kept [px]
 STEP = 2  # Every such line and column of the depth calls for blocks
 BRIGHTNESS_STEP = 4  # Likewise, for comparing brightness
 ENOUGH = 200  # Places that brightness must be compared at
 DARKEST, BRIGHTEST = 0.5, 2.0  # What an image is multiplied by, at most
-BAND = 2.0  # Colour is taken this near to the surface [voxels]
 
 
 class FullError(Exception):
     """The volume would outgrow its memory; caught within fusion."""
+
+
+def make_hash(room: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Make an empty hash, keys and rows (K,), for so many blocks."""
+    size = 1 << int(np.ceil(np.log2(4 * room)))
+    return np.full(size, -1, np.int64), np.zeros(size, np.int32)
 
 
 class Volume:
@@ -159,41 +164,35 @@ class Volume:
 
     def __init__(self, voxel: float, truncation: float, memory: float) -> None:
         """Empty volume of voxels of this edge [m], that may take `memory` bytes."""
-        self.voxel, self.truncation = voxel, truncation
         self.most = max(int(memory / BLOCK), 1)
         self.count = 0
         room = min(FIRST, self.most)
-        self.places = np.zeros((room, 3), np.int32)
-        """(B, 3) whole coordinates of blocks; the first `count` are used, here and below."""
-        self.distance = np.zeros((room, SIZE), np.float32)
-        """[m], positive in front of surfaces, cut at the truncation"""
-        self.weight = np.zeros((room, SIZE), np.float32)
-        """sum of cos(incidence) / depth^4 of the views [1 / m^4]"""
-        self.colour = np.zeros((room, SIZE, 3), np.float32)
-        """mean sRGB near surfaces, 0 to 255"""
-        self.paint = np.zeros((room, SIZE), np.float32)
-        """weight of the colour"""
-        self.rehash()
-
-    def rehash(self) -> None:
-        """Make a hash with room for all blocks."""
-        size = 1 << int(np.ceil(np.log2(4 * len(self.places))))
-        self.keys = np.full(size, -1, np.int64)
-        self.rows = np.zeros(size, np.int32)
-        kernels.rehash(self.keys, self.rows, self.places, self.count)
+        self.blocks = Blocks(
+            *make_hash(room),
+            places=np.zeros((room, 3), np.int32),
+            distance=np.zeros((room, SIZE), np.float32),
+            weight=np.zeros((room, SIZE), np.float32),
+            colour=np.zeros((room, SIZE, 3), np.float32),
+            paint=np.zeros((room, SIZE), np.float32),
+            voxel=float(voxel),
+            truncation=float(truncation),
+        )
 
     def grow(self) -> None:
         """Make room for more blocks; `FullError` where memory ends."""
-        room = len(self.places)
+        room = len(self.blocks.places)
         if room >= self.most:
             raise FullError
         more = min(room + room // 2, self.most)
+        columns: dict[str, Any] = self.blocks._asdict()
+        del self.blocks  # else no column would be freed before all are copied
         for name in ("places", "distance", "weight", "colour", "paint"):
-            old: NDArray[np.float32] = getattr(self, name)
-            wider = np.zeros((more, *old.shape[1:]), old.dtype)
-            wider[:room] = old
-            setattr(self, name, wider)
-        self.rehash()
+            old = columns[name]
+            columns[name] = np.zeros((more, *old.shape[1:]), old.dtype)
+            columns[name][:room] = old
+        columns["keys"], columns["rows"] = make_hash(more)
+        self.blocks = Blocks(**columns)
+        kernels.rehash(self.blocks, self.count)
 
     @property
     def bytes(self) -> int:
@@ -206,59 +205,39 @@ class Volume:
         `facets`: (h, w, 6) of `compute_facets`. Raises `FullError` where memory ends.
         """
         pose, depth_eye = view.map_from_camera, view.eyes[0]
-        edge = SIDE * self.voxel
         while True:
-            count = kernels.allocate_blocks(
-                self.keys, self.rows, self.places, self.count, len(self.places), facets, depth_eye,
-                pose, edge, self.truncation, STEP,
-            )  # fmt: skip
+            count = kernels.allocate_blocks(self.blocks, self.count, facets, depth_eye, pose, STEP)
             self.count = count if count >= 0 else -1 - count
             if count >= 0:
                 break
             self.grow()
         gain = self.measure_gain(view, facets) if gains else 1.0
         back = np.linalg.inv(pose)
-        far = find_farthest(facets, TILE)
-        chosen = find_visible(
-            self.places,
-            self.count,
-            edge,
-            far,
-            TILE,
-            depth_eye,
-            facets.shape[:2],
-            back,
-            self.truncation,
-        )
+        far = find_farthest(facets)
+        chosen = find_visible(self.blocks, self.count, far, depth_eye, facets.shape[:2], back)
         run_parallel(
-            kernels.integrate, len(chosen), self.distance, self.weight, self.colour, self.paint,
-            self.places, chosen, self.voxel, self.truncation, facets, view.image, gain, view.eyes,
-            back, BAND * self.voxel,
+            kernels.integrate, len(chosen), self.blocks, chosen, facets, view.image, gain, view.eyes,
+            back,
         )  # fmt: skip
         return gain
 
     def measure_gain(self, view: View, facets: NDArray[np.float32]) -> float:
         """Return the factor from an image's brightness to the model's; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
-            self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
-            view.map_from_camera, BRIGHTNESS_STEP, 0.0,
-        )  # fmt: skip
-        return (
-            float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
+            self.blocks, facets, view.image, view.eyes, view.map_from_camera, BRIGHTNESS_STEP
         )
+        if len(ratios) < ENOUGH:
+            return 1.0
+        return float(np.clip(np.median(ratios), DARKEST, BRIGHTEST))
 
     def measure_gaps(self, points: Floats) -> NDArray[np.float32]:
         """Return distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
-        return kernels.measure_gaps(
-            self.keys, self.rows, self.distance, self.weight, self.voxel, self.truncation, points
-        )
+        return kernels.measure_gaps(self.blocks, points)
 
 
 Ints = NDArray[np.int64]
 Colours = NDArray[np.uint8]
 
-STEEPEST = 1.0
-"""Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
 NOTHING = 1e-12  # Triangles of no more than this are none [m^2]
 
 
@@ -270,18 +249,16 @@ def extract_surface(
     `least` and `speck` as of `FuseOptions`. All are empty where the volume shows no surface.
     """
     loop_of, loops = make_loop_tables()
-    count = volume.count
-    around = kernels.find_neighbours(volume.keys, volume.rows, volume.places, count)
-    cases, crossed, sizes = kernels.find_cells(
-        around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loops
-    )
+    blocks, count = volume.blocks, volume.count
+    around = kernels.find_neighbours(blocks, count)
+    # neighbouring voxels differ by one voxel at most, and by noise; not by a truncation
+    cases, crossed, sizes = kernels.find_cells(around, blocks, least, loops)
     starts = _sum_sizes(sizes)
     points, colours, first = kernels.make_vertices(
-        around, volume.places, volume.distance, volume.colour, volume.paint, cases, crossed,
-        starts, loop_of, loops, volume.voxel,
-    )  # fmt: skip
+        around, blocks, cases, crossed, starts, loop_of, loops
+    )
     none = np.zeros((0, 4), np.int32)
-    grid = around, volume.distance, cases, crossed, first, loop_of
+    grid = around, blocks.distance, cases, crossed, first, loop_of
     ends = _sum_sizes(kernels.make_quads(*grid, np.zeros(count, np.int64), none))
     quads = np.empty((ends[-1], 4), np.int32)
     kernels.make_quads(*grid, ends, quads)
@@ -496,11 +473,11 @@ class _Run:
         stats = FuseStats(
             seconds=perf_counter() - start,
             frames=len(self.seen_by),
-            voxel=volume.voxel,
+            voxel=volume.blocks.voxel,
             voxels=volume.count * SIZE,
             memory=volume.bytes,
             agreement=float(np.median(every)),
-            apart=float((every > 0.5 * volume.truncation).mean()),
+            apart=float((every > 0.5 * volume.blocks.truncation).mean()),
             residuals=residuals,
             gains=gains / middle,
             coarser=why,

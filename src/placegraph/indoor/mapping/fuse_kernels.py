@@ -1,13 +1,15 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled loops of the sparse volume: a hash of blocks, and views taken into them; see `volume`.
+"""Compiled loops of the sparse volume `fuse.Volume`: a hash of blocks, and views taken into them.
 
-A block is a cube of SIDE^3 voxels; its key packs its whole coordinates. The hash is open addressing
-over `keys` (K,) int64, -1 where free, and `rows` (K,) int32; K is a power of two.
+A block is a cube of SIDE^3 voxels; its key packs its whole coordinates. The hash is open addressing.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
 from placegraph.core.threads import run_parallel
@@ -16,6 +18,24 @@ SIDE = 8  # Voxels along the edge of a block
 SIZE = SIDE**3
 RANGE = 1 << 20  # Coordinates of blocks are below this, either way
 NEAR = 0.15  # Readings and voxels nearer than this are none [m]
+TILE = 8  # Edge of the squares of pixels of which the farthest reading is kept [px]
+BAND = 2.0  # Colour is taken this near to the surface [voxels]
+
+
+class Blocks(NamedTuple):
+    """Blocks of a volume, and their hash; room for B, the first of which are used."""
+
+    keys: NDArray[np.int64]  # (K,) of the hash, -1 where free; K is a power of two
+    rows: NDArray[np.int32]  # (K,) of the blocks with these keys
+    places: NDArray[np.int32]  # (B, 3) whole coordinates
+    distance: NDArray[np.float32]
+    """(B, SIZE) [m], positive in front of surfaces, cut at the truncation."""
+    weight: NDArray[np.float32]
+    """(B, SIZE) sum of cos(incidence) / depth^4 of the views [1 / m^4]."""
+    colour: NDArray[np.float32]  # (B, SIZE, 3) mean sRGB near surfaces, 0 to 255
+    paint: NDArray[np.float32]  # (B, SIZE) weight of the colour
+    voxel: float  # Edge of a voxel [m]
+    truncation: float  # Distances beyond this are cut [m]
 
 
 @kernel(inline="always")
@@ -46,17 +66,18 @@ def slot_of(keys, key):
 
 
 @kernel
-def row_of(keys, rows, x, y, z):
+def row_of(blocks, x, y, z):
     """Return row of the block at whole coordinates, -1: there is none."""
     if abs(x) >= RANGE or abs(y) >= RANGE or abs(z) >= RANGE:
         return -1
-    at = slot_of(keys, key_of(x, y, z))
-    return rows[at] if keys[at] != -1 else -1
+    at = slot_of(blocks.keys, key_of(x, y, z))
+    return blocks.rows[at] if blocks.keys[at] != -1 else -1
 
 
 @kernel
-def rehash(keys, rows, places, count):
-    """Fill an empty hash with the first `count` of the blocks at `places` (B, 3)."""
+def rehash(blocks, count):
+    """Fill the empty hash with the first `count` blocks."""
+    keys, rows, places = blocks.keys, blocks.rows, blocks.places
     for row in range(count):
         key = key_of(np.int64(places[row, 0]), np.int64(places[row, 1]), np.int64(places[row, 2]))
         at = slot_of(keys, key)
@@ -64,13 +85,15 @@ def rehash(keys, rows, places, count):
 
 
 @kernel(error_model="numpy")
-def allocate_blocks(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
-    """Give a block to every place within `band` [m] of a reading; count of blocks afterwards.
+def allocate_blocks(blocks, count, facets, eye, pose, step):
+    """Give a block to every place within the truncation of a reading; count of blocks afterwards.
 
-    Stops early, and says so by -1 - count, where `room` blocks are there: then give it more room and
-    call again. `facets`: see `compute_facets`; `eye`: fx, fy, cx, cy; `pose`: (4, 4)
-    map_from_camera; `edge`: of a block [m]; `step`: every such line and column is looked at.
+    Stops early, and says so by -1 - count, where the room ends: then give it more room and call again.
+    `facets`: see `compute_facets`; `eye`: fx, fy, cx, cy; `pose`: (4, 4) map_from_camera; `step`: every
+    such line and column is looked at.
     """
+    keys, rows, places = blocks.keys, blocks.rows, blocks.places
+    edge, band = SIDE * blocks.voxel, blocks.truncation
     h, w = facets.shape[:2]
     last = np.int64(-1)
     for v in range(step // 2, h, step):
@@ -97,7 +120,7 @@ def allocate_blocks(keys, rows, places, count, room, facets, eye, pose, edge, ba
                 slot = slot_of(keys, key)
                 if keys[slot] == key:
                     continue
-                if count == room:
+                if count == len(places):
                     return -1 - count
                 places[count, 0], places[count, 1], places[count, 2] = bx, by, bz
                 keys[slot], rows[slot] = key, count
@@ -106,18 +129,16 @@ def allocate_blocks(keys, rows, places, count, room, facets, eye, pose, edge, ba
 
 
 @kernel(error_model="numpy")
-def integrate(
-    distance, weight, colour, paint, places, chosen, voxel, truncation, facets, image, gain, eyes,
-    pose, band, first, last,
-):  # fmt: skip
+def integrate(blocks, chosen, facets, image, gain, eyes, pose, first, last):
     """Take one view into the blocks `chosen`, from `first` to `last` of them, in place.
 
-    `distance`, `weight`, `paint`: (B, SIZE) float32 signed distance [m], its weight, and that of the
-    colour; `colour`: (B, SIZE, 3) float32; `facets`: (h, w, 6), see `compute_facets`;
-    `image`: (H, W, 3) uint8; `gain`: what the image is multiplied by; `eyes`: (2, 4) fx, fy, cx, cy
-    of the depth and of the colour camera; `pose`: (4, 4) camera_from_map; `band`: colour is
-    taken within this distance of the surface [m].
+    `facets`: (h, w, 6), see `compute_facets`; `image`: (H, W, 3) uint8; `gain`: what the image is
+    multiplied by; `eyes`: (2, 4) fx, fy, cx, cy of the depth and of the colour camera; `pose`: (4, 4)
+    camera_from_map.
     """
+    places, voxel, truncation = blocks.places, blocks.voxel, blocks.truncation
+    distance, weight, colour, paint = blocks.distance, blocks.weight, blocks.colour, blocks.paint
+    band = BAND * voxel
     h, w = facets.shape[:2]
     tall, wide = image.shape[:2]
     sx, sy, sz = voxel * pose[0, 2], voxel * pose[1, 2], voxel * pose[2, 2]
@@ -168,8 +189,9 @@ def integrate(
 
 
 @kernel(error_model="numpy")
-def measure_gaps(keys, rows, distance, weight, voxel, truncation, points):
+def measure_gaps(blocks, points):
     """Measure distances (N,) [m] of points (N, 3) [m] from the surface; the truncation where none is near."""
+    voxel, truncation = blocks.voxel, blocks.truncation
     out = np.empty(len(points), np.float32)
     for i in range(len(points)):
         x, y, z = points[i, 0] / voxel - 0.5, points[i, 1] / voxel - 0.5, points[i, 2] / voxel - 0.5
@@ -177,25 +199,26 @@ def measure_gaps(keys, rows, distance, weight, voxel, truncation, points):
         total, sum_ = 0.0, 0.0
         for corner in range(8):
             a, b, c = x0 + (corner & 1), y0 + (corner >> 1 & 1), z0 + (corner >> 2)
-            row = row_of(keys, rows, a // SIDE, b // SIDE, c // SIDE)
+            row = row_of(blocks, a // SIDE, b // SIDE, c // SIDE)
             if row < 0:
                 continue
             at = (a % SIDE * SIDE + b % SIDE) * SIDE + c % SIDE
-            if weight[row, at] == 0:
+            if blocks.weight[row, at] == 0:
                 continue
             share = (1 - abs(x - a)) * (1 - abs(y - b)) * (1 - abs(z - c))
             total += share
-            sum_ += share * distance[row, at]
+            sum_ += share * blocks.distance[row, at]
         out[i] = min(abs(sum_ / total), truncation) if total > 0.5 else truncation
     return out
 
 
 @kernel(error_model="numpy")
-def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pose, step, least):
+def brightness_ratios(blocks, facets, image, eyes, pose, step):
     """Compare the model's brightness with the image's (N,) float32, where both are known.
 
-    Parameters as of `integrate` and `allocate_blocks`; `least`: paint that a voxel needs.
+    Parameters as of `integrate` and `allocate_blocks`.
     """
+    voxel = blocks.voxel
     h, w = facets.shape[:2]
     tall, wide = image.shape[:2]
     out = np.empty(((h + step - 1) // step) * ((w + step - 1) // step), np.float32)
@@ -218,14 +241,14 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
             mx, my, mz = transform(pose, px, py, z)
             a, b = np.int64(np.floor(mx / voxel)), np.int64(np.floor(my / voxel))
             c = np.int64(np.floor(mz / voxel))
-            row = row_of(keys, rows, a // SIDE, b // SIDE, c // SIDE)
+            row = row_of(blocks, a // SIDE, b // SIDE, c // SIDE)
             if row < 0:
                 continue
             at = (a % SIDE * SIDE + b % SIDE) * SIDE + c % SIDE
-            if paint[row, at] <= least:
+            if blocks.paint[row, at] <= 0:
                 continue
-            held = colour[row, at]
-            known = 0.25 * held[0] + 0.5 * held[1] + 0.25 * held[2]
+            model = blocks.colour[row, at]
+            known = 0.25 * model[0] + 0.5 * model[1] + 0.25 * model[2]
             if 12 <= known <= 245:
                 out[n] = known / seen
                 n += 1
@@ -357,22 +380,23 @@ def torn(depth, v, u, here, allowed):
 
 
 @kernel(error_model="numpy")
-def find_farthest(facets, tile):
-    """Find greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
+def find_farthest(facets):
+    """Find greatest reading of every tile (h / TILE, w / TILE) of TILE^2 pixels, 0: none."""
     h, w = facets.shape[:2]
-    out = np.zeros(((h + tile - 1) // tile, (w + tile - 1) // tile), np.float32)
+    out = np.zeros(((h + TILE - 1) // TILE, (w + TILE - 1) // TILE), np.float32)
     for v in range(h):
         for u in range(w):
-            out[v // tile, u // tile] = max(out[v // tile, u // tile], facets[v, u, 4])
+            out[v // TILE, u // TILE] = max(out[v // TILE, u // TILE], facets[v, u, 4])
     return out
 
 
 @kernel(error_model="numpy")
-def find_visible(places, count, edge, far, tile, eye, shape, pose, band):
-    """Find rows of the blocks that a view may see, ascending.
+def find_visible(blocks, count, far, eye, shape, pose):
+    """Find rows of the first `count` blocks that a view may see, ascending.
 
     `far`: of `find_farthest`; `shape`: height and width [px]; `pose`: (4, 4) camera_from_map.
     """
+    places, edge = blocks.places, SIDE * blocks.voxel
     found = np.empty(count, np.int32)
     n = 0
     radius = 0.5 * np.sqrt(3.0) * edge
@@ -390,13 +414,13 @@ def find_visible(places, count, edge, far, tile, eye, shape, pose, band):
             low = eye[1] * max((y + radius) / front, (y + radius) / (z + radius)) + eye[3]
             if right < 0 or low < 0 or left >= shape[1] or top >= shape[0]:
                 continue
-        a, b = int(max(left, 0.0)) // tile, int(min(right, shape[1] - 1.0)) // tile
-        c, d = int(max(top, 0.0)) // tile, int(min(low, shape[0] - 1.0)) // tile
+        a, b = int(max(left, 0.0)) // TILE, int(min(right, shape[1] - 1.0)) // TILE
+        c, d = int(max(top, 0.0)) // TILE, int(min(low, shape[0] - 1.0)) // TILE
         deepest = np.float32(0)
         for i in range(c, d + 1):
             for j in range(a, b + 1):
                 deepest = max(deepest, far[i, j])
-        if deepest > 0 and front < deepest + band:
+        if deepest > 0 and front < deepest + blocks.truncation:
             found[n] = row
             n += 1
     return found[:n]
@@ -405,20 +429,21 @@ def find_visible(places, count, edge, far, tile, eye, shape, pose, band):
 _WIDE = SIDE + 1
 
 
-def find_neighbours(keys, rows, places, count):
+def find_neighbours(blocks, count):
     """Find rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
-    run_parallel(_neighbours, count, keys, rows, places, out)
+    run_parallel(_neighbours, count, blocks, out)
     return out
 
 
 @kernel
-def _neighbours(keys, rows, places, out, first, last):
+def _neighbours(blocks, out, first, last):
+    places = blocks.places
     for row in range(first, last):
         x, y, z = np.int64(places[row, 0]), np.int64(places[row, 1]), np.int64(places[row, 2])
         for side in range(27):
             out[row, side] = row_of(
-                keys, rows, x + side // 9 - 1, y + side // 3 % 3 - 1, z + side % 3 - 1
+                blocks, x + side // 9 - 1, y + side // 3 % 3 - 1, z + side % 3 - 1
             )
 
 
@@ -429,13 +454,13 @@ def corner_of(around, row, i, j, k):
     return around[row, side], (i % SIDE * SIDE + j % SIDE) * SIDE + k % SIDE
 
 
-def find_cells(around, distance, weight, least, steepest, loops):
+def find_cells(around, blocks, least, loops):
     """Find the surface: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
     Also the number of vertices by block (B,). Cell i, j, k reaches from voxel i, j, k to the next along
     every axis. Bit e of `crossed` is set where edge e (4 axis + 0 to 3, see `low_corner`) leads
     from free space to behind the surface, between voxels that weigh more than `least`; not where the
-    distance jumps by more than `steepest` [m]: there a carved voxel lies beside one behind
+    distance jumps by more than the truncation: there a carved voxel lies beside one behind
     something. Bit c of a case is set where corner c (x + 2 y + 4 z) lies behind the surface; a cell
     of which not all is known has case 0. `loops`: see `fuse.make_loop_tables`.
     """
@@ -443,7 +468,7 @@ def find_cells(around, distance, weight, least, steepest, loops):
     cases = np.zeros((count, SIZE), np.uint8)
     crossed = np.zeros((count, SIZE), np.uint16)
     sizes = np.zeros(count, np.int64)
-    given = around, distance, weight, least, steepest, loops
+    given = around, blocks.distance, blocks.weight, least, blocks.truncation, loops
     run_parallel(_cells_of, count, *given, cases, crossed, sizes)
     return cases, crossed, sizes
 
@@ -487,9 +512,7 @@ def _cells_of(
                 sizes[row] += loops[cases[row, cell]]
 
 
-def make_vertices(
-    around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
-):
+def make_vertices(around, blocks, cases, crossed, starts, loop_of, loops):
     """Make vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
 
     `starts`: (B + 1,) first vertex of each block; `loop_of`: (256, 12), see `fuse.make_loop_tables`.
@@ -498,17 +521,17 @@ def make_vertices(
     points = np.zeros((starts[-1], 3), np.float64)
     paints = np.zeros((starts[-1], 3), np.uint8)
     vertex = np.zeros((len(around), SIZE), np.int32)
-    volume = around, places, distance, colour, paint
-    cells = cases, crossed, starts, loop_of, loops, voxel
-    run_parallel(_vertices_of, len(around), *volume, *cells, points, paints, vertex)
+    cells = cases, crossed, starts, loop_of, loops
+    run_parallel(_vertices_of, len(around), around, blocks, *cells, points, paints, vertex)
     return points, paints, vertex
 
 
 @kernel
 def _vertices_of(
-    around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel,
-    points, paints, vertex, first, last,
+    around, blocks, cases, crossed, starts, loop_of, loops, points, paints, vertex, first, last
 ):  # fmt: skip
+    places, voxel = blocks.places, blocks.voxel
+    distance, colour, paint = blocks.distance, blocks.colour, blocks.paint
     for row in range(first, last):
         at = starts[row]
         for cell in range(SIZE):
