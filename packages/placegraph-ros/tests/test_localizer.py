@@ -171,7 +171,7 @@ def test_once(room):
     looked = sum(localizer.summary.told.values())
     assert localizer.summary.told["OK"] == 1
     assert looked < FRAMES // 2 - 1
-    assert statuses(localizer.relocalize())[0] == "LOST: It was asked to forget the pose."
+    assert statuses(localizer.relocalize())[0] == "LOST: The pose was reset on request."
     after = taken(localizer, second)
     assert sum(localizer.summary.told.values()) > looked
     assert any(m.topic == "localization/odometry" for m in after), "odometry carries the pose on"
@@ -187,7 +187,7 @@ def test_a_pose_that_was_told(room):
     covariance = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.07])  # as RViz says it
     localizer.place(here, covariance)
     messages = taken(localizer, first)
-    assert any("told where the camera is" in s for s in statuses(messages)) or statuses(messages)
+    assert any("pose was given" in s for s in statuses(messages)) or statuses(messages)
     assert localizer.summary.told["OK"] >= 2
     covariance[0, 0] = np.nan
     assert "is not used" in statuses(localizer.place(here, covariance))[0]
@@ -257,7 +257,7 @@ def test_odometry_that_falls_silent_is_the_status(room):
     last = START + room.clip.stamps[4] + 0.01
     said = statuses(taken(localizer, [p for p in packets if p.topic != "/odom" or p.time <= last]))
     assert any(s.startswith("OK") for s in said)
-    assert said[-1].startswith("AMBIGUOUS: Odometry has been silent")
+    assert said[-1].startswith("AMBIGUOUS: No odometry for")
     localizer.close()
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
     far = [p if p.topic != "/odom" else p._replace(data=shifted(p.data)) for p in packets]

@@ -116,7 +116,7 @@ def test_what_it_is_asked(robot, recorded, room, scene, tmp_path):
     assert "/tf" not in world.node.told
     world.node.call("reinitialize_global_localization")
     settled(shell)
-    assert "asked to forget" in world.node.told["/localization/status"][-1].message
+    assert "reset on request" in world.node.told["/localization/status"][-1].message
     world.node.call("request_nomotion_update")
     assert world.node.call("load_map", map_url="/nowhere.scene").result == 1
     assert world.node.call("load_map", map_url=str(room.bag)).result == 2
@@ -153,7 +153,7 @@ def test_initial_poses(robot, recorded):
     _, data, kind = initial()
     world.send(Packet("/initialpose", kind, packets[0].time, data))
     settled(shell)
-    assert "told where the camera is" in world.node.told["/localization/status"][-1].message
+    assert "pose was given" in world.node.told["/localization/status"][-1].message
     message, *_ = initial("odom")
     world.node.call("set_initial_pose", pose=message)
     message, *_ = initial(length=0.0)

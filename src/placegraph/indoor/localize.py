@@ -1,4 +1,4 @@
-"""A capture finds its pose in a scene map: table, polish, verdict, refinement."""
+"""Localization of a capture in a scene map: search, local fit, status, refinement."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def localized(
     device: str = "auto",
     **asked: Any,  # noqa: ANN401  # of `PoseQuery.of`
 ) -> PoseEstimate:
-    """The answer to a question in keywords; parameters and errors: `SceneMap.localize`."""
+    """Localize a capture by keywords; parameters and errors: `SceneMap.localize`."""
     if not isinstance(refine, bool | RefineOptions):
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     query = PoseQuery.of(scene, capture, **asked)
@@ -63,10 +63,10 @@ def localized(
 
 
 def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
-    """Return where the last frame asked about, and every other, was taken (SG2Loc, Sec. 3).
+    """Localize the last frame of a query, and every other (SG2Loc, Sec. 3).
 
-    The same query on the same machine gives the same answer. `refining` says how the best mode is
-    fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
+    The same query on the same machine gives the same answer. `refining`: refinement of the best mode;
+    None: none. Errors: `SceneMap.localize`.
     """
     window, estimate = _localize_as_said(query, refining)
     correction = refining and find_camera_correction(window, estimate, refining)
@@ -84,7 +84,7 @@ def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
 def _localize_as_said(
     query: PoseQuery, refining: RefineSetup | None
 ) -> tuple[Window, PoseEstimate]:
-    """Return the answer if the camera is as it is said to be, and the frames that it rests on."""
+    """Localize a query with the camera as given; return window and estimate."""
     if len(query.frames) > WINDOW and query.options.tracked:
         window, estimate = _track(query)
         return window, refine_estimate(window, estimate, refining) if refining else estimate
@@ -111,10 +111,10 @@ def _localize_as_said(
 
 
 def _track(query: PoseQuery) -> tuple[Window, PoseEstimate]:
-    """Return the answer to a long capture, frame by frame, and a window of its newest frames."""
+    """Track a long capture frame by frame; return a window of its newest frames and the estimate."""
     tracker = Tracker(query)
     estimate = track_capture(tracker, query.frames)
-    # without what an encoder says of them
+    # without patches of an encoder
     newest = [observe_frame(frame, None, query.options) for frame in query.frames[-WINDOW:]]
     return Window(query, tracker.scorer, newest), estimate
 
@@ -122,7 +122,7 @@ def _track(query: PoseQuery) -> tuple[Window, PoseEstimate]:
 def _add_costs(
     window: Window, estimate: PoseEstimate, filtered: FilteredPasses | None
 ) -> PoseEstimate:
-    """Return the estimate with what it took, and the particles that were recorded."""
+    """Add the costs, and recorded particles, to an estimate."""
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     counts = [] if filtered is None else filtered.counts
     stats = {"seconds": seconds, "particles": counts} | window.scorer.stats()
@@ -131,9 +131,9 @@ def _add_costs(
 
 
 def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
-    """Return an answer that no mended camera makes `OK` with the fault of the input that explains it."""
+    """Explain an answer that is not `OK` by a fault of the input, if any does."""
     query, found = window.query, diagnostics_of(estimate)
-    here = query.shares is None  # else other scenes of a library may be where it was taken
+    here = query.shares is None  # else other scenes of a library may be right
     if query.encoder is None and here and estimate.status is not Status.OK:
         other = explain_foreign_ids(query.scene, query.frames[-WINDOW:], found.semantic)
         if other:

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SceneMap(HtmlRepr, Scene):
-    """A scene and what can be done with it.
+    """Scene map, in which captures are localized.
 
-    Made by `build_scene`, `SceneMap.create` or `merge_scenes`, opened by `open_map`; never changed
-    by localizing in it.
+    Made by `build_scene`, `SceneMap.create` or `merge_scenes`, opened by `open_map`; localization never
+    changes it.
     """
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -55,7 +55,7 @@ class SceneMap(HtmlRepr, Scene):
         return open_scene(path, cls)
 
     def visibility(self, options: PoseSearchOptions) -> VisibilityTable:
-        """What is visible from where, for cameras at `options.heights`; made once for each."""
+        """Return the visibility table for cameras at `options.heights`; built once for each."""
         from placegraph.indoor.likelihood.visibility import visibility
 
         return visibility(self, options)
@@ -76,7 +76,7 @@ class SceneMap(HtmlRepr, Scene):
         device: str = "auto",
         progress: Progress | None = None,
     ) -> PoseEstimate:
-        """Where the last frame of a capture, and every other, was taken.
+        """Localize a capture: pose of the last frame, and of every other.
 
         The same seed on the same machine gives the same answer; the map is only read.
 
@@ -85,24 +85,24 @@ class SceneMap(HtmlRepr, Scene):
         capture, frames
             A capture, or frames in order of time; which of them, all if not given.
         prior
-            Roughly where the first frame was taken, if known; else the whole map is searched.
+            Location prior of the first frame; else the whole map is searched.
         description
-            What somebody says of where the last frame was taken, "next to the sofa" (of a capture
-            longer than `localize.WINDOW`, which is tracked, the first). It shapes the search,
-            and counts as one witness for the poses found.
+            Description of where the last frame was taken, "next to the sofa" (of a capture longer than
+            `localize.WINDOW`, which is tracked, the first frame). It guides the search, and is evidence
+            for the poses found.
         shares
             (S,) of a merged map: share of the search that each of its scenes gets.
         encoder
-            Says what patches show: a name such as ``appearance``, an `Encoder`, or one bound to this
-            map; the capture's own labels if not given.
+            Encoder of patches: a name such as ``appearance``, an `Encoder`, or one bound to this map;
+            the capture's own labels if not given.
         options
-            `FilterOptions`; what measured best if not given.
+            `PoseSearchOptions` or `FilterOptions`; the best of the benchmark if not given.
         refine
             Fit the best mode to images and depth, to centimetres; `RefineOptions` say how.
         matcher
             How images are matched with renderings: ``guided`` needs no extra; ``sift``, ``xfeat``,
             ``roma``, ``romav2`` need theirs; ``auto`` is the guided one, but for several
-            `RefineOptions.views` RoMa, or SIFT where that is not at hand; or a `Matcher` of one's own.
+            `RefineOptions.views` RoMa, or SIFT without it; or your own `Matcher`.
         seed, device, progress
             Seed of all randomness; ``auto`` or ``cpu``, or ``cuda`` for a matcher that is a network;
             called with what is done, how far, and of how much.
@@ -110,8 +110,7 @@ class SceneMap(HtmlRepr, Scene):
         Raises
         ------
         OptionError
-            No frame is chosen, or nothing that the frames show, or that the description says, can be
-            compared with the map.
+            No frame is chosen, or nothing in the frames or the description can be compared with the map.
         MapError, InputError
             The map holds vectors of another encoder; an image is broken.
         MissingExtraError
@@ -138,20 +137,18 @@ class SceneMap(HtmlRepr, Scene):
         device: str = "auto",
         progress: Progress | None = None,
     ) -> PoseEstimate:
-        """The pose of the last frame, from where it is roughly known to have been taken.
+        """Refine a rough pose of the last frame, such as from a marker, Wi-Fi, or the last session.
 
-        For those who know where they are from elsewhere: a marker, a map of Wi-Fi, the last session.
-        Where there is depth, the neighbourhood is searched first, as wide as `RefineOptions.reach`
-        says.
+        With depth, the neighbourhood is searched first, as wide as `RefineOptions.reach`.
 
         Parameters
         ----------
         capture, frames, matcher, seed, device, progress
-            As of `localize`. Of more than 30 frames the newest 30 are used.
+            See `localize`. Of more than 30 frames the newest 30 are used.
         map_from_camera
             (4, 4) of the last frame chosen, to about 0.3 m and 15 degrees.
         options
-            `RefineOptions`; what measured best if not given.
+            `RefineOptions`; the best of the benchmark if not given.
 
         Returns
         -------
@@ -188,7 +185,7 @@ class SceneMap(HtmlRepr, Scene):
     def render(
         self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4, device: str = "auto"
     ) -> Rendering:
-        """The map as a camera at a pose (4, 4) would see it.
+        """Render the map as a camera at a pose (4, 4) sees it.
 
         Parameters, result and errors: `placegraph.indoor.render.render`.
         """
@@ -203,10 +200,10 @@ class SceneMap(HtmlRepr, Scene):
         *,
         options: DiffOptions | None = None,
     ) -> SceneDiff:
-        """What changed since this map was made, as a later map or a capture with poses shows it.
+        """Find changes since this map was made, by a later map or a capture with poses.
 
         Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a
-        capture, whose poses (T, 4, 4) are what `localize` said of it,
+        capture, with poses (T, 4, 4) or an estimate of `localize`,
         `placegraph.indoor.mapping.change.diff_capture.diff_capture`.
         """
         if isinstance(later, Scene):
@@ -216,17 +213,17 @@ class SceneMap(HtmlRepr, Scene):
         from placegraph.indoor.mapping.change.diff_capture import diff_capture
 
         if poses is None:
-            raise OptionError("poses: a capture needs them; give what scene.localize said of it.")
+            raise OptionError("poses: a capture needs poses; give the estimate of scene.localize.")
         return diff_capture(self, later, poses, options=options)
 
     def updated(self, diff: SceneDiff, **options: Any) -> SceneMap:  # noqa: ANN401  # of `update`
-        """Map that has taken over what changed; options: `placegraph.indoor.mapping.change.update.update`."""
+        """Apply changes to the map; options: `placegraph.indoor.mapping.change.update.update`."""
         from placegraph.indoor.mapping.change.update import update
 
         return update(self, diff, **options)
 
     def check(self) -> list[Finding]:
-        """What is odd about the map, worst first: `placegraph.indoor.mapping.check.check`."""
+        """Check the map for oddities, worst first: `placegraph.indoor.mapping.check.check`."""
         from placegraph.indoor.mapping.check import check
 
         return check(self)
@@ -238,7 +235,7 @@ class SceneMap(HtmlRepr, Scene):
         return export(self, path, overwrite=overwrite)
 
     def to_geojson(self) -> dict[str, Any]:
-        """Footprints of the objects as a GeoJSON FeatureCollection, by the best anchor.
+        """Return the footprints of the objects as a GeoJSON FeatureCollection, by the best anchor.
 
         Properties: `id`, `label`, `name`, `room`, `scene`, `level`, `building`, `height` of its
         lower end above the ellipsoid and how `tall` it is [m]. Raises `GeoPoseError` where the map
@@ -249,15 +246,15 @@ class SceneMap(HtmlRepr, Scene):
         return make_geojson(self)
 
     def to_geopandas(self) -> gpd.GeoDataFrame:
-        """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
+        """Return `to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
         from placegraph.core.geojson import to_geopandas
 
         return to_geopandas(self.to_geojson())
 
     def tracker(self, camera: Camera, *, seed: int = 0, **known: Any) -> Tracker:  # noqa: ANN401
-        """Localizer for one frame at a time (`track.tracker.Tracker`), for frames of a camera.
+        """Make a tracker of one frame at a time (`track.tracker.Tracker`), for frames of a camera.
 
-        `known`: options, encoder, description, shares and device, as of `localize`.
+        `known`: options, encoder, description, shares and device, see `localize`.
         """
         from placegraph.indoor.pose.window import PoseQuery
         from placegraph.indoor.track.tracker import Tracker
@@ -265,7 +262,7 @@ class SceneMap(HtmlRepr, Scene):
         return Tracker(PoseQuery.of(self, seed=seed, **known), camera)
 
     def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
-        """The pose at any time, by odometry and images as they come.
+        """Make a live tracker: the pose at any time, by asynchronous odometry and images.
 
         Options and errors: `placegraph.indoor.track.live.LiveTracker`.
         """

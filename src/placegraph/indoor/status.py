@@ -43,24 +43,24 @@ the same differ by as much as their fits were lucky."""
 RIVAL = 0.01
 """Probability of a mode from which on it counts as a rival."""
 _UPRIGHT = 0.8
-"""Cosine from which on a direction is called height."""
+"""Least cosine with the vertical of a direction that is called height."""
 _BLIND = 0.2
-"""Share of the view that the map has to show."""
+"""Least share of the view that the map shows."""
 _PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
-"""Of labels: the share that agrees, and the log-likelihood ratio of a frame without depth [nat]."""
+"""Least share of labels that agree, and least log-likelihood ratio of a frame without depth [nat]."""
 _DEPTH_AGREES = 0.85
-"""Share of the depth readings from which on they are not what is doubted."""
+"""Least share of depth readings that agree if depth is not in doubt."""
 _HALF, _LENIENT = 0.55, 0.15
-"""Share of the newest frame's readings that has to agree, and how much less where other senses do, or
-of all frames together."""
+"""Least share of the newest frame's readings that agree, and reduction if other senses agree, or for all
+frames together."""
 BENT = 6.0
-"""Root mean square of odometry's normalised errors beyond which the motion was not like that."""
+"""Largest root mean square of odometry's normalized errors."""
 _PARTED = (0.25, 5.0)
-"""Way [m] and turn [deg] by which images alone may move a pose that is `OK`: half of what that promises."""
+"""Largest way [m] and turn [deg] by which images alone may move a pose that is `OK`."""
 SURE_SCENE = 0.9
-"""Probability from which on a scene is sure."""
+"""Least probability of a scene that is `OK`."""
 _SEARCH_ERRS = 0.01
-"""Share of searches of a library that are sure and wrong."""
+"""Share of library searches that are confident and wrong."""
 SILENT = 1.0
 """Seconds without odometry after which a live pose is not `OK`."""
 
@@ -107,7 +107,7 @@ class Diagnostics:
     unnamed: bool = False
     """Whether patches are compared by looks, without the names of objects."""
     unmet: str = ""
-    """Statements of the description that are not so at the best mode; empty: none."""
+    """Statements of the description that the best mode contradicts; empty: none."""
     undecided: bool = False
     """Whether only a clear winner is missing (`decide_pose` fills it)."""
     consistent: bool = False
@@ -181,10 +181,10 @@ def decide_pose(
         and not _is_sure(without_looks, modes[0].probability)
     ):
         status = Status.AMBIGUOUS
-        reason = "One place fits best, but what patches look like says too little of it alone."
+        reason = "One place fits best, but the looks of patches alone do not suffice."
     if status is Status.OK and diagnostics.unmet:
         status = Status.AMBIGUOUS
-        reason = f"{reason} But that is not what was said: {diagnostics.unmet}."
+        reason = f"{reason} But the description does not fit there: {diagnostics.unmet}."
     consistent = consistent or status is Status.OK
     return status, reason, replace(diagnostics, undecided=undecided, consistent=consistent)
 
@@ -219,7 +219,7 @@ def reject_frames(fault: str, frames: Sequence[int]) -> PoseEstimate:
 
 
 def _labels_only(agreed: Agreement) -> bool:
-    """Return whether labels speak, and no depth."""
+    """Return whether there are labels, and no depth."""
     return bool(np.isnan(agreed.depth) and not np.isnan(agreed.semantic))
 
 
@@ -269,7 +269,7 @@ def _contradicts(agreed: Agreement, ratio_per_frame: float) -> str:
 
 
 def _describe_weakness(agreed: Agreement) -> str:
-    """Return what keeps a pose from being trusted."""
+    """Return why the confidence in a pose is low."""
     if _labels_only(agreed):
         return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
@@ -277,8 +277,8 @@ def _describe_weakness(agreed: Agreement) -> str:
     if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     if np.isnan(agreed.colour) or agreed.colour > SPEAK:
-        return "what is seen is too bare to tell where along its surfaces the camera is"
-    return "depth alone speaks for it, and the colours do not agree"
+        return "the surfaces in view are too bare to fix the position along them"
+    return "only depth supports it, and the colours do not agree"
 
 
 def _describe_agreement(agreed: Agreement) -> str:
@@ -380,7 +380,7 @@ def choose_camera(
 
 def await_confirmation(estimate: PoseEstimate) -> PoseEstimate:
     """Return a place found in the whole map for the first time, which another image must find again."""
-    reason = f"{estimate.reason.rstrip('.')}; it is believed when another image finds it again."
+    reason = f"{estimate.reason.rstrip('.')}; another image must confirm it."
     return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
 
 
@@ -390,10 +390,10 @@ def decide_followed(estimate: PoseEstimate, mode: PoseMode) -> PoseEstimate:
     `mode`: the best one with the covariance that it has by odometry.
     """
     loose, _ = least_certain(mode.covariance)
-    status, known = Status.OK, "followed here from where it was sure"
+    status, known = Status.OK, "tracked from a sure pose"
     if loose > LOOSE:
-        status, known = Status.AMBIGUOUS, f"by odometry known only to {loose:.1f} m"
-    reason = f"What is seen fits, but is too bare to tell the place alone; {known}."
+        status, known = Status.AMBIGUOUS, f"odometry gives it only to {loose:.1f} m"
+    reason = f"The frames fit, but are too bare to tell the place alone; {known}."
     return replace(estimate, status=status, modes=(mode, *estimate.modes[1:]), reason=reason)
 
 
@@ -404,7 +404,7 @@ def give_up(estimate: PoseEstimate) -> PoseEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveState:
-    """Status of a live pose by the last image, or by what a person said."""
+    """Status of a live pose by the last image or a given pose."""
 
     status: Status
     reason: str
@@ -432,17 +432,13 @@ def decide_live(
     status, reason = last.status, last.reason
     if silent > SILENT and status is Status.OK:
         status = Status.AMBIGUOUS
-        reason = (
-            f"Odometry has been silent for {silent:.0f} s: nobody knows how far the camera went."
-        )
+        reason = f"No odometry for {silent:.0f} s: the way of the camera is unknown."
     if covariance is None:
         return Status.LOST if status is Status.OK else status, unplaced or reason
     loose, _ = least_certain(covariance)
     if status is Status.OK and loose > LOOSE:
         status = Status.AMBIGUOUS
-        reason = (
-            f"Followed by odometry since the last image that told it: known only to {loose:.1f} m."
-        )
+        reason = f"Odometry alone since the last localized image: known only to {loose:.1f} m."
     return status, reason
 
 
@@ -522,7 +518,7 @@ def doubt_by_search(estimate: PoseEstimate, search: SceneEstimate, looked: int) 
     if fit_odds(estimate) + lean >= log_odds(SURE, 0.0):
         return estimate
     if left_out > search.elsewhere:
-        objection = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
+        objection = f"it may be another scene ({left_out:.0%}) than the {looked} searched."
     else:
         objection = f"it may be in no scene of the library ({search.elsewhere:.0%})."
     return _make_ambiguous(estimate, objection)

@@ -37,7 +37,7 @@ def test_the_second_answer_of_one_place_counts(poses):
     first = again.confirm("flat", at(before), found(here))
     assert first.status is Status.AMBIGUOUS
     assert first.modes
-    assert first.reason == "One place fits; it is believed when another image finds it again."
+    assert first.reason == "One place fits; another image must confirm it."
     unsure = found(there, Status.LOST)
     assert again.confirm("flat", at(now), unsure) is unsure
     sure = found(there)

@@ -163,7 +163,7 @@ def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Flo
 
 
 def turn_gravity(gravity: Floats, values: Floats) -> Floats:
-    """Return directions of gravity (..., 3) in camera axes, mended."""
+    """Correct directions of gravity (..., 3) in camera axes."""
     return np.asarray(gravity @ rotation_from_vector(values[list(TILT)]).T)
 
 
@@ -269,7 +269,7 @@ class CameraCorrection:
 
     @classmethod
     def identity(cls) -> CameraCorrection:
-        """Return the camera is as it is said to be."""
+        """Make a correction that changes nothing."""
         return cls(np.zeros(COUNT), np.zeros(COUNT))
 
     def frames(self, frames: Sequence[Frame]) -> list[Frame]:
@@ -540,7 +540,7 @@ class _CameraSearch:
     correction: CameraCorrection = field(default_factory=CameraCorrection.identity)
 
     def refiner(self, window: Window, readings: int | None = None) -> Refiner:
-        """Of frames as they are mended so far."""
+        """Make a refiner of the frames with the correction so far."""
         frames = self.correction.frames([s.frame for s in window.observations])
         seen = [
             replace(s, frame=f, depth=correct_depth(f, s.depth))

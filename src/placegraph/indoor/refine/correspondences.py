@@ -68,17 +68,13 @@ def sample_readings(
     h, w = depth.shape
     camera = frame.depth_camera or frame.camera
     stride = max(2, round((h * w / count) ** 0.5))
-    v, u = _tiled(_lattice(h, stride, phase), _lattice(w, stride, phase))
+    start = (stride // 2 + phase * (stride // 2)) % stride
+    v, u = _tiled(np.arange(start, h, stride), np.arange(start, w, stride))
     found = Readings(*read(depth, camera_rays(camera), v, u, _REACH))
     if camera.model == "fisheye":
         seen = np.isfinite(camera.directions(np.stack([u, v], axis=-1) + 0.5)).all(axis=-1)
         found.depth[~seen] = 0.0
     return found
-
-
-def _lattice(size: int, stride: int, phase: int) -> NDArray[np.int64]:
-    start = (stride // 2 + phase * (stride // 2)) % stride
-    return np.arange(start, size, stride)
 
 
 def _tiled(
@@ -105,7 +101,7 @@ class Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Surfaces:
-        """Return surfaces of a map."""
+        """Make the surfaces of a map."""
         return cls(scene.caster.tracer, scene.normals, scene.mesh.object_of)
 
 
@@ -117,13 +113,13 @@ class Kernel(NamedTuple):
     surface: float
     facing: tuple[float, float]
     width: float
-    """Residual, in standard deviations, at which a reading has a quarter of its say left."""
+    """Residual, in standard deviations, at which a reading has a quarter of its weight."""
 
 
 def distances(
     surfaces: Surfaces, readings: Sequence[Readings | None], poses: Floats
 ) -> list[Floats]:
-    """Return distances (R,) [m] of the readings of each frame from the map's surface at poses (T, 4, 4).
+    """Measure distances (R,) [m] of the readings of each frame from the map's surface, at poses (T, 4, 4).
 
     NaN where there is no reading, infinite where the map shows nothing.
     """
@@ -142,18 +138,18 @@ def distances(
 
 
 MOST = 5000
-"""Matches of a view that are used, the surest."""
+"""Largest number of matches of a view, the surest."""
 _DIGITS = 7  # a tenth of a micrometre
 BLOCKS = 9
 """Blocks in the width of an image; one of four is held back."""
 _STEEP = 0.15
-"""A match is not lifted where depth changes by more than this share within a pixel or two: which of
-the two surfaces was meant, nobody knows."""
+"""Largest change of depth within a pixel or two, as a share, where a match is lifted: beyond, the match
+may be of either surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointMatches:
-    """M points of the map that one frame was matched with."""
+    """M matches of one frame with points of the map."""
 
     points: Floats
     """(M, 3) [m, map]"""
@@ -166,13 +162,13 @@ class PointMatches:
     focal: float
     """[px]"""
     unit: float
-    """Pixels of this camera in one of an image `REFERENCE` wide: what tolerances are given in."""
+    """Pixels of this camera in a pixel of an image `REFERENCE` wide, the unit of tolerances."""
 
     @classmethod
     def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> PointMatches:
-        """Return PointMatches of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
+        """Make matches of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
 
-        What the camera has no ray for is left out.
+        Pixels without a ray are left out.
         """
         rays = camera.directions(pixels)[:, :2] if len(pixels) else np.zeros((0, 2))
         unit = max(camera.width, camera.height) / REFERENCE
@@ -184,14 +180,14 @@ class PointMatches:
 
     @classmethod
     def none(cls) -> PointMatches:
-        """Return no point."""
+        """Make an empty set of matches."""
         return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> PointMatches:
-        """Return some of them."""
+        """Select matches."""
         return replace(
             self,
             points=self.points[rows],
@@ -210,7 +206,7 @@ class PointMatches:
 
 
 def turn_views(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> list[Floats]:
-    """Return the pose and others drawn within +-spread about the vertical: `views` in all (Sec. 3.6)."""
+    """Turn a pose about the vertical by draws within +-spread: `views` in all (Sec. 3.6)."""
     out = [map_from_camera]
     for yaw in rng.uniform(-options.spread, options.spread, options.views - 1):
         pose = map_from_camera.copy()
@@ -229,7 +225,7 @@ def match_views(
     size: int,
     sigma: float,
 ) -> PointMatches:
-    """Return points of the map that a frame (H, W, 3) shares with renderings from poses (4, 4) (Sec. 3.6).
+    """Match a frame (H, W, 3) with renderings from poses (4, 4), and lift the matches (Sec. 3.6).
 
     `size`: longer side of the renderings [px]; the query is brought to theirs. `sigma`: deviation of
     a match [px of an image `REFERENCE` wide].
@@ -238,7 +234,7 @@ def match_views(
     drawn = [renderer.render(pose, camera, samples=1) for pose in poses]
     shown = resized(query, camera.width, camera.height)
     found = matcher.match(shown, [d.colour for d in drawn], masks=[d.mask for d in drawn])
-    found = _checked(found, matcher, len(drawn), camera)
+    found = _check_matches(found, matcher, len(drawn), camera)
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for picture, matches in zip(drawn, found, strict=True):
         lifted, whole = lift_pixels(picture, matches.rendered)
@@ -250,24 +246,24 @@ def match_views(
     )
 
 
-def _checked(
-    found: Sequence[Matches], matcher: Matcher, count: int, camera: Camera
+def _check_matches(
+    views: Sequence[Matches], matcher: Matcher, count: int, camera: Camera
 ) -> list[Matches]:
-    """Return matches of each view that lie in both images; `OptionError` where a matcher gives none."""
-    if not isinstance(found, Sequence) or len(found) != count:
+    """Keep the matches of each view that lie in both images; `OptionError`: a matcher gives none."""
+    if not isinstance(views, Sequence) or len(views) != count:
         raise OptionError(
             f"The matcher {matcher.name!r} must return one Matches for each of {count} views."
         )
-    return [_inside(matches, matcher, camera) for matches in found]
-
-
-def _inside(matches: Matches, matcher: Matcher, camera: Camera) -> Matches:
-    if not isinstance(matches, Matches):
-        raise OptionError(f"The matcher {matcher.name!r} returned {type(matches).__name__}.")
-    both = np.concatenate([matches.query, matches.rendered], axis=1)
-    size = np.array([camera.width, camera.height] * 2)
-    rows = np.flatnonzero(((both >= 0) & (both <= size)).all(axis=1))[:MOST]
-    return Matches(matches.query[rows], matches.rendered[rows], matches.confidence[rows])
+    size, checked = np.array([camera.width, camera.height] * 2), []
+    for matches in views:
+        if not isinstance(matches, Matches):
+            raise OptionError(f"The matcher {matcher.name!r} returned {type(matches).__name__}.")
+        both = np.concatenate([matches.query, matches.rendered], axis=1)
+        rows = np.flatnonzero(((both >= 0) & (both <= size)).all(axis=1))[:MOST]
+        checked.append(
+            Matches(matches.query[rows], matches.rendered[rows], matches.confidence[rows])
+        )
+    return checked
 
 
 def shrink_camera(camera: Camera, size: int) -> Camera:
@@ -285,7 +281,7 @@ def held_back(pixels: Floats, camera: Camera) -> NDArray[np.bool_]:
 
 
 def lift_pixels(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return points (N, 3) [m, map] that pixels (N, 2) of a rendering show, and which of them are sound.
+    """Lift pixels (N, 2) of a rendering to points (N, 3) [m, map], and return which are sound.
 
     Between pixel centres points are interpolated in the plane of the four around; a pixel at the
     end of the map, or astride two surfaces, is unsound.
@@ -325,14 +321,14 @@ class Consensus:
 
 
 def solve_frame(matches: PointMatches, options: RefineOptions) -> Consensus | None:
-    """Return PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
+    """Solve PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None: too few matches agree."""
     return solve_rig([matches], [np.eye(4)], options)
 
 
 def solve_rig(
     matches: Sequence[PointMatches], reference_from_camera: Sequence[Floats], options: RefineOptions
 ) -> Consensus | None:
-    """Return PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
+    """Solve PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
 
     `reference_from_camera`: (4, 4) of each frame; the pose found is the reference's. A rig agrees
     on a pose where no frame alone would: its wrong matches agree on nothing in common.
@@ -343,15 +339,20 @@ def solve_rig(
         return None
     pixels = [matches[t].rays * matches[t].focal for t in used]
     points = [matches[t].points for t in used]
-    cameras = [_pinhole(matches[t].focal) for t in used]
+    cameras = [
+        {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [matches[t].focal, 0.0, 0.0]}
+        for t in used
+    ]
     limit = options.inlier * max(matches[t].unit for t in used)
     ransac = {"max_reproj_error": limit, "max_iterations": 5000, "seed": 0}
     if len(used) == 1 and np.allclose(reference_from_camera[used[0]], np.eye(4)):
         pose, info = poselib.estimate_absolute_pose(pixels[0], points[0], cameras[0], ransac, {})
         inliers = [info["inliers"]]
     else:
-        inverses = [np.asarray(np.linalg.inv(reference_from_camera[t])) for t in used]
-        mounts = [_camera_pose(poselib, matrix) for matrix in inverses]
+        mounts = [poselib.CameraPose() for _ in used]
+        for t, mount in zip(used, mounts, strict=True):
+            inverse = np.asarray(np.linalg.inv(reference_from_camera[t]))
+            mount.R, mount.t = inverse[:3, :3], inverse[:3, 3]
         pose, info = poselib.estimate_generalized_absolute_pose(
             pixels, points, mounts, cameras, ransac, {}
         )
@@ -360,22 +361,12 @@ def solve_rig(
     for t, inlier in zip(used, inliers, strict=True):
         agreed[t] = np.asarray(inlier, bool)
     matrix = np.eye(4)
-    # PoseLib's last digits vary from call to call; ours must not
+    # the last digits of PoseLib vary from call to call
     matrix[:3, :3] = rotation_from_vector(np.round(vector_from_rotation(pose.R.T), _DIGITS))
     matrix[:3, 3] = np.round(-pose.R.T @ pose.t, _DIGITS)
     found = Consensus(matrix, agreed)
     sound = np.isfinite(matrix).all() and found.count >= options.least
     return found if sound else None
-
-
-def _pinhole(focal: float) -> dict[str, Any]:
-    return {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [focal, 0.0, 0.0]}
-
-
-def _camera_pose(poselib: Any, camera_from_rig: Floats) -> Any:  # noqa: ANN401  # PoseLib is untyped
-    pose = poselib.CameraPose()
-    pose.R, pose.t = camera_from_rig[:3, :3], camera_from_rig[:3, 3]
-    return pose
 
 
 def _poselib() -> Any:  # noqa: ANN401  # PoseLib is untyped
@@ -402,7 +393,7 @@ FEATURES = 1000
 SHARE = 0.05
 """Least share of the matches that must agree on a pose: fewer do so by chance."""
 PLENTY = 20
-"""Landmarks a frame beside which renderings have nothing to add."""
+"""Number of landmarks a frame from which on renderings are not needed."""
 FARTHEST = (1.0, 0.6)
 """Landmarks whose pose lies farther than this [m], [rad] from the one at hand mean another place."""
 _APART = 0.1  # landmarks nearer to each other show the same spot [m]
@@ -452,14 +443,14 @@ def _basis() -> NDArray[np.float32]:
     return whole[:, np.argsort(steep, kind="stable")[1 : DESCRIPTOR_SIZE + 1]].astype(np.float32)
 
 
-def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> PointMatches:
-    """Return landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
-    if not len(found) or not len(landmarks):
+def match_features(landmarks: Landmarks, features: Features, frame: Frame) -> PointMatches:
+    """Match features of a frame with landmarks: mutual nearest, and clearly so (Lowe's ratio)."""
+    if not len(features) or not len(landmarks):
         return PointMatches.none()
-    cosine, ranked = _rank_landmarks(found.vectors, landmarks.unit_vectors)
+    cosine, ranked = _rank_landmarks(features.vectors, landmarks.unit_vectors)
     sure, best = cosine[:, 0], ranked[:, 0]
-    back = found.vectors @ landmarks.unit_vectors[best].T
-    mutual = back.argmax(axis=0) == np.arange(len(found))
+    back = features.vectors @ landmarks.unit_vectors[best].T
+    mutual = back.argmax(axis=0) == np.arange(len(features))
     apart = np.linalg.norm(landmarks.points[ranked] - landmarks.points[best][:, None], axis=2)
     elsewhere = apart[:, 1:] >= _APART
     # where all of them show one spot, the last stands for a rival
@@ -467,7 +458,7 @@ def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> Point
     rival = np.take_along_axis(cosine, rank[:, None], axis=1)[:, 0]
     clear = mutual & (1.0 - sure < RATIO**2 * (1.0 - rival))
     points = landmarks.points[best[clear]].astype(np.float64)
-    return PointMatches.of(points, found.points[clear], frame.camera, SIGMA)
+    return PointMatches.of(points, features.points[clear], frame.camera, SIGMA)
 
 
 def _rank_landmarks(
@@ -499,10 +490,9 @@ def _rank_landmarks(
 
 
 def match_window(window: Window) -> list[PointMatches]:
-    """Return landmarks (T,) that the frames of a window show: up to `LOOKS` of them, spread over it.
+    """Match up to `LOOKS` frames of a window with landmarks: (T,); cached for each frame.
 
-    None of a map without landmarks, and where OpenCV is not installed or images are switched off.
-    Found once for each frame.
+    Empty for a map without landmarks, or if OpenCV is missing or images are switched off.
     """
     landmarks, out = window.scene.landmarks, [PointMatches.none()] * len(window)
     if landmarks is None:
@@ -514,12 +504,12 @@ def match_window(window: Window) -> list[PointMatches]:
     for t in spread(len(window), LOOKS):
         frame, rgb = window.observations[t].frame, window.observations[t].rgb
         if rgb is not None:
-            look = partial(_seen, landmarks, sift, frame, rgb)
-            out[t] = window.derived(("landmarks", frame.index), look)
+            match = partial(_match_frame, landmarks, sift, frame, rgb)
+            out[t] = window.derived(("landmarks", frame.index), match)
     return out
 
 
-def _seen(
+def _match_frame(
     landmarks: Landmarks, sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]
 ) -> PointMatches:
     return match_features(landmarks, detect_features(sift, frame, rgb), frame)
@@ -528,7 +518,7 @@ def _seen(
 def agree_on_pose(
     matches: Sequence[PointMatches], mounts: Floats, options: RefineOptions
 ) -> Consensus | None:
-    """Return pose of the last of T frames that landmarks agree on; None where they do so by chance.
+    """Solve the pose of the last of T frames from landmarks; None: too few agree.
 
     `mounts`: (T, 4, 4) last_from_camera.
     """
@@ -540,30 +530,30 @@ def agree_on_pose(
 def drop_held_back(
     landmarks: Sequence[PointMatches], frames: Sequence[Frame], options: RefineOptions
 ) -> list[PointMatches]:
-    """Return landmarks (T,) without those that are kept for the check."""
+    """Drop the landmarks (T,) that are held out for the check."""
     pairs = zip(landmarks, frames, strict=True)
     return [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
 
 
 def is_near(one: Floats, other: Floats) -> bool:
-    """Return whether a pose (4, 4) may be another once it is refined."""
+    """Return whether two poses (4, 4) are near enough to be one place."""
     turn = vector_from_rotation(one[:3, :3] @ other[:3, :3].T)
     way = np.linalg.norm(one[:3, 3] - other[:3, 3])
     return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
 
 
 def has_plenty(matches: Sequence[PointMatches]) -> bool:
-    """Return whether frames show so many landmarks that renderings have nothing to add."""
+    """Return whether frames show so many landmarks that renderings are not needed."""
     return sum(map(len, matches)) >= PLENTY * sum(len(s) > 0 for s in matches)
 
 
 def has_plenty_everywhere(matches: Sequence[PointMatches]) -> bool:
-    """Return whether each frame that was looked at, and not some alone, shows so many."""
+    """Return whether each of the matched frames shows so many."""
     return all(len(matches[t]) >= PLENTY for t in spread(len(matches), LOOKS))
 
 
 def locate_by_landmarks(window: Window) -> Floats:
-    """Return pose (K, 4) of the last frame that landmarks tell: one, or none."""
+    """Return the pose (K, 4) of the last frame by landmarks: one, or none."""
     with timed(window.seconds, "landmarks"):
         odometry = np.stack([s.frame.odometry for s in window.observations])
         mounts = np.linalg.inv(odometry[-1]) @ odometry

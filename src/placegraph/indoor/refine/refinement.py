@@ -62,15 +62,15 @@ from placegraph.indoor.status import (
 from placegraph.io.capture.frame import Frame
 
 NEAR = 0.1
-"""Readings farther from the map's surface [m] are of something that it does not show."""
+"""Largest distance [m] of readings from the map's surface that count."""
 FINEST = 0.005
-"""No reading and no map is truer than this [m]."""
+"""Least deviation of readings and maps [m]."""
 WORST = 10.0
-"""Error, in units of the usual one, beyond which a sample is no worse."""
+"""Error, in units of the median, beyond which the log-likelihood is constant."""
 SMALL = 160
 """Longer side at which images are compared [px]."""
 COUNTED = 24
-"""Least number of blocks of samples, over all frames."""
+"""Least number of blocks of samples over all frames."""
 _HALF = 3
 _FEW = 4  # blocks whose spread is none
 _ALIKE = 1e-9
@@ -85,19 +85,19 @@ class HeldOutEvidence:
     blocks: Floats
     """(C, B) log-likelihoods, summed up in blocks [nat]"""
     scores: Floats
-    """(C, N) log-likelihoods of the samples that tell anything [nat]"""
+    """(C, N) log-likelihoods of the informative samples [nat]"""
 
     @property
     def samples(self) -> int:
-        """How many tell anything."""
+        """Return the number of informative samples."""
         return self.scores.shape[1]
 
     @classmethod
     def of(cls, scores: Sequence[Sequence[Floats]]) -> HeldOutEvidence:
-        """Return scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: it tells nothing.
+        """Make evidence of scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: none.
 
-        Neighbours err together: blocks vary more than sums of as many independent samples would, and
-        by that factor (Kish's design effect) samples are worth less.
+        Neighbours err together, so blocks vary more than sums of independent samples would; scores are
+        divided by that factor (Kish's design effect).
         """
         frames = [np.stack(of_frame) for of_frame in zip(*scores, strict=True)]
         bands = max(1, -(-COUNTED // max(1, len(frames))))
@@ -114,12 +114,12 @@ class HeldOutEvidence:
         return cls(blocks / effect, samples)
 
     def gain(self, row: int) -> Floats:
-        """Return (B,) by how much a trajectory is more likely than the first [nat]."""
+        """Return the gain (B,) of the log-likelihood of a trajectory over the first [nat]."""
         return np.asarray(self.blocks[row] - self.blocks[0])
 
 
 def standard_errors(gains: Floats) -> float:
-    """Return mean of gains (B,) over its standard error; blocks that tell nothing, 0, do not count."""
+    """Return the mean of gains (B,) over its standard error; blocks of 0 do not count."""
     told = gains[np.abs(gains) > _ALIKE]
     if len(told) < _FEW:
         return 0.0
@@ -127,16 +127,16 @@ def standard_errors(gains: Floats) -> float:
 
 
 def cauchy_log_likelihood(ratio: Floats) -> Floats:
-    """Return log-likelihoods of errors, in units of the usual one, that are spread as Cauchy's density is."""
+    """Return Cauchy log-likelihoods of errors in units of the median."""
     return np.asarray(-np.log1p(np.square(np.minimum(ratio, WORST))))
 
 
 def depth_evidence(
     surfaces: Surfaces, held_out: Sequence[Readings | None], trajectories: Sequence[Floats]
 ) -> HeldOutEvidence:
-    """Return evidence of held-back readings of T frames on trajectories (T, 4, 4); tiles are the samples.
+    """Measure the evidence of held-out readings of T frames for trajectories (T, 4, 4), by tiles.
 
-    Distances are spread as Cauchy's density is, as wide as those of the trajectory that fits best.
+    Distances have a Cauchy density as wide as those of the trajectory that fits best.
     """
     found = [
         [np.abs(d).reshape(-1, LANES) for d in distances(surfaces, held_out, poses)]
@@ -148,7 +148,7 @@ def depth_evidence(
 
 
 def _median_distance(distance: Floats) -> float:
-    """Return median of distances [m] from the surface, of readings that it explains at all."""
+    """Return the median of distances [m] below `NEAR`."""
     near = distance[distance < NEAR]
     return float(np.median(near)) if len(near) else NEAR
 
@@ -167,11 +167,10 @@ def image_evidence(
     queries: Sequence[NDArray[np.uint8] | None],
     trajectories: Sequence[Floats],
 ) -> HeldOutEvidence:
-    """Return evidence of held-back windows of T images, where there are any, on trajectories (T, 4, 4).
+    """Measure the evidence of held-out windows of T images for trajectories (T, 4, 4).
 
-    By the correlation rho of a window with the rendering at the same place, -log(1 - rho^2) / 2: the
-    pixels of a window count as one, as the map's colours err together. Only windows in which the
-    query shows something are samples; where the rendering shows nothing, they correlate with nothing.
+    A window counts by its correlation rho with the rendering at the same place, -log(1 - rho^2) / 2, as one
+    sample, since the map's colours err together. Flat windows of the query do not count.
     """
     scores: list[list[Floats]] = [[] for _ in trajectories]
     for t, (frame, query) in enumerate(zip(frames, queries, strict=True)):
@@ -201,9 +200,9 @@ def _windows(camera: Camera) -> NDArray[np.int64]:
 
 
 def landmark_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[list[Floats]]:
-    """Return log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
+    """Return log-likelihoods (N,) of held-out landmarks, of each trajectory (T, 4, 4) and frame.
 
-    Those that none explains are chance.
+    Landmarks that no trajectory explains are left out.
     """
     out: list[list[Floats]] = [[] for _ in trajectories]
     for t, (s, frame) in enumerate(zip(refiner.landmarks, refiner.frames, strict=False)):
@@ -216,30 +215,30 @@ def landmark_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[li
 
 
 FARTHEST = (1.0, 0.6)
-"""A refinement that moves the pose farther than this [m], [rad] has found another place ..."""
+"""Largest move of a pose by a refinement [m], [rad]; beyond lies another place ..."""
 FARTHEST_BLIND = (0.6, 0.4)
-"""... and so has one without depth."""
+"""... and without depth."""
 SURE = 1.0
-"""Standard errors by which held-back samples must be more likely on the refined trajectory ..."""
+"""Least gain of held-out samples on the refined trajectory [standard errors] ..."""
 SURER = 3.0
-"""... and where images alone speak: they are wrong together more easily (benchmark)."""
+"""... and with images alone, which are wrong together more easily (benchmark)."""
 
 FELT = (0.005, float(np.radians(0.2)))
-"""Way [m] and turn [rad] from which on it is told that a sensor keeps no stamps."""
+"""Least way [m] or turn [rad] by a sensor's lag that is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitCheck:
-    """Decision whether a refined trajectory is believed, with its reason."""
+    """Check of a refined trajectory: whether it is accepted, and why."""
 
     accepted: bool
     reason: str
     """One sentence."""
     candidate: FittedTrajectory
-    """What was judged: where images took part, maybe what depth alone says."""
+    """Trajectory that was checked: the full fit, or the fit by depth alone."""
     stats: dict[str, Any]
     objection: str = ""
-    """What speaks against the coarse pose too, as half a sentence."""
+    """Evidence against the coarse pose too, as half a sentence."""
     shift: float = 0.0
     """Way from the coarse pose [m] ..."""
     turn_deg: float = 0.0
@@ -247,7 +246,7 @@ class FitCheck:
     motion: float = 0.0
     """Root mean square of the odometry's normalised errors."""
     correlation: float | None = None
-    """Of held-back parts of the images with the map; None: they were not compared."""
+    """Correlation of held-out parts of the images with the map; None: not compared."""
     camera: str = ""
     """Hint that the camera is wrong; empty: none."""
 
@@ -277,7 +276,7 @@ def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -
 
 
 def _check_plausibility(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
-    """A trajectory by itself: whether anything holds it, and it is near and like the odometry."""
+    """Check a trajectory by itself: support by data, distance from the start, and odometry."""
     inliers = sum(map(len, candidate.matches))
     shift, turn = measure_move(coarse[-1], candidate.poses[-1])
     stats: dict[str, Any] = {
@@ -291,7 +290,7 @@ def _check_plausibility(refiner: Refiner, coarse: Floats, candidate: FittedTraje
         if not against:
             motion = stats["motion"] = _motion_error(refiner, candidate.poses)
             against = "it contradicts the odometry" if motion > BENT else ""
-    # what depth backs, images alone do not shake
+    # images alone do not outweigh depth
     objection = "" if refiner.has_depth else objection
     by = (
         f"Not refined: {against}."
@@ -327,14 +326,14 @@ def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
 
 
 def _check_support(refiner: Refiner, candidate: FittedTrajectory, inliers: int) -> str:
-    """Return whether there was nothing to go by."""
+    """Return why too few data support a fit; empty: enough do."""
     if candidate.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
         return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     return ""
 
 
 def _check_move(refiner: Refiner, shift: float, turn: float) -> str:
-    """Return whether the fit ended at another place."""
+    """Return why a fit is of another place; empty: it is not."""
     way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
     if shift <= way and turn <= angle:
         return ""
@@ -347,9 +346,9 @@ NOTHING = "the frames show nothing that could be matched with the map"
 def _choose_candidate(
     refiner: Refiner, coarse: Floats, ways: Sequence[FitCheck]
 ) -> tuple[FitCheck, str]:
-    """Return the way that held-back samples make likeliest, and what speaks against it all the same.
+    """Choose the candidate that held-out samples make likeliest, and return an objection to it, if any.
 
-    The log-likelihoods of the senses add up: none has a veto, and what says little weighs little.
+    Log-likelihoods of the senses add up: none has a veto.
     """
     senses = _evidence(refiner, coarse, [way.candidate for way in ways])
     if not any(e.samples for e in senses.values()):
@@ -379,7 +378,7 @@ def _choose_candidate(
 def _evidence(
     refiner: Refiner, coarse: Floats, candidates: Sequence[FittedTrajectory]
 ) -> dict[str, HeldOutEvidence]:
-    """Return each sense's evidence for the coarse trajectory and the fits, in that order."""
+    """Measure each sense's evidence for the coarse trajectory and the candidates, in that order."""
     found, looked = {}, set(refiner.image_rows().tolist())
     measured, pictured = [coarse], [coarse]
     for fit in candidates:
@@ -399,7 +398,10 @@ def _evidence(
 
 
 def _diagnose_camera(refiner: Refiner, way: FitCheck) -> tuple[str, str]:
-    """Return what is wrong with the camera, and a hint where `find_camera_correction` should look closer."""
+    """Diagnose the camera: objection, and hint for `find_camera_correction`; empty: none.
+
+    Rows *focal length*, *depth scale* and *depth aside*.
+    """
     factor, hint = measure_scale_error(refiner, way.candidate), ""
     if abs(factor) > SUSPECT:
         hint = f"a scale looks {factor:+.1%} off"
@@ -436,7 +438,7 @@ def _describe_senses(refiner: Refiner, inliers: int) -> str:
 
 
 MOST = 30
-"""Frames that are refined together, the newest."""
+"""Largest number of frames that are refined together, the newest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,7 +453,7 @@ class RefineSetup:
     def of(
         cls, options: RefineOptions | None, matcher: str | Matcher, device: str = "auto"
     ) -> RefineSetup:
-        """With a matcher by its name, or one of one's own; raises as `matching.matcher` does."""
+        """Make a setup with a matcher, or its name; raises as `matching.matcher` does."""
         options = options or RefineOptions()
         if not isinstance(matcher, str):
             if not isinstance(matcher, Matcher):
@@ -473,7 +475,7 @@ class RefineSetup:
 def refine_estimate(
     window: Window, estimate: PoseEstimate, refining: RefineSetup, *, explained: bool = False
 ) -> PoseEstimate:
-    """Return the estimate with its best mode refined, or with the reason why the coarse pose stands.
+    """Refine the best mode of an estimate, or give the reason why the coarse pose stands.
 
     Parameters
     ----------
@@ -499,9 +501,9 @@ def refine_estimate(
 def refine_from(
     window: Window, estimate: PoseEstimate, refiner: Refiner, start: Floats, *, explained: bool
 ) -> PoseEstimate:
-    """Return the estimate refined from a start (T, 4, 4) of the window's frames, as in `refine_estimate`.
+    """Refine an estimate from a start (T, 4, 4) of the window's frames, as `refine_estimate` does.
 
-    Where something is not installed, what can be done without it is done.
+    Without PoseLib depth alone is used.
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
     try:
@@ -526,7 +528,7 @@ def refine_from(
 
 
 def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> PoseEstimate:
-    """Return the estimate with what became of its best mode."""
+    """Apply a check to the best mode of an estimate."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
     best, candidate = coarse, check.candidate
     if check.accepted:
@@ -570,13 +572,13 @@ def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> P
 
 
 _NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
-_SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
+_SHARPEST = 1e-3  # least deviation of a given pose [m], [rad]
 
 
 def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstimate:
-    """Return the pose of the last frame asked about, from where (4, 4) it is roughly known to be.
+    """Refine the pose of the last frame from a rough one (4, 4).
 
-    Where there is depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
+    With depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
     """
     query = replace(query, frames=query.frames[-MOST:])
     window, estimate = _refined(query, given, refining)
@@ -588,7 +590,7 @@ def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstima
 
 
 def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Window, PoseEstimate]:
-    """Return the answer if the camera is as it is said to be, and the frames that it rests on."""
+    """Refine a given pose with the camera as given; return window and estimate."""
     window = observe(query)
     odometry = np.stack([f.odometry for f in query.frames])
     coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
@@ -613,7 +615,7 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
 
 
 def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
-    """Return trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
+    """Search the best pose near a given one by the likelihood of the search: (T, 4, 4)."""
     rng = np.random.default_rng(window.query.seed)
     pose, _ = split_pose(given)
     reach = _reach(options)[[0, 1, 2, 5]]
@@ -622,7 +624,7 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
     spread = np.maximum(fit.spread, _NEARLY)
     narrow = local_fit.fit_level(window, FINE, rounds=2)
     fit = local_fit.fit_pose(window.scorer, fit.pose, spread, narrow, rng)
-    # what no reading holds, such as the height between bare walls, wanders off
+    # directions without readings, such as the height between bare walls, drift away
     off = fit.pose - pose
     off[3] = wrap_angle(off[3])
     found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
@@ -630,13 +632,13 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
 
 
 def _reach(options: RefineOptions) -> Floats:
-    """Return standard deviations (6,) [m], [rad] of a pose that somebody gave."""
+    """Return standard deviations (6,) [m], [rad] of a given pose."""
     way, turn = options.reach
     return np.array([way, way, 0.3 * way, turn, turn, turn])
 
 
 def _estimate_given_pose(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
-    """Return an estimate of a given pose, before any frame is used."""
+    """Make an estimate of a given pose, before any frame is used."""
     matrix, scene = coarse[-1], window.scene
     row = scene.scene_at(matrix[:2, 3])
     mode = PoseMode(

@@ -23,17 +23,17 @@ from placegraph.indoor.track.tracker import FrameResult, GivenPose
 from placegraph.io.capture.frame import Frame
 
 KEPT = 10.0
-"""Seconds remembered: an image that is later than that is of no use."""
+"""Seconds of odometry that are kept: later images are of no use."""
 MOST = 8192
-"""Samples remembered, however fast they come."""
+"""Largest number of samples."""
 AHEAD = 0.25
-"""A pose is foretold for so many seconds beyond the newest sample."""
+"""Seconds of extrapolation beyond the newest sample."""
 JUMP = 1.0
 """Stamps that go back by less [s] are late; by more, the clock was set back.
 
 So long may odometry be silent, too."""
 FASTEST, TWITCH = 10.0, 0.5
-"""No camera moves faster [m/s], beyond this [m]: odometry has begun anew."""
+"""Largest speed [m/s] and jitter [m] of a camera; beyond, odometry was restarted."""
 FARTHEST = 1e7
 """No pose is further than this [m] from the origin of its frame."""
 _UNIT = np.eye(4)
@@ -41,7 +41,7 @@ _BASE = 0.1  # seconds over which speed is measured, since samples jitter
 
 
 class Sample(NamedTuple):
-    """Odometry at a time, and the way to there."""
+    """Odometry at a time, with the way travelled."""
 
     stamp: float
     pose: Floats
@@ -55,7 +55,7 @@ class Sample(NamedTuple):
 
 
 class Odometry:
-    """Samples in order of time, interpolated; those older than `KEPT` are forgotten."""
+    """Odometry buffer: samples in order of time, interpolated; older ones than `KEPT` are dropped."""
 
     def __init__(self) -> None:
         self._samples: list[Sample] = []
@@ -66,12 +66,12 @@ class Odometry:
 
     @property
     def newest(self) -> Sample | None:
-        """The last sample; None where there is none."""
+        """Return the last sample; None: there is none."""
         return self._samples[-1] if self._samples else None
 
     @property
     def oldest(self) -> float:
-        """Stamp from which on it is remembered; infinite where nothing is."""
+        """Return the stamp of the oldest sample; infinite: there is none."""
         return self._stamps[0] if self._stamps else np.inf
 
     def clear(self) -> None:
@@ -93,7 +93,7 @@ class Odometry:
             del self._samples[:gone], self._stamps[:gone]
 
     def jumps(self, stamp: float, pose: Floats) -> str:
-        """Why a sample cannot follow the newest; empty where it can."""
+        """Return why a sample cannot follow the newest; empty: it can."""
         last = self.newest
         if last is None:
             return ""
@@ -105,10 +105,9 @@ class Odometry:
         return ""
 
     def at(self, stamp: float) -> Sample | None:
-        """Odometry at a time, interpolated; None before the oldest sample, or where there is none.
+        """Interpolate odometry at a time; None: before the oldest sample.
 
-        Beyond the newest sample the camera is taken to go on as it did for `AHEAD` seconds, and to
-        stand then.
+        Beyond the newest sample motion is extrapolated for `AHEAD` seconds, and stops then.
         """
         after = bisect_right(self._stamps, stamp)
         if after == 0:
@@ -125,9 +124,9 @@ class Odometry:
 def checked_odometry(
     stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None
 ) -> tuple[float, Floats, Floats | None]:
-    """A sample as arrays; `OptionError` where it is no time, no rigid pose or no covariance.
+    """Check a sample; raises `OptionError` for a bad time, pose or covariance.
 
-    A covariance of zeros says nothing, and is left out.
+    A covariance of zeros becomes None.
     """
     if not np.isfinite(stamp):
         raise OptionError(f"stamp is {stamp}; give seconds.")
@@ -139,7 +138,7 @@ def checked_odometry(
 
 
 def checked_pose(what: str, matrix: ArrayLike) -> Floats:
-    """A rigid transform (4, 4), its own copy; `OptionError` where it is none."""
+    """Copy a rigid transform (4, 4); raises `OptionError` if it is none."""
     try:
         pose = np.array(matrix, np.float64)
     except (TypeError, ValueError) as error:
@@ -156,7 +155,7 @@ def checked_pose(what: str, matrix: ArrayLike) -> Floats:
 
 
 def checked_covariance(what: str, matrix: ArrayLike) -> Floats:
-    """A covariance (6, 6), its own copy; `OptionError` where it is none."""
+    """Copy a covariance (6, 6); raises `OptionError` if it is none."""
     try:
         spread = np.array(matrix, np.float64)
     except (TypeError, ValueError) as error:
@@ -171,7 +170,7 @@ def checked_covariance(what: str, matrix: ArrayLike) -> Floats:
 
 
 def _between(a: Sample, b: Sample, stamp: float) -> Sample:
-    """On the straight way from a sample to a later one, or as far beyond."""
+    """Interpolate between two samples, or extrapolate beyond."""
     share = (stamp - a.stamp) / (b.stamp - a.stamp)
     pose = np.eye(4)
     step = vector_from_rotation(a.pose[:3, :3].T @ b.pose[:3, :3])
@@ -195,29 +194,29 @@ def _angle(rotation: Floats) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LivePose:
-    """Where the camera is at a time, and how far that may be trusted."""
+    """Pose of the camera at a time, with status and covariance."""
 
     stamp: float
     """[s]"""
     status: Status
-    """Of the last image; `AMBIGUOUS` where odometry alone has led on for too long."""
+    """Status of the last image; `AMBIGUOUS` after too long by odometry alone."""
     reason: str
     """One sentence: why."""
     map_from_camera: Floats | None
-    """(4, 4) [m]; None where nobody knows, or several places fit: `estimate.modes`."""
+    """(4, 4) [m]; None: unknown, or several places fit (`estimate.modes`)."""
     map_from_odom: Floats | None
-    """(4, 4) where odometry's frame stands in the map: what an image corrects."""
+    """(4, 4) pose of odometry's frame in the map, which images correct."""
     covariance: Floats | None
     """(6, 6) of `map_from_camera`, as `PoseMode.covariance`."""
     estimate: PoseEstimate | None = field(repr=False)
-    """Of the last image that was looked at."""
+    """Estimate of the last image."""
     scene: str
-    """Name of the map; of a plain map that of its (first) scene. Empty where nobody knows."""
+    """Name of the map; of a plain map that of its (first) scene. Empty: unknown."""
     age: float
-    """Seconds since an image, or a person, told it; infinite where nobody has."""
+    """Seconds since an image or a person gave the pose; infinite: never."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, without the estimate."""
+        """Return plain numbers and strings, without the estimate."""
         matrices = {
             name: None if (m := getattr(self, name)) is None else m.tolist()
             for name in ("map_from_camera", "map_from_odom", "covariance")
@@ -230,28 +229,28 @@ class LivePose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """Where odometry's frame stands in a map, as it was told at a time."""
+    """Pose of odometry's frame in a map, as of a time."""
 
     at: Sample
-    """Odometry then."""
+    """Odometry at that time."""
     map_from_odom: Floats
     covariance: Floats
-    """(6, 6) of the camera's pose then."""
+    """(6, 6) of the camera's pose at that time."""
     scene: str
 
     @classmethod
     def of(cls, at: Sample, map_from_camera: Floats, covariance: Floats, scene: str) -> Anchor:
-        """Told by a pose of the camera (4, 4) with its covariance (6, 6)."""
+        """Make an anchor of a pose of the camera (4, 4) with its covariance (6, 6)."""
         return cls(at, map_from_camera @ np.linalg.inv(at.pose), covariance, scene)
 
     def pose(self, now: Sample) -> Floats:
-        """map_from_camera (4, 4) where odometry is now."""
+        """Return map_from_camera (4, 4) at a sample."""
         return self.map_from_odom @ now.pose
 
     def spread(self, now: Sample, noise: MotionNoise) -> Floats:
-        """Covariance (6, 6) of that: it grows by way, turn and time, and by what odometry says of itself.
+        """Return the covariance (6, 6) of that: it grows by way, turn, time and odometry's own covariance.
 
-        A turn that is not quite known swings what was gone since.
+        An uncertain turn swings the way since.
         """
         gone = self.map_from_odom[:3, :3] @ (now.pose[:3, 3] - self.at.pose[:3, 3])
         swing = np.eye(6)
@@ -294,47 +293,46 @@ def predict_pose(
 
 
 def _drop_negative_variances(matrix: Floats) -> Floats:
-    """The same without negative variances: odometry that closed a loop knows its pose better again."""
+    """Drop negative variances: after closing a loop odometry is more certain again."""
     values, axes = np.linalg.eigh(matrix)
     return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
 BROKEN = np.diag([0.25, 0.25, 0.01, 0.0, 0.0, 0.25])
-"""Covariance that is added where odometry begins anew: half a metre, half a radian."""
-NOTHING = "Nothing is known yet: no image has told where the camera is."
+"""Covariance that is added when odometry restarts: half a metre, half a radian."""
+NOTHING = "The pose is unknown: no image has been localized yet."
 
 
 class Belief:
-    """Where odometry's frame stands, since when, and what the last image said.
+    """Belief: pose of odometry's frame in a map, and the state of the last image.
 
-    `noise`: of odometry. `epoch` counts how often everything was begun anew: what was asked before
-    is not listened to after.
+    `noise`: of odometry. `epoch` counts restarts: answers to earlier requests do not count.
     """
 
     def __init__(self, noise: MotionNoise) -> None:
         self.noise = noise
         self.odometry = Odometry()
         self.moved = False
-        """Whether odometry comes by itself, and not with images."""
+        """Whether odometry comes apart from images."""
         self.late = 0
         self.epoch = 0
         self.anchor: Anchor | None = None
         self.near: GivenPose | None = None
-        """Where images are to look first."""
+        """Pose around which images are searched first."""
         self._last = LiveState.lost(NOTHING)
         self._placed: tuple[Floats, Floats, str] | None = None
 
     @property
     def status(self) -> Status:
-        """What the last image said."""
+        """Return the status of the last image."""
         return self._last.status
 
     def tell(self, stamp: float, pose: Floats, covariance: Floats | None, *, own: bool) -> bool:
-        """A sample of odometry, of its `own` or an image's; whether it had to begin anew."""
+        """Add a sample of odometry, `own` or of an image; return whether odometry restarted."""
         odometry, newest = self.odometry, self.odometry.newest
         jump = odometry.jumps(stamp, pose)
         if own and not self.moved and newest is not None:
-            jump = "Odometry of its own came beside that of the images"
+            jump = "Separate odometry came beside that of the images"
         self.moved = own
         if jump:
             self._break(jump, stamp, pose, covariance)
@@ -348,7 +346,7 @@ class Belief:
         return False
 
     def _break(self, why: str, stamp: float, pose: Floats, covariance: Floats | None) -> None:
-        """Odometry goes on at another time or place: the camera is taken to be about where it was."""
+        """Restart odometry at another time or place: the camera stays about where it was."""
         last, anchor = self.odometry.newest, self.anchor
         self.odometry.clear()
         self.odometry.tell(stamp, pose, covariance)
@@ -360,10 +358,12 @@ class Belief:
             here = anchor.map_from_odom @ pose  # the clock alone
         else:
             here, spread = anchor.pose(last), spread + BROKEN
-        self.believe(here, spread, anchor.scene, f"{why}; it is looked for near where it was.")
+        self.believe(
+            here, spread, anchor.scene, f"{why}; the camera is searched near its last pose."
+        )
 
     def believe(self, pose: Floats, covariance: Floats, scene: str, why: str) -> None:
-        """A pose of now (4, 4) with its covariance (6, 6) that images are to confirm."""
+        """Set the current pose (4, 4) with its covariance (6, 6), which images must confirm."""
         self.forget(why)
         now = self.odometry.newest
         if now is None:
@@ -374,17 +374,17 @@ class Belief:
         self._last = LiveState.unconfirmed(why)
 
     def forget(self, why: str) -> None:
-        """Begin anew."""
+        """Forget the pose."""
         self.epoch += 1
         self.anchor = self.near = self._placed = None
         self._last = LiveState.lost(why)
 
     def carried(self, why: str) -> None:
-        """An image told nothing: what was known goes on."""
+        """Keep the pose after an image without a result."""
         self._last = replace(self._last, reason=why)
 
     def placing(self, frame: Frame) -> tuple[Sample | None, str]:
-        """Odometry at an image's time; or None, and why there is none."""
+        """Return odometry at an image's time; or None, and the reason."""
         sample, newest = self.odometry.at(frame.stamp), self.odometry.newest
         if sample is None or newest is None:
             return (
@@ -397,7 +397,7 @@ class Belief:
         return sample, ""
 
     def update(self, result: FrameResult) -> None:
-        """What an image told counts from its own time on."""
+        """Update the belief by the result of an image, from its own time on."""
         status, estimate = self._last.status, self._last.estimate
         if result.estimate is not None:
             status, estimate = result.estimate.status, result.estimate
@@ -418,7 +418,7 @@ class Belief:
         self._last = LiveState(status, result.reason, estimate)
 
     def pose(self, stamp: float | None) -> LivePose:
-        """The pose at a time, or at that of the newest odometry."""
+        """Return the pose at a time, or at that of the newest odometry."""
         newest = self.odometry.newest
         now = newest if stamp is None else self.odometry.at(stamp)
         last, silent = self._last, 0.0
@@ -429,6 +429,6 @@ class Belief:
         when = now.stamp if now is not None else np.nan if stamp is None else stamp
         forgotten = ""
         if self.anchor is not None:
-            forgotten = f"Odometry is remembered for {KEPT:g} s, and tells nothing of {stamp}."
+            forgotten = f"Odometry is kept for {KEPT:g} s; {stamp} is older."
         status, reason = decide_live(last, silent, None, forgotten)
         return LivePose(when, status, reason, None, None, None, last.estimate, "", np.inf)

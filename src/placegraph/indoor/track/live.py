@@ -38,20 +38,20 @@ if TYPE_CHECKING:
 
 
 class Inline(Executor):
-    """Does at once, and in the caller's thread, what it is given."""
+    """Executor that runs tasks at once in the caller's thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
-        """Do it."""
+        """Run a task."""
         done: Future[Any] = Future()
         done.set_result(fn(*args, **kwargs))
         return done
 
 
 class Worker:
-    """Brings images to a follower, its questions to maps, and what both say to a belief.
+    """Worker that passes images to a follower, relocalizations to maps, and results to a belief.
 
-    Of images that come too fast the newest is looked at. At most one job looks at images, and one
-    looks frames up; `changed` guards the belief and all that is here.
+    Of images that come too fast only the newest counts. At most one job follows images, and one searches
+    lost frames; `changed` guards the belief and all fields here.
     """
 
     def __init__(
@@ -72,16 +72,16 @@ class Worker:
         self._failed: BaseException | None = None
 
     def discard_image(self) -> None:
-        """Images of before odometry began anew are of no use; lock held."""
+        """Drop an image from before odometry restarted; lock held."""
         self.dropped += self._inbox is not None
         self._inbox, self._seen = None, -np.inf
 
     def is_late(self, frame: Frame) -> bool:
-        """Whether a newer image has come already; one much older says that the clock was set back."""
+        """Return whether a newer image has come already; one much older means that the clock was set back."""
         return bool(self._seen - JUMP <= frame.stamp <= self._seen)
 
     def take(self, frame: Frame) -> bool:
-        """Keep an image, and say whether somebody has to be sent to `work` at it; lock held."""
+        """Keep an image, and return whether a job must be submitted; lock held."""
         self._seen = frame.stamp
         self.dropped += self._inbox is not None
         self._inbox = frame
@@ -89,16 +89,16 @@ class Worker:
         return idle
 
     def send(self) -> None:
-        """Have images looked at; without the lock."""
+        """Submit a job that follows images; without the lock."""
         self._executor.submit(self._work)
 
     def wait(self) -> None:
-        """Wait until there is nothing left to look at, or up; lock held."""
+        """Wait until all images and relocalizations are done; lock held."""
         self._changed.wait_for(lambda: self._failed or not (self._busy or self._searching))
         self.check()
 
     def check(self) -> None:
-        """Raise what ended it; lock held."""
+        """Raise the error that ended the worker; lock held."""
         if self._failed is not None:
             raise self._failed
 
@@ -112,14 +112,14 @@ class Worker:
             self._executor.shutdown(wait=True, cancel_futures=True)
 
     def _work(self) -> None:
-        """Look at images, and take answers over, until there is none left."""
+        """Follow images and accept answers until none is left."""
         looked = False
         try:
             while True:
                 with self._changed:
                     epoch, frame, found = self._belief.epoch, self._next(), self._answer
                     self._answer = None
-                    if looked and (frame is not None or found is None):  # it has told what it does
+                    if looked and (frame is not None or found is None):  # its result is known
                         self.status_counts[self._belief.status.name] += 1
                         looked = False
                     if frame is None and found is None:
@@ -135,11 +135,11 @@ class Worker:
                     self._publish(epoch, self._follower.follow(frame))
                     self._ask(epoch)
                     looked = True
-        except BaseException as error:  # noqa: BLE001  # told to who calls next
+        except BaseException as error:  # noqa: BLE001  # raised in the next call
             self._fail(error)
 
     def _next(self) -> Frame | None:
-        """The image to look at, with odometry of its time; lock held."""
+        """Return the next image with odometry at its time; lock held."""
         frame, self._inbox = self._inbox, None
         if frame is None:
             return None
@@ -151,13 +151,13 @@ class Worker:
         return None
 
     def _publish(self, epoch: int, result: FrameResult | None) -> None:
-        """Tell the belief what an image said, unless all was begun anew meanwhile."""
+        """Update the belief by a result, unless it restarted meanwhile."""
         with self._changed:
             if result is not None and epoch == self._belief.epoch:
                 self._belief.update(result)
 
     def _ask(self, epoch: int) -> None:
-        """Have frames looked up, where the pose is not known."""
+        """Submit a relocalization, if one is due."""
         with self._changed:
             question = None if self._searching else self._follower.question()
             self._searching |= question is not None
@@ -170,7 +170,7 @@ class Worker:
                 max(1, count_processors() - 1)
             ):  # a core is left to those that follow
                 found = question.search(self._follower.relocalizer)
-        except BaseException as error:  # noqa: BLE001  # told to who calls next
+        except BaseException as error:  # noqa: BLE001  # raised in the next call
             self._fail(error)
             return
         with self._changed:
@@ -193,7 +193,7 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedPose:
-    """A pose, and odometry at its time."""
+    """Pose and odometry of one time, as a file."""
 
     scene: str
     """Name of its map ..."""
@@ -242,7 +242,7 @@ class SavedPose:
 
 
 def digest_of(scene: Scene) -> str:
-    """What tells a map from others: of its surfaces and the names of its objects."""
+    """Return a digest of a map: of its surfaces and the ids of its objects."""
     sha = hashlib.sha256("\n".join(scene.graph.ids).encode())
     for column in (scene.mesh.vertices, scene.mesh.triangles):
         sha.update(np.ascontiguousarray(column).data)
@@ -256,12 +256,12 @@ def _text(value: object) -> str:
 
 
 class LiveTracker:
-    """The pose of a camera at any time, from odometry and images that come when they come.
+    """Live tracker: pose of a camera at any time, from asynchronous odometry and images.
 
-    Images are followed one after the other, and looked up in the whole map, or library, where the pose
-    is not known: the pose goes on by odometry meanwhile. The state is where odometry's frame stands in
-    the map, so that a late image counts from its own time on. Maps are only read. Time and memory
-    are bounded. All methods may be called from any thread.
+    Images are followed one after the other. If the pose is unknown, they are searched in the whole map, or
+    library, while the pose goes on by odometry. The state is the pose of odometry's frame in the map, so a
+    late image counts from its own time on. Maps are only read. Time and memory are bounded. All methods
+    may be called from any thread.
 
     Parameters
     ----------
@@ -305,24 +305,24 @@ class LiveTracker:
 
     @property
     def dropped(self) -> int:
-        """Images that were not looked at: too many, too late, or of another time."""
+        """Return the number of dropped images: too many, too late, or of another time."""
         return self._worker.dropped
 
     @property
     def late(self) -> int:
-        """Samples of odometry that came after newer ones, and were left out."""
+        """Return the number of odometry samples that came after newer ones, and were dropped."""
         return self._belief.late
 
     @property
     def status_counts(self) -> Counter[str]:
-        """Images that were looked at, by the status after each."""
+        """Return the number of images by the status after each."""
         with self._changed:
             return self._worker.status_counts.copy()
 
     def move(
         self, stamp: float, odom_from_camera: ArrayLike, covariance: ArrayLike | None = None
     ) -> LivePose:
-        """Take a sample of odometry, and tell the pose there: a fraction of a millisecond.
+        """Add a sample of odometry, and return the pose there, within a fraction of a millisecond.
 
         Parameters
         ----------
@@ -349,10 +349,10 @@ class LiveTracker:
             return self._belief.pose(None)
 
     def see(self, frame: Frame) -> None:
-        """Take an image; it is looked at later, and dropped where a newer one comes first.
+        """Add an image, which is processed later, and dropped if a newer one comes first.
 
-        Its own odometry counts only as long as nobody has called `move`. What is broken, or shows
-        nothing, is said in the reason of the poses after it.
+        Its own odometry counts only until `move` is called. Broken or blank images are named in the reason
+        of later poses.
 
         Raises
         ------
@@ -377,7 +377,7 @@ class LiveTracker:
             self._worker.send()
 
     def step(self, frame: Frame) -> LivePose:
-        """`see`, and wait until it was looked at, and up where need be; nothing is dropped. The pose then.
+        """Add an image, wait until it is processed, and return the pose; nothing is dropped.
 
         Raises `OptionError` as `see` does.
         """
@@ -387,22 +387,22 @@ class LiveTracker:
         return self.pose(frame.stamp)
 
     def wait(self) -> None:
-        """Wait until all images were looked at."""
+        """Wait until all images are processed."""
         with self._changed:
             self._worker.wait()
 
     def pose(self, stamp: float | None = None) -> LivePose:
-        """The pose at a time [s]; that of the newest odometry if not given.
+        """Return the pose at a time [s], or at that of the newest odometry.
 
-        Beyond the newest odometry it goes on for a quarter of a second as it did, and stands then;
-        after a second it is not `OK` any more.
+        Beyond the newest odometry motion is extrapolated for a quarter of a second; after a second the
+        pose is not `OK`.
         """
         with self._changed:
             self._worker.check()
             return self._belief.pose(stamp)
 
     def place(self, map_from_camera: ArrayLike, covariance: ArrayLike, scene: str = "") -> None:
-        """Say where the camera is now (``initialpose``); images are to confirm it.
+        """Set the current pose (``initialpose``), which images must confirm.
 
         Parameters
         ----------
@@ -424,16 +424,16 @@ class LiveTracker:
         with self._changed:
             anchor = self._belief.anchor
             name = self._finder.named(scene or (anchor.scene if anchor else ""))
-            why = "It was told where the camera is; no image has confirmed it."
+            why = "The pose was given; no image has confirmed it."
             self._belief.believe(pose, spread, name, why)
 
     def lose(self) -> None:
-        """Forget the pose: it is looked for everywhere (``reinitialize_global_localization``)."""
+        """Forget the pose and search everywhere (``reinitialize_global_localization``)."""
         with self._changed:
-            self._belief.forget("It was asked to forget the pose.")
+            self._belief.forget("The pose was reset on request.")
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the pose of now, its map's name and digest into a file (atomically), such as robot.track.
+        """Write the current pose, its map's name and digest to a file (atomically), such as robot.track.
 
         Raises
         ------
@@ -460,9 +460,9 @@ class LiveTracker:
         maps: Scene | SceneSource,
         **options: Any,  # noqa: ANN401
     ) -> Self:
-        """A tracker that begins where another was saved; images are to confirm it.
+        """Make a tracker that starts at a saved pose, which images must confirm.
 
-        Odometry may go on, or begin anew: the camera is taken to be near where it was then.
+        Odometry may go on or restart.
 
         Parameters
         ----------
@@ -489,12 +489,12 @@ class LiveTracker:
             )
         belief = live._belief
         belief.tell(saved.stamp, saved.odom_from_camera, None, own=saved.moved)
-        why = "It was loaded; no image has confirmed it."
+        why = "The pose was loaded; no image has confirmed it."
         belief.believe(saved.map_from_camera, saved.covariance, saved.scene, why)
         return live
 
     def close(self) -> None:
-        """End its threads; what is being looked at is finished first."""
+        """End the threads; the image in progress is finished first."""
         self._worker.close()
 
     def __enter__(self) -> Self:

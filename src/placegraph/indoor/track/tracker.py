@@ -57,20 +57,20 @@ from placegraph.indoor.status import await_confirmation, decide_followed, diagno
 from placegraph.io.capture.frame import Frame
 
 SAME_WAY, SAME_TURN = 0.3, 0.17
-"""Two poses are of one place where they are no further apart [m, rad]."""
+"""Largest distance [m] and turn [rad] between poses of one place."""
 
 
 class Confirmation:
-    """Judges what is found in a whole map: one image may fit an alias, such as wallpaper that repeats.
+    """Confirmation of relocalizations: one image may fit an alias, such as repeated wallpaper.
 
-    A place counts when the next answer that is sure finds it where odometry has come to since.
+    A place counts if the next answer that is `OK` finds it again, moved on by odometry.
     """
 
     def __init__(self) -> None:
         self._before: tuple[str, Floats] | None = None
 
     def confirm(self, scene: str, frame: Frame, estimate: PoseEstimate) -> PoseEstimate:
-        """The estimate of a frame's pose in a scene; where it was found first, `AMBIGUOUS`."""
+        """Return the estimate of a frame's pose in a scene, `AMBIGUOUS` until it is found again."""
         best = estimate.best
         if estimate.status is not Status.OK or best is None:
             return estimate
@@ -86,32 +86,32 @@ class Confirmation:
 
 
 def _is_same_place(pose: Floats, other: Floats) -> bool:
-    """Whether two poses (4, 4) are of one place."""
+    """Return whether two poses (4, 4) are of one place."""
     apart = np.linalg.norm(pose[:3, 3] - other[:3, 3])
     turned = np.linalg.norm(vector_from_rotation(pose[:3, :3].T @ other[:3, :3]))
     return bool(apart <= SAME_WAY and turned <= SAME_TURN)
 
 
 KEPT = 10
-"""Keyframes remembered: what a search after the camera was lost has to go by."""
+"""Number of keyframes that a search uses."""
 NEWEST = 4
-"""Newest of them that the pose is fitted to while it is known."""
+"""Number of newest keyframes that a known pose is fitted to."""
 ROUNDS, SAMPLES = 2, 40
-"""Of the fit to a new frame."""
+"""Rounds and samples of the fit to a new frame."""
 DOUBT = 2.0
-"""Errors of a step, in units of the noise that is allowed for, that are reckoned with."""
+"""Error of an odometry step, in units of the motion noise, that the fit allows for."""
 NEAREST, FARTHEST = 2.0 * NARROWEST, 12.0 * NARROWEST
-"""Bounds of how widely its samples are spread."""
+"""Bounds of the spread of samples."""
 APART, TURNED = 0.15, 0.12
-"""A new keyframe is this far on [m], or turned by this much [rad]."""
+"""Way [m] or turn [rad] from one keyframe to the next."""
 WAIT = 5
-"""Frames after which a camera that stands still, and is lost, is looked up again."""
+"""Frames after which a lost camera that stands still is searched again."""
 PATIENCE = 3
-"""Frames that may contradict the pose before it is given up."""
+"""Number of contradicting frames after which a pose is given up."""
 
 
 def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
-    """Estimate of a window's last frame in the whole map, or around the query's prior, and its best fit."""
+    """Search a window's last frame in the map, or around the query's prior: estimate and best fit."""
     seeds = search(window, rng)
     fits = explore_unobservable(window, fit_window(window, seeds, rng), rng)
     return estimate_pose(window, fits), fits[0]
@@ -120,16 +120,16 @@ def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
 class Tracker:
     """Localizes a stream of frames in one map; time and memory a frame are bounded.
 
-    Until the pose is known, the newest keyframes are looked up in the visibility table and polished
-    together, until two answers agree; then the pose is carried on by odometry and fitted to the last
-    keyframes. Where these fit, but are too bare to tell a place alone, it stays known by where it was,
-    ever more loosely; a pose that they contradict for a while is given up, and searched for anew.
+    Until the pose is known, the newest keyframes are searched by the visibility table and fitted together,
+    until two answers agree. Then odometry predicts the pose, which is fitted to the last keyframes. If these
+    fit but do not tell a place alone, the pose holds by odometry, with a growing covariance. A pose that
+    frames contradict for a while is given up and searched again.
 
     Parameters
     ----------
     query
-        What is asked, without frames; its description and shares are of where the stream begins, and
-        forgotten once the pose is known.
+        Query without frames; its description and shares are of where the stream begins, and dropped once
+        the pose is known.
     camera
         Camera of the frames; frames of another are refused.
 
@@ -152,7 +152,7 @@ class Tracker:
         self.scorer = Scorer(query.scene, query.options.likelihood)
         self.keyframes: deque[Observation] = deque(maxlen=KEPT)
         self._cut: ViewCache = {}
-        self._again = Confirmation()
+        self._confirmation = Confirmation()
         self._since = np.zeros(4)
         self._fit: Fit | None = None
         self._last: Frame | None = None
@@ -162,11 +162,11 @@ class Tracker:
 
     @property
     def following(self) -> bool:
-        """Whether the pose is known."""
+        """Return whether the pose is known."""
         return self._fit is not None
 
     def start(self, frames: Sequence[Frame], map_from_camera: Floats) -> None:
-        """Follow from the pose (4, 4) of the last of some frames, found elsewhere; the rest is forgotten.
+        """Start from a given pose (4, 4) of the last of some frames; forget all else.
 
         Raises `OptionError` and `InputError` as `update` does.
         """
@@ -178,7 +178,7 @@ class Tracker:
         self._last = frames[-1]
 
     def update(self, frame: Frame) -> PoseEstimate:
-        """Estimate of this frame's pose.
+        """Estimate the pose of a frame.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class Tracker:
         if estimate is None:
             self._waited += 1
             due = keyframe or self._waited >= WAIT or self._answer is None
-            estimate = self._search(observation) if due else self._carried(frame)
+            estimate = self._search(observation) if due else self._carry_on(frame)
         self._last, self._answer = frame, add_earth_poses(self.query.scene, estimate)
         return self._answer
 
@@ -206,7 +206,7 @@ class Tracker:
         self._fit, self._last, self._answer = None, None, None
         self._cut, self._since = {}, np.zeros(4)
         self._doubts = self._waited = 0
-        self._again = Confirmation()
+        self._confirmation = Confirmation()
 
     def _sighted(self, frame: Frame) -> Observation:
         if self.camera is not None and frame.camera != self.camera:
@@ -221,7 +221,7 @@ class Tracker:
     # ------------------------------------------------------------------------------ following
 
     def _follow(self, observation: Observation) -> PoseEstimate:
-        """Carry the pose on and fit it; it is given up where frames have contradicted it for a while."""
+        """Predict the pose by odometry and fit it; give it up if frames contradict it for a while."""
         assert self._fit is not None and self._last is not None  # noqa: S101, PT018  following
         frame = observation.frame
         recent = [*list(self.keyframes)[-NEWEST + 1 :], observation]
@@ -231,7 +231,7 @@ class Tracker:
         spread = np.clip(np.hypot(self._fit.spread, erred), NEAREST, FARTHEST)
         level = fit_level(window, FINE, rounds=ROUNDS, samples=SAMPLES)
         fit = fit_pose(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
-        estimate = self._believed(estimate_pose(window, [fit]), erred)
+        estimate = self._hold_by_odometry(estimate_pose(window, [fit]), erred)
         consistent = diagnostics_of(estimate).consistent
         against = estimate.status is not Status.OK and not consistent
         self._doubts = self._doubts + 1 if against else 0
@@ -242,11 +242,10 @@ class Tracker:
         self._accept_fit(fit)
         return estimate
 
-    def _believed(self, estimate: PoseEstimate, erred: Floats) -> PoseEstimate:
-        """What is known by where the camera was: frames too bare to tell a place do not deny one.
+    def _hold_by_odometry(self, estimate: PoseEstimate, erred: Floats) -> PoseEstimate:
+        """Hold a pose by odometry if its frames fit but do not tell a place alone.
 
-        `erred`: (4,) standard deviations of the last step. They add up until frames tell the place
-        by themselves, or the pose is known too loosely.
+        `erred`: (4,) standard deviations of the last step, which add up until frames tell the place.
         """
         if estimate.status is Status.OK:
             self._since = np.zeros(4)
@@ -260,31 +259,31 @@ class Tracker:
         return decide_followed(estimate, replace(best, covariance=covariance))
 
     def _accept_fit(self, fit: Fit) -> None:
-        """Follow a fit; what was said was of where the stream began."""
+        """Follow a fit, and drop the priors of where the stream began."""
         self.query = replace(self.query, description=None, shares=None)
         self._fit = fit
 
     def _window(self, observations: list[Observation]) -> Window:
-        """A window of the stream; of frames that were in the last one, views are not cut anew."""
+        """Make a window of the stream with the cached views of frames in the last one."""
         self._cut = {key: view for key, view in self._cut.items() if key[0] in observations}
         return Window(self.query, self.scorer, observations, cut=self._cut)
 
     # ------------------------------------------------------------------------------ searching
 
     def _search(self, newest: Observation) -> PoseEstimate:
-        """Look the keyframes, and the newest frame, up in the whole map."""
+        """Search the keyframes and the newest frame in the whole map."""
         self._waited = 0
         known = [s for s in self.keyframes if s is not newest]
         window = self._window([*known[-KEPT + 1 :], newest])
         estimate, fit = look_up(window, self.rng)
-        estimate = self._again.confirm("", newest.frame, estimate)
+        estimate = self._confirmation.confirm("", newest.frame, estimate)
         if estimate.status is Status.OK:
             self._doubts, self._since = 0, np.zeros(4)
             self._accept_fit(fit)
         return estimate
 
-    def _carried(self, frame: Frame) -> PoseEstimate:
-        """The last answer, carried on by odometry: a frame too near the last to tell more."""
+    def _carry_on(self, frame: Frame) -> PoseEstimate:
+        """Move the last answer on by odometry, for a frame too near the last to tell more."""
         assert self._answer is not None and self._last is not None  # noqa: S101, PT018
         if not self._answer.modes:
             return self._answer
@@ -310,13 +309,13 @@ class Tracker:
 
 
 def apart(frame: Frame, later: Frame) -> bool:
-    """Whether a frame is far enough from another to be a keyframe beside it."""
+    """Return whether a frame is far enough from another to be a keyframe beside it."""
     step = _steps([frame, later])[1]
     return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap_angle(step[3])) >= TURNED)
 
 
 def _steps(frames: Sequence[Frame]) -> Floats:
-    """(T, 4), step t from frame t - 1 to frame t; the first is none."""
+    """Return steps (T, 4), step t from frame t - 1 to frame t; the first is zero."""
     poses = level_frames(frames)
     steps = np.zeros_like(poses)
     steps[1:] = between(poses[:-1], poses[1:])
@@ -324,9 +323,9 @@ def _steps(frames: Sequence[Frame]) -> Floats:
 
 
 def track_capture(tracker: Tracker, frames: Sequence[Frame]) -> PoseEstimate:
-    """The last pose of a long capture, and a trajectory of poses as they were known.
+    """Track a long capture: estimate of the last pose, with the trajectory.
 
-    Frames before the pose was first known are led back from there by odometry.
+    Poses before the first known one follow from it by odometry.
     """
     if tracker.query.prior is not None:
         raise OptionError(
@@ -352,25 +351,25 @@ def track_capture(tracker: Tracker, frames: Sequence[Frame]) -> PoseEstimate:
 
 
 def _fill_by_odometry(
-    known: list[Floats | None], rows: list[int], frames: Sequence[Frame]
+    matrices: list[Floats | None], rows: list[int], frames: Sequence[Frame]
 ) -> Floats:
-    """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
+    """Fill unknown poses (T, 4, 4) by odometry from the nearest known one, the earlier of two."""
     poses = level_frames(frames)
     out = np.empty((len(frames), 4, 4))
-    for i, matrix in enumerate(known):
+    for i, matrix in enumerate(matrices):
         if matrix is not None:
             out[i] = matrix
             continue
         near = min(rows, key=lambda r: (abs(r - i), r))
-        anchor = known[near]
-        assert anchor is not None  # noqa: S101  rows are known
+        anchor = matrices[near]
+        assert anchor is not None  # noqa: S101  of known rows
         pose = compose(split_pose(anchor)[0], between(poses[near], poses[i]))
         out[i] = pose_matrix(pose, level_from_camera(frames[i].gravity))
     return out
 
 
 HEIGHT = 0.15
-"""A told height with a larger standard deviation [m] is none: on a map of RViz there is no height."""
+"""Largest standard deviation [m] of a given height that counts: on a map of RViz there is no height."""
 
 
 class SceneSource(Protocol):
@@ -389,21 +388,21 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Relocalizer:
-    """Maps in which frames are looked up.
+    """Maps in which lost frames are searched.
 
-    `known`: options, encoder and device, as of `SceneMap.localize`.
+    `options`: options, encoder and device, as of `SceneMap.localize`.
     """
 
     maps: Scene | SceneSource
-    known: dict[str, Any]
+    options: dict[str, Any]
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Names of the maps; a plain map has that of its first scene."""
+        """Return the names of the maps; a plain map has that of its first scene."""
         return self.maps.scenes[:1] if isinstance(self.maps, Scene) else self.maps.names
 
     def named(self, name: str) -> str:
-        """The name, or that of the only map where none is given; `OptionError` where it is none."""
+        """Return the name, or that of the only map if empty; `OptionError`: there is no such map."""
         if not name and len(self.scenes) == 1:
             return self.scenes[0]
         if name not in self.scenes:
@@ -412,15 +411,15 @@ class Relocalizer:
         return name
 
     def scene(self, name: str) -> Scene:
-        """Map of a name; `OptionError` where there is none, `InputError` where its file is gone."""
+        """Return the map of a name; raises `OptionError` without it, `InputError` without its file."""
         return self.maps if isinstance(self.maps, Scene) else self.maps.scene(name)
 
     def query(self, name: str, seed: int) -> PoseQuery:
-        """The question in one map."""
-        return PoseQuery.of(self.scene(name), seed=seed, **self.known)
+        """Make the query in one map."""
+        return PoseQuery.of(self.scene(name), seed=seed, **self.options)
 
     def anywhere(self, frames: Sequence[Frame], rng: Generator) -> tuple[str, PoseEstimate]:
-        """In which map the last of some frames was taken, and where; the name is empty if in none.
+        """Search frames in all maps: name of the map of the last frame, empty if none, and estimate.
 
         Raises
         ------
@@ -433,13 +432,13 @@ class Relocalizer:
         if isinstance(self.maps, Scene):
             return self.near(frames, self.scenes[0], None, rng)
         seed = int(rng.integers(1 << 31))
-        estimate = self.maps.localize(frames, refine=False, seed=seed, **self.known)
+        estimate = self.maps.localize(frames, refine=False, seed=seed, **self.options)
         return (estimate.best.scene.partition("/")[0] if estimate.best else ""), estimate
 
     def near(
         self, frames: Sequence[Frame], name: str, prior: Prior | None, rng: Generator
     ) -> tuple[str, PoseEstimate]:
-        """Where in one map, around a prior of the first frame if there is one; errors as `anywhere`."""
+        """Search frames in one map, around a prior of the first frame if given; errors as `anywhere`."""
         query = replace(self.query(name, 0), prior=prior)
         encoder = query.encoder or make_label_encoder(query.scene, frames[-1])
         seen = [observe_frame(frame, encoder, query.options) for frame in frames]
@@ -453,7 +452,7 @@ class Relocalizer:
 
 
 def prior_of(map_from_camera: Floats, covariance: Floats) -> Prior:
-    """A pose (4, 4) with its covariance (6, 6) as a prior; who tells a height loosely knows none."""
+    """Make a prior of a pose (4, 4) and its covariance (6, 6), without a height that is too uncertain."""
     (x, y, z, yaw), _ = split_pose(map_from_camera)
     spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn = min(float(np.sqrt(covariance[5, 5])), np.pi)
@@ -461,13 +460,13 @@ def prior_of(map_from_camera: Floats, covariance: Floats) -> Prior:
     return Prior(float(x), float(y), height, float(yaw), max(spread, 0.02), max(turn, 0.01))
 
 
-STRAYED = 2
-"""Frames in a row that are not sure of a followed pose, before another place is believed instead."""
+MAX_UNSURE = 2
+"""Frames in a row that are not `OK` at a followed pose, before another place is accepted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenPose:
-    """A pose that somebody told: it is looked for there first."""
+    """Given pose, around which frames are searched first."""
 
     map_from_odom: Floats
     covariance: Floats
@@ -477,14 +476,14 @@ class GivenPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relocalization:
-    """Frames whose place nobody knows, the last of which is asked about."""
+    """Request to search lost frames, for the pose of the last."""
 
     frames: tuple[Frame, ...]
     near: GivenPose | None
     rng: Generator
 
     def search(self, relocalizer: Relocalizer) -> Relocalized:
-        """Look them up; what is wrong with frames or maps is part of the answer."""
+        """Search the frames; faults of frames or maps are part of the answer."""
         try:
             if self.near is None:
                 name, estimate = relocalizer.anywhere(self.frames, self.rng)
@@ -499,37 +498,37 @@ class Relocalization:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relocalized:
-    """The answer to a question."""
+    """Answer to a `Relocalization`."""
 
     frames: tuple[Frame, ...]
     scene: str
     estimate: PoseEstimate | None
-    """None where they could not be compared."""
+    """None: the frames could not be compared with a map."""
     reason: str
 
     @property
     def sure(self) -> bool:
-        """Whether one place fits."""
+        """Return whether one place fits."""
         return self.estimate is not None and self.estimate.status is Status.OK
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """What a frame has told."""
+    """Result of one frame."""
 
     frame: Frame
     reason: str
     scene: str = ""
     estimate: PoseEstimate | None = None
-    """None: it showed nothing, and what was known is carried on."""
+    """None: the frame showed nothing, and the pose goes on by odometry."""
     has_pose: bool = False
     """Whether the estimate's best mode is the pose from here on."""
     is_lost: bool = False
-    """Whether what was known before is not believed any more."""
+    """Whether the pose before is given up."""
 
 
 class Follower:
-    """Follows frames in one map, and knows when to ask in which map, and where, the camera is."""
+    """Tracking in one map, with relocalization in all maps when the pose is uncertain."""
 
     def __init__(self, relocalizer: Relocalizer, camera: Camera | None, seed: int) -> None:
         self.relocalizer, self.camera, self.seed = relocalizer, camera, seed
@@ -537,25 +536,25 @@ class Follower:
         self.reset(None)
 
     def reset(self, given: GivenPose | None) -> None:
-        """Forget all, but for what somebody told."""
-        self._placed = given
+        """Forget all but a given pose."""
+        self._given = given
         self._scene, self._tracker = "", None
         self._recent: deque[Frame] = deque(maxlen=KEPT)
         self._clear()
-        self._again = Confirmation()
-        self._strayed = self._waited = self._denied = 0
+        self._confirmation = Confirmation()
+        self._unsure_count = self._waited = self._denied_count = 0
 
     _tracker: Tracker | None
     _newest: Frame | None
-    _fresh: bool
+    _is_new: bool
 
     @property
     def following(self) -> bool:
-        """Whether a pose is followed, be it in doubt."""
+        """Return whether a pose is followed, even an uncertain one."""
         return self._tracker is not None and self._tracker.following
 
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Follow a frame; None where there is nothing to follow yet."""
+        """Follow a frame; None: there is no pose to follow yet."""
         if self._tracker is None or not self._tracker.following:
             self._remember(frame)
             return None
@@ -565,9 +564,9 @@ class Follower:
             return FrameResult(frame, f"Carried on by odometry: {error}")
         if estimate.status is Status.OK:
             return self._sure(frame, estimate)
-        if not self._strayed:
-            self._clear()  # what was before fits where the pose was known
-        self._strayed += 1
+        if not self._unsure_count:
+            self._clear()  # earlier frames fit the pose that was known
+        self._unsure_count += 1
         self._remember(frame)
         is_lost = not self._tracker.following
         fits = not is_lost and diagnostics_of(estimate).consistent
@@ -576,63 +575,63 @@ class Follower:
         )
 
     def question(self) -> Relocalization | None:
-        """What is to be looked up now, where a pose is not known for sure and a frame is new enough."""
-        known = self.following and not self._strayed
-        due = self._fresh or self._waited >= WAIT
+        """Return the relocalization that is due now; None: the pose is sure, or no frame is new enough."""
+        known = self.following and not self._unsure_count
+        due = self._is_new or self._waited >= WAIT
         if known or not due or self._newest is None:
             return None
-        self._waited, self._fresh = 0, False
+        self._waited, self._is_new = 0, False
         before = [frame for frame in self._recent if frame is not self._newest][1 - KEPT :]
-        return Relocalization((*before, self._newest), self._placed, self._rng.spawn(1)[0])
+        return Relocalization((*before, self._newest), self._given, self._rng.spawn(1)[0])
 
-    def take_answer(self, found: Relocalized) -> FrameResult | None:
-        """Take an answer over; where a pose is still followed, only one that is sure to be elsewhere."""
-        last, estimate = found.frames[-1], found.estimate
-        if estimate is not None and self._placed is None:  # else a person and an image say the same
-            estimate = self._again.confirm(found.scene, last, estimate)
+    def take_answer(self, answer: Relocalized) -> FrameResult | None:
+        """Accept an answer; while a pose is followed, only one that is sure."""
+        last, estimate = answer.frames[-1], answer.estimate
+        if estimate is not None and self._given is None:  # else a person and an image say the same
+            estimate = self._confirmation.confirm(answer.scene, last, estimate)
         sure = estimate is not None and estimate.status is Status.OK
-        if self.following and not (sure and self._strayed >= STRAYED):
+        if self.following and not (sure and self._unsure_count >= MAX_UNSURE):
             return None
         if estimate is None:
             self._clear()
-            return FrameResult(last, found.reason)
+            return FrameResult(last, answer.reason)
         if sure:
-            self._tracker, self._scene = self._start_tracker(found), found.scene
+            self._tracker, self._scene = self._start_tracker(answer), answer.scene
             return self._sure(last, estimate)
         lost = estimate.status is Status.LOST
-        if self._placed is not None:
-            self._denied = self._denied + 1 if lost else 0
-            if self._denied < PATIENCE:
-                return FrameResult(last, found.reason, found.scene, found.estimate)
-            self._placed, self._fresh = None, True
+        if self._given is not None:
+            self._denied_count = self._denied_count + 1 if lost else 0
+            if self._denied_count < PATIENCE:
+                return FrameResult(last, answer.reason, answer.scene, answer.estimate)
+            self._given, self._is_new = None, True
         # of several places none is the pose
-        has_pose = found.sure or (not lost and len(estimate.modes) == 1)
+        has_pose = answer.sure or (not lost and len(estimate.modes) == 1)
         return FrameResult(
-            last, estimate.reason, found.scene, estimate, has_pose=has_pose, is_lost=True
+            last, estimate.reason, answer.scene, estimate, has_pose=has_pose, is_lost=True
         )
 
     def _clear(self) -> None:
-        """Forget the frames that were to be looked up."""
+        """Forget the frames to search."""
         self._recent.clear()
-        self._newest, self._fresh = None, False
+        self._newest, self._is_new = None, False
 
     def _sure(self, frame: Frame, estimate: PoseEstimate) -> FrameResult:
         self._clear()
-        self._placed = None
-        self._strayed = self._denied = 0
+        self._given = None
+        self._unsure_count = self._denied_count = 0
         return FrameResult(frame, estimate.reason, self._scene, estimate, has_pose=True)
 
-    def _start_tracker(self, found: Relocalized) -> Tracker:
-        """A tracker that follows from what was found."""
-        assert found.estimate is not None and found.estimate.best is not None  # noqa: S101, PT018  sure
-        tracker = Tracker(self.relocalizer.query(found.scene, self.seed), self.camera)
-        tracker.start(found.frames, found.estimate.best.map_from_camera)
+    def _start_tracker(self, answer: Relocalized) -> Tracker:
+        """Start a tracker from an answer."""
+        assert answer.estimate is not None and answer.estimate.best is not None  # noqa: S101, PT018  sure
+        tracker = Tracker(self.relocalizer.query(answer.scene, self.seed), self.camera)
+        tracker.start(answer.frames, answer.estimate.best.map_from_camera)
         return tracker
 
     def _remember(self, frame: Frame) -> None:
-        """Keep a frame that is far enough from the last, to be looked up with it."""
+        """Keep a frame to search, if it is far enough from the last."""
         self._waited += 1
         self._newest = frame
         if not self._recent or apart(self._recent[-1], frame):
             self._recent.append(frame)
-            self._fresh = True
+            self._is_new = True

@@ -1,4 +1,4 @@
-"""Matches: what a matcher returns, features that match, and dense warps thinned to matches."""
+"""Matches of images: results of matchers, mutual nearest features, and thinned dense warps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Matches:
 
     @classmethod
     def of(cls, query: ArrayLike, rendered: ArrayLike, confidence: ArrayLike) -> Matches:
-        """Return matches of any numbers, put in order: the surest first."""
+        """Make matches of numbers in any order, and sort them, the surest first."""
         sure = np.clip(np.asarray(confidence, np.float64), 0.0, 1.0)
         order = np.argsort(-sure, kind="stable")
         return cls(
@@ -49,13 +49,13 @@ class Matches:
 
     @classmethod
     def none(cls) -> Matches:
-        """Return no match."""
+        """Make an empty set of matches."""
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
 
 @runtime_checkable
 class Matcher(Protocol):
-    """Anything that finds what a photograph and renderings of the map show alike."""
+    """Interface of matchers of a photograph with renderings of the map."""
 
     name: str
 
@@ -86,10 +86,7 @@ class Matcher(Protocol):
 
 
 class ViewByView:
-    """Matcher that compares a query with one view after the other.
-
-    What it needs of the query is found once.
-    """
+    """Base of matchers that compare a query with one view after the other."""
 
     def match(
         self,
@@ -200,18 +197,18 @@ class Features:
 
     @classmethod
     def none(cls, dimension: int = 1) -> Features:
-        """Return no feature."""
+        """Make an empty set of features."""
         return cls(np.empty((0, 2)), np.empty((0, dimension), np.float32))
 
     def within(self, mask: NDArray[np.bool_] | None, margin: int) -> Features:
-        """Return those that lie in a mask (H, W), and `margin` px from its edge."""
+        """Select features in a mask (H, W), `margin` px from its edge."""
         keep = inside(mask, self.points, margin)
         return self if keep.all() else Features(self.points[keep], self.vectors[keep])
 
     def matched(
         self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
     ) -> Matches:
-        """Return matches with the features of a view; parameters as of `mutual`."""
+        """Match with the features of a view; parameters: see `mutual`."""
         rows, columns, sure = mutual(self, view, ratio=ratio, least=least, apart=apart)
         return Matches.of(self.points[rows], view.points[columns], sure)
 
@@ -219,7 +216,7 @@ class Features:
 def mutual(
     query: Features, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-    """Return pairs of features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
+    """Pair features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
 
     Parameters
     ----------
@@ -275,7 +272,7 @@ def _second(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warp:
-    """Where each pixel of a grid lies in both images.
+    """Dense warp: position of each pixel of a grid in both images.
 
     Normalised coordinates run from -1 to 1 between the images' edges, so that pixel i of n has
     its centre at (2 i + 1) / n - 1.
