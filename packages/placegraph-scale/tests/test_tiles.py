@@ -17,7 +17,13 @@ from placegraph.errors import InputError, MapError
 from placegraph.io.osm import urls
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map import extract
-from placegraph.outdoor.map.extract import Thing, Things, drop_duplicates, join_words, split_words
+from placegraph.outdoor.map.extract import (
+    ElementTable,
+    LabelledElement,
+    drop_duplicates,
+    join_words,
+    split_words,
+)
 from placegraph_scale import tiles as module
 from placegraph_scale.tiles import (
     LARGE,
@@ -232,14 +238,14 @@ BENCH_TEXT = join_words(["amenity=bench"], [])
 
 
 def thing(i=1, points=((100000000, 500000000),)):
-    return Thing(0, i, 0, BENCH_TEXT, [np.array(points) / 1e7])
+    return LabelledElement(0, i, 0, BENCH_TEXT, [np.array(points) / 1e7])
 
 
 def put(folder, *tables):
     """File of tile 0 and its size."""
     spills = TileFiles(folder)
     for things in tables:
-        spills.add("0", Things.of(things))
+        spills.add("0", ElementTable.of(things))
     spills.flush()
     return folder / "0.things", spills.sizes["0"]
 
@@ -247,12 +253,14 @@ def put(folder, *tables):
 @given(st.lists(st.tuples(st.integers(-(1 << 60), 1 << 60), words, parts), min_size=1, max_size=4))
 def test_things_come_back(tmp_path_factory, drawn):
     given_ = [
-        Thing(2, i, 2, join_words(("a=b", "c=d"), names), [np.array(part) / 1e7 for part in shape])
+        LabelledElement(
+            2, i, 2, join_words(("a=b", "c=d"), names), [np.array(part) / 1e7 for part in shape]
+        )
         for i, names, shape in drawn
     ]
     [back] = read_frames(*put(tmp_path_factory.mktemp("spill"), given_))
     for row, (one, (_, names, _)) in enumerate(zip(given_, drawn, strict=True)):
-        found = back.thing(row)
+        found = back.element(row)
         assert found[:4] == one[:4]
         labels, said = split_words(found.text)
         assert labels == ("a=b", "c=d")
@@ -262,13 +270,13 @@ def test_things_come_back(tmp_path_factory, drawn):
 
 
 def test_things_in_another_order():
-    things = Things.of([thing(1), thing(2, [(0, 0), (5, 5)]), thing(3)])
+    things = ElementTable.of([thing(1), thing(2, [(0, 0), (5, 5)]), thing(3)])
     some = things.take(np.array([2, 1]))
     assert some.osm_id.tolist() == [3, 2]
-    np.testing.assert_array_equal(some.thing(1).parts[0], [(0, 0), (5e-7, 5e-7)])
-    both = Things.joined([things, some])
+    np.testing.assert_array_equal(some.element(1).parts[0], [(0, 0), (5e-7, 5e-7)])
+    both = ElementTable.joined([things, some])
     assert both.osm_id.tolist() == [1, 2, 3, 3, 2]
-    np.testing.assert_array_equal(both.thing(4).parts[0], some.thing(1).parts[0])
+    np.testing.assert_array_equal(both.element(4).parts[0], some.element(1).parts[0])
     low, high = both.ends()
     np.testing.assert_array_equal(high[4] - low[4], (5e-7, 5e-7))
 
@@ -277,9 +285,9 @@ def test_things_of_many_tiles(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ROOM", 300)
     spills = TileFiles(tmp_path)
     for i in range(20):
-        spills.add("01" if i % 2 else "02", Things.of([thing(i)]))
+        spills.add("01" if i % 2 else "02", ElementTable.of([thing(i)]))
     spills.flush()
-    found = Things.joined(read_frames(tmp_path / "01.things", spills.sizes["01"]))
+    found = ElementTable.joined(read_frames(tmp_path / "01.things", spills.sizes["01"]))
     assert found.osm_id.tolist() == list(range(1, 20, 2))
     assert (tmp_path / "02.things").stat().st_size == spills.sizes["02"]
 
@@ -294,10 +302,10 @@ def test_a_damaged_file_is_named(tmp_path_factory, at, cut):
 
 
 def test_the_longest_version_counts():
-    things = Things.of([thing(1), thing(1, [(0, 0), (1, 1)]), thing(2)])
+    things = ElementTable.of([thing(1), thing(1, [(0, 0), (1, 1)]), thing(2)])
     kept = drop_duplicates(things)
     assert kept.osm_id.tolist() == [1, 2]
-    assert len(kept.thing(0).parts[0]) == 2
+    assert len(kept.element(0).parts[0]) == 2
     assert drop_duplicates(kept) is kept
 
 
@@ -310,7 +318,7 @@ def test_a_full_disk(tmp_path, monkeypatch):
             pass
 
     spills = TileFiles(tmp_path)
-    spills.add("0", Things.of([thing()]))
+    spills.add("0", ElementTable.of([thing()]))
     monkeypatch.setattr("pathlib.Path.open", lambda *_: Full())
     with pytest.raises(MapError, match=r"0\.things cannot be written: No space left.*goes on"):
         spills.flush()

@@ -34,12 +34,12 @@ def _inside(position, box):
 
 
 @kernel(fastmath=_FAST)
-def _scan(rows, ids, positions, box, query, found, similarity):
-    """Put the best rows into `found`, best first, equal ones by id."""
-    n, filled = len(found), 0
+def _scan(rows, ids, positions, box, query, nearest, similarity):
+    """Put the best rows into `nearest`, best first, equal ones by id."""
+    n, filled = len(nearest), 0
     for i in range(len(rows)):
         s = _dot(rows[i], query)
-        if filled == n and (s < similarity[-1] or (s == similarity[-1] and ids[i] > found[-1])):
+        if filled == n and (s < similarity[-1] or (s == similarity[-1] and ids[i] > nearest[-1])):
             continue
         # Only what would be among the best is asked where it is.
         if len(box) and not _inside(positions[i], box):
@@ -47,21 +47,21 @@ def _scan(rows, ids, positions, box, query, found, similarity):
         j = filled if filled < n else n - 1
         filled = j + 1
         while j > 0 and (
-            similarity[j - 1] < s or (similarity[j - 1] == s and found[j - 1] > ids[i])
+            similarity[j - 1] < s or (similarity[j - 1] == s and nearest[j - 1] > ids[i])
         ):
             similarity[j] = similarity[j - 1]
-            found[j] = found[j - 1]
+            nearest[j] = nearest[j - 1]
             j -= 1
         similarity[j] = s
-        found[j] = ids[i]
+        nearest[j] = ids[i]
 
 
 @kernel
-def search_all(rows, ids, positions, box, queries, found, similarity):
+def search_all(rows, ids, positions, box, queries, nearest, similarity):
     """Find exact neighbours: every row with every query.
 
     rows (C, D) float32 or int8, ids (C,) int64, positions (C, 2) and box (4,) or (0,) in the same
-    unit, queries (Q, D) float32; found (Q, n) and similarity (Q, n), prefilled, are written.
+    unit, queries (Q, D) float32; nearest (Q, n) and similarity (Q, n), prefilled, are written.
     """
     for q in range(len(queries)):
-        _scan(rows, ids, positions, box, queries[q], found[q], similarity[q])
+        _scan(rows, ids, positions, box, queries[q], nearest[q], similarity[q])

@@ -392,9 +392,9 @@ class EmbeddedStore:
         self.close()
 
 
-def refuse_other(what: str, found: Origin, wanted: Origin | None) -> None:
+def refuse_other(what: str, origin: Origin, wanted: Origin | None) -> None:
     """Raise `StoreError` where a store was not made from the wanted map by the wanted model."""
-    difference = wanted.differs(found) if wanted is not None else ""
+    difference = wanted.differs(origin) if wanted is not None else ""
     if difference:
         raise StoreError(
             f"{what} holds vectors of another {difference}; make them again with `placegraph city "

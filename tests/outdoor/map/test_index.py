@@ -81,7 +81,7 @@ def test_sums_of_sight_are_kept_rounded_down(real_city, rng):
 def test_everything_is_seen_from_somewhere(real_city):
     seen = real_city.in_sight(np.arange(len(real_city.views)))
     assert len(np.unique(seen.objects)) == len(real_city.objects)
-    assert set(real_city.views.columns.things) == set(range(len(real_city.objects)))
+    assert set(real_city.views.columns.objects) == set(range(len(real_city.objects)))
 
 
 def test_a_hut_in_the_hills_is_seen(build_world):
@@ -262,7 +262,7 @@ def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
     assert seen.viewpoints == len(inside)
     looked = real_city.in_sight(inside)
     sight, (starts, values, weights) = sight_of(looked), real_city.tokens
-    assert seen.sight == pytest.approx(sight.sum(), rel=1e-4)
+    assert seen.salience == pytest.approx(sight.sum(), rel=1e-4)
     mass = np.zeros((len(inside), len(seen.mass)))
     view = np.repeat(np.arange(len(inside)), np.diff(looked.starts))
     for row, o_row, s in zip(view.tolist(), looked.objects.tolist(), sight.tolist(), strict=True):
@@ -281,7 +281,7 @@ def test_a_core_in_which_nothing_is_seen_counts_nothing(harbour):
     far = np.full(2, 1e6)
     index, seen = ViewIndex.build(harbour.objects, Core(far, far, lambda at: at[:, 0] > 1e5))
     assert len(index) == len(harbour.views)
-    assert (seen.viewpoints, seen.sight, seen.mass.any()) == (0, 0.0, False)
+    assert (seen.viewpoints, seen.salience, seen.mass.any()) == (0, 0.0, False)
 
 
 def test_an_index_travels(harbour):

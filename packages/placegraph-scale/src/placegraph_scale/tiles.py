@@ -38,8 +38,8 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.extract import (
     THING,
-    Thing,
-    Things,
+    ElementTable,
+    LabelledElement,
     clip,
     drop_duplicates,
     drop_largest,
@@ -70,7 +70,7 @@ SPARE = 0.01
 """What sticks out of a tile by less than this stays whole [deg]: squares, parks, long buildings."""
 
 
-def pack_frame(things: Things) -> bytes:
+def pack_frame(things: ElementTable) -> bytes:
     """Return a frame of objects."""
     columns = (
         things.osm_type, things.kind, things.osm_id.astype("<i8"),
@@ -87,7 +87,7 @@ def _crc(data: bytes, *sizes: int) -> int:
     return zlib.crc32(data, zlib.crc32(_SIZES.pack(*sizes)))
 
 
-def _unpack_frame(data: bytes, n: int, parts: int, points: int) -> Things:
+def _unpack_frame(data: bytes, n: int, parts: int, points: int) -> ElementTable:
     data, at, columns = zlib.decompress(data), 0, []
     counts = (n, n, n, n, parts, 2 * points)
     for dtype, count in zip(("u1", "u1", "<i8", "<u4", "<u4", "<i4"), counts, strict=True):
@@ -95,7 +95,7 @@ def _unpack_frame(data: bytes, n: int, parts: int, points: int) -> Things:
         at += columns[-1].nbytes
     osm_type, kind, osm_id, n_parts, n_points, steps = columns
     texts = str(data[at:], "utf-8").split(THING)
-    return Things(
+    return ElementTable(
         osm_type,
         osm_id,
         kind,
@@ -130,7 +130,7 @@ class TileFiles:
         """Whether it is time to `flush`."""
         return self._bytes > ROOM // 2
 
-    def add(self, key: str, things: Things) -> None:
+    def add(self, key: str, things: ElementTable) -> None:
         """Add objects to those of a tile."""
         frame = pack_frame(things)
         self._waiting.setdefault(key, []).append(frame)
@@ -151,7 +151,7 @@ class TileFiles:
         self._waiting, self._bytes = {}, 0
 
 
-def read_frames(path: Path, size: int) -> list[Things]:
+def read_frames(path: Path, size: int) -> list[ElementTable]:
     """Read the frames of a file of so many bytes; raises `MapError` where it was damaged."""
     mend = f"{path} is damaged; remove the folder {path.parent.parent} and build again."
     found = []
@@ -296,7 +296,7 @@ def _state(path: Path) -> list[int]:
 
 
 def _spread(
-    things: Things, files: TileFiles, populated: set[str], left_out: Counter[str],
+    things: ElementTable, files: TileFiles, populated: set[str], left_out: Counter[str],
     grid: tuple[int, float],
 ) -> None:  # fmt: skip
     """Put objects to all tiles of a grid (zoom, margin [m]) that they touch, and note whose they are."""
@@ -345,15 +345,15 @@ def spread_large(
         zoom = max(map(len, holding))
         for things in read_frames(folder / f"{LARGE}.things", sizes[LARGE]):
             for row in range(len(things)):
-                for key, thing in _descend("", things.thing(row), holding, zoom, margin):
-                    files.add(key, Things.of([thing]))
+                for key, thing in _descend("", things.element(row), holding, zoom, margin):
+                    files.add(key, ElementTable.of([thing]))
         files.flush()
     return files.sizes
 
 
 def _descend(
-    key: str, thing: Thing, holding: set[str], zoom: int, margin: float
-) -> Iterator[tuple[str, Thing]]:
+    key: str, thing: LabelledElement, holding: set[str], zoom: int, margin: float
+) -> Iterator[tuple[str, LabelledElement]]:
     """Yield the tiles of a subtree that hold something, and what of an object lies in each."""
     if key:
         parts = clip(thing.kind, thing.parts, tile_bounds(key).widened(margin))
@@ -426,7 +426,7 @@ def build_tile(job: TileJob) -> TileDone:
     plane = LocalPlane(*(round(x, 4) for x in core.center))
     left_out, things = LeftOut(), None
     if tables:
-        things = _cut(drop_duplicates(Things.joined(tables)), core.widened(job.margin))
+        things = _cut(drop_duplicates(ElementTable.joined(tables)), core.widened(job.margin))
         del tables
     if things:
         things = drop_largest(things, left_out, plane)
@@ -446,7 +446,7 @@ def build_tile(job: TileJob) -> TileDone:
     return made
 
 
-def _cut(things: Things, box: Box) -> Things | None:
+def _cut(things: ElementTable, box: Box) -> ElementTable | None:
     """Cut objects to a box [deg], which may reach across the date line; return None where none is left."""
     low, high = things.ends()
     turn = 360.0 * np.round((low[:, 0] - box.center[0]) / 360.0)
@@ -458,11 +458,11 @@ def _cut(things: Things, box: Box) -> Things | None:
     found = [things.take(np.flatnonzero(there & whole.all(axis=1)))]
     cut = []
     for row in np.flatnonzero(there & ~whole.all(axis=1)).tolist():
-        thing = things.thing(row)
+        thing = things.element(row)
         parts = [part - (turn[row], 0.0) for part in thing.parts]
         if parts := clip(thing.kind, parts, box):
             cut.append(thing._replace(parts=parts))
     if cut:
-        found.append(Things.of(cut))
-    made = Things.joined([table for table in found if len(table)] or found)
+        found.append(ElementTable.of(cut))
+    made = ElementTable.joined([table for table in found if len(table)] or found)
     return made if len(made) else None

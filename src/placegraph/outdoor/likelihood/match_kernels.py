@@ -16,7 +16,7 @@ from placegraph.core.jit import kernel
 from placegraph.outdoor.map.directions_kernels import direction_fit
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts, nearest_to_each
 from placegraph.outdoor.map.index import POINT, SIGHT
-from placegraph.outdoor.map.index_kernels import look, most_things, place_of, tile_of
+from placegraph.outdoor.map.index_kernels import list_visible, most_objects, place_of, tile_of
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""
@@ -458,7 +458,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     for s in range(n_statements):
         noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
     best = REJECTED
-    most = most_things(views)
+    most = most_objects(views)
     matches = allocate_matches(statements, words)
     objects, visibility = np.empty(most, np.int32), np.empty(most, np.float32)
     offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
@@ -467,7 +467,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
             continue
         tile, slot = tile_of(views, chosen[k])
         place[0], place[1] = place_of(views, tile, slot)
-        n, total, pairs = look(scene, views, tile, slot, objects, offsets, visibility)
+        n, total, pairs = list_visible(scene, views, tile, slot, objects, offsets, visibility)
         visible = gather_in_sight(
             scene, objects[:n], offsets[:n], visibility[:n], total, pairs, VIEW_BLUR, place
         )

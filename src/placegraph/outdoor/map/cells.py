@@ -86,17 +86,17 @@ def find_visible(
         MOST + EACH * len(rows),
     )
     if not done:
-        raise out_of_proportion(len(rows), grid.stride)
+        raise make_extent_error(len(rows), grid.stride)
     order = _sorted(at)
     at, who, where = at[order], who[order], where[order]
     first = np.flatnonzero(np.diff(at, prepend=-1))
     return VisibleObjects(at[first], np.append(first, len(at)).astype(np.int64), who, where)
 
 
-def out_of_proportion(things: int, stride: float) -> MapError:
+def make_extent_error(count: int, stride: float) -> MapError:
     """Return the error of a map whose things reach so far that a search would exhaust memory."""
     return MapError(
-        f"The map's {things:,} things reach over more ground than a map of so many is looked "
+        f"The map's {count:,} objects reach over more ground than a map of so many is looked "
         f"through for, every {stride:g} m. Build it of a smaller extract, or of larger cells "
         "further apart."
     )
@@ -168,7 +168,7 @@ class Cells(PickleFields, Mapping[str, Cell]):
         return map(self._id, self.points.tolist())
 
     def __contains__(self, cell: object) -> bool:
-        return self._found(cell) is not None
+        return self._find_point(cell) is not None
 
     def __getitem__(self, cell: str) -> Cell:
         lonlat = self.plane.to_lonlat(self.center(cell))
@@ -249,14 +249,14 @@ class Cells(PickleFields, Mapping[str, Cell]):
 
     def point(self, cell: str) -> int:
         """Grid point of a cell; raises `OptionError` where there is no such cell."""
-        point = self._found(cell)
+        point = self._find_point(cell)
         if point is None:
             raise UnknownCellError(
                 f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
             )
         return point
 
-    def _found(self, cell: object) -> int | None:
+    def _find_point(self, cell: object) -> int | None:
         named = _NAMED.fullmatch(cell) if isinstance(cell, str) else None
         if named is None:
             return None

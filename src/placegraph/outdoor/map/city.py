@@ -34,7 +34,7 @@ from placegraph.outdoor.map.index import (
     name_columns,
     tokens_of,
 )
-from placegraph.outdoor.map.index_kernels import looks
+from placegraph.outdoor.map.index_kernels import list_visible_each
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
     AREA,
@@ -214,7 +214,7 @@ class City(PickleFields):
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> VisibleObjects:
         """Return what is in sight of viewpoints `rows` (K,) of `views`, the `points` of the result."""
         points = np.asarray(rows, np.int64)
-        starts, objects, offsets, _ = looks(self.columns, self.views.columns, points)
+        starts, objects, offsets, _ = list_visible_each(self.columns, self.views.columns, points)
         return VisibleObjects(points, starts, objects, offsets)
 
     @cached_property

@@ -1,6 +1,6 @@
 """From an OpenStreetMap extract to the objects of a city (Eq. 1-2): read, label, simplify, sort.
 
-`Things` are the labelled elements as columns, small enough to hold many and to spill to disk; `clip`
+`ElementTable` are the labelled elements as columns, small enough to hold many and to spill to disk; `clip`
 cuts their lines and areas at a box.
 """
 
@@ -38,7 +38,7 @@ WORD, LIST, THING = "\x1f", "\x1e", "\x1d"
 _CLEAN = str.maketrans({WORD: " ", LIST: " ", THING: " "})
 
 
-class Thing(NamedTuple):
+class LabelledElement(NamedTuple):
     """An element of OpenStreetMap with what it is called."""
 
     osm_type: int
@@ -64,7 +64,7 @@ def split_words(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 @dataclass(frozen=True)
-class Things:
+class ElementTable:
     """Columns of things; row i of every column is one."""
 
     osm_type: NDArray[np.uint8]
@@ -82,21 +82,21 @@ class Things:
         return len(self.texts)
 
     @classmethod
-    def of(cls, things: Sequence[Thing]) -> Self:
+    def of(cls, elements: Sequence[LabelledElement]) -> Self:
         """Columns of things; there must be one."""
-        flat = [part for thing in things for part in thing.parts]
+        flat = [part for thing in elements for part in thing.parts]
         return cls(
-            np.array([thing.osm_type for thing in things], np.uint8),
-            np.array([thing.osm_id for thing in things], np.int64),
-            np.array([thing.kind for thing in things], np.uint8),
-            offsets_of([len(thing.parts) for thing in things]),
+            np.array([thing.osm_type for thing in elements], np.uint8),
+            np.array([thing.osm_id for thing in elements], np.int64),
+            np.array([thing.kind for thing in elements], np.uint8),
+            offsets_of([len(thing.parts) for thing in elements]),
             offsets_of([len(part) for part in flat]),
             np.rint(np.concatenate(flat) * STEPS).astype(np.int32),
-            [thing.text for thing in things],
+            [thing.text for thing in elements],
         )
 
     @classmethod
-    def joined(cls, tables: Sequence[Things]) -> Self:
+    def joined(cls, tables: Sequence[ElementTable]) -> Self:
         """All things of some tables, one table after the other; there must be one."""
         return cls(
             np.concatenate([t.osm_type for t in tables]),
@@ -134,12 +134,12 @@ class Things:
         low, high = np.minimum.reduceat(self.steps, first), np.maximum.reduceat(self.steps, first)
         return low / STEPS, high / STEPS
 
-    def thing(self, row: int) -> Thing:
+    def element(self, row: int) -> LabelledElement:
         """One of them."""
         first, last = self.part_starts[row : row + 2]
         bounds = self.point_starts[first : last + 1].tolist()
         parts = [self.steps[a:b] / STEPS for a, b in pairwise(bounds)]
-        return Thing(
+        return LabelledElement(
             int(self.osm_type[row]),
             int(self.osm_id[row]),
             int(self.kind[row]),
@@ -148,14 +148,14 @@ class Things:
         )
 
 
-def drop_duplicates(things: Things) -> Things:
+def drop_duplicates(elements: ElementTable) -> ElementTable:
     """Things once each, where extracts that touch hold the same ones: the longest version counts."""
-    counts = np.diff(things.first)
-    order = np.lexsort((-counts, things.osm_id, things.osm_type))
-    same = (np.diff(things.osm_id[order]) == 0) & (np.diff(things.osm_type[order]) == 0)
+    counts = np.diff(elements.first)
+    order = np.lexsort((-counts, elements.osm_id, elements.osm_type))
+    same = (np.diff(elements.osm_id[order]) == 0) & (np.diff(elements.osm_type[order]) == 0)
     if not same.any():
-        return things
-    return things.take(np.sort(order[np.concatenate(([True], ~same))]))
+        return elements
+    return elements.take(np.sort(order[np.concatenate(([True], ~same))]))
 
 
 Points = NDArray[np.float64]
@@ -272,7 +272,7 @@ def read_extract(
         overture = load_module("placegraph_io.overture", "overture")
         blocks = _in_columns(overture.read_overture(path, left_out))
     tables = list(label_elements(blocks, vocabulary, progress or (lambda _step, _n: None)))
-    things = drop_largest(Things.joined(tables), left_out) if tables else ()
+    things = drop_largest(ElementTable.joined(tables), left_out) if tables else ()
     if not things:
         raise make_empty_error(path, left_out)
     plane = _plane(things.lonlat)
@@ -294,21 +294,21 @@ def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
 
 def label_elements(
     blocks: Iterable[OsmColumns], vocabulary: Vocabulary, progress: Progress
-) -> Generator[Things]:
+) -> Generator[ElementTable]:
     """Elements that the vocabulary has a word for, or that have a name; blocks of them at a time."""
     waiting, seen = [], 0
     for columns in blocks:
         progress("reading", seen)
         seen += len(columns.tags)
-        waiting.append(_labelled(columns, vocabulary))
+        waiting.append(_label_block(columns, vocabulary))
         if sum(map(len, waiting)) >= BATCH:
-            yield Things.joined(waiting)
+            yield ElementTable.joined(waiting)
             waiting = []
     if any(map(len, waiting)):
-        yield Things.joined(waiting)
+        yield ElementTable.joined(waiting)
 
 
-def _labelled(columns: OsmColumns, vocabulary: Vocabulary) -> Things:
+def _label_block(columns: OsmColumns, vocabulary: Vocabulary) -> ElementTable:
     """Things of a block; elements of the same tags are looked at once."""
     known: dict[tuple[int, int], str] = {}
     texts = []
@@ -319,13 +319,15 @@ def _labelled(columns: OsmColumns, vocabulary: Vocabulary) -> Things:
             text = join_words(labels, list_names(tags)) if labels else ""
             known[id(tags), kind] = text
         texts.append(text)
-    things = Things(*columns[:-1], texts)
+    things = ElementTable(*columns[:-1], texts)
     return things.take(np.flatnonzero(np.array(texts, np.object_) != ""))
 
 
 def _in_columns(elements: Iterator[OsmElement]) -> Iterator[OsmColumns]:
     while batch := list(islice(elements, BATCH)):
-        t = Things.of([Thing(e.osm_type, e.osm_id, e.kind, "", e.parts) for e in batch])
+        t = ElementTable.of(
+            [LabelledElement(e.osm_type, e.osm_id, e.kind, "", e.parts) for e in batch]
+        )
         head = (t.osm_type, t.osm_id, t.kind, t.part_starts, t.point_starts, t.steps)
         yield OsmColumns(*head, [element.tags for element in batch])
 
@@ -360,11 +362,13 @@ def named_labels(kind: int, tags: Mapping[str, str], vocabulary: Vocabulary) -> 
     return tuple(best[:3]) or (UNKNOWN,)
 
 
-def drop_largest(things: Things, left_out: LeftOut, plane: LocalPlane | None = None) -> Things:
+def drop_largest(
+    elements: ElementTable, left_out: LeftOut, plane: LocalPlane | None = None
+) -> ElementTable:
     """Leave out what would stretch the map far beyond a city, or fill it with grid points."""
-    lonlat = things.lonlat
+    lonlat = elements.lonlat
     at = (plane or _plane(lonlat)).to_plane(lonlat)
-    first = things.first
+    first = elements.first
     span = np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
     keep = span.max(axis=1) <= LONGEST
     points = span / STRIDE + 5.0  # of the grid of viewpoints
@@ -372,9 +376,9 @@ def drop_largest(things: Things, left_out: LeftOut, plane: LocalPlane | None = N
     order = np.argsort(cost, kind="stable")
     keep[order] &= 2.0 * np.cumsum(cost[order]) <= MOST + EACH * len(keep)
     if keep.all():
-        return things
+        return elements
     left_out.counts["things larger than a city"] += int((~keep).sum())
-    return things.take(np.flatnonzero(keep))
+    return elements.take(np.flatnonzero(keep))
 
 
 def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
@@ -383,25 +387,27 @@ def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
     return LocalPlane(*(round(float(x), 4) for x in median))
 
 
-def make_objects(things: Things, plane: LocalPlane) -> CityObjects:
+def make_objects(elements: ElementTable, plane: LocalPlane) -> CityObjects:
     """Columns of things on a plane: simplified, and sorted along a curve, whatever order they came in."""
-    simple, point_starts = simplify(plane.to_plane(things.lonlat), things.point_starts, TOLERANCE)
+    simple, point_starts = simplify(
+        plane.to_plane(elements.lonlat), elements.point_starts, TOLERANCE
+    )
     steps = np.round(simple / GRAIN).astype(np.int64)
-    first = steps[point_starts[things.part_starts[:-1]]]
-    order = np.lexsort((things.osm_id, things.osm_type, along_curve(first - first.min(axis=0))))
-    part_ends, part_rows = gather_spans(things.part_starts, order)
+    first = steps[point_starts[elements.part_starts[:-1]]]
+    order = np.lexsort((elements.osm_id, elements.osm_type, along_curve(first - first.min(axis=0))))
+    part_ends, part_rows = gather_spans(elements.part_starts, order)
     point_ends, point_rows = gather_spans(point_starts, part_rows)
     parts, ends = part_ends.astype(np.int32), point_ends.astype(np.int32)
     points = (steps[point_rows] * GRAIN).astype(np.float32)
-    kind = things.kind[order]
+    kind = elements.kind[order]
     texts: dict[str, int] = {}  # many things are called alike
-    which = np.array([texts.setdefault(text, len(texts)) for text in things.texts])[order]
+    which = np.array([texts.setdefault(text, len(texts)) for text in elements.texts])[order]
     said = list(map(split_words, texts))
     label_starts, label_table, label_values = _table([labels for labels, _ in said], which)
     name_starts, name_table, name_values = _table([names for _, names in said], which)
     return CityObjects(
-        osm_type=things.osm_type[order],
-        osm_id=things.osm_id[order],
+        osm_type=elements.osm_type[order],
+        osm_id=elements.osm_id[order],
         kind=kind,
         label_starts=label_starts,
         label_values=label_values,

@@ -207,24 +207,24 @@ def box_of(points, a, b):
 
 
 @kernel
-def crossings(part_starts, point_starts, points, row, north, found):
+def crossings(part_starts, point_starts, points, row, north, easts):
     """Find where the lines of object `row` cross a parallel, from west to east; return their number.
 
-    `found` is overwritten, and returned larger where it was too small.
+    `easts` is overwritten, and returned larger where it was too small.
     """
     count = 0
     for part in range(part_starts[row], part_starts[row + 1]):
         for i in range(point_starts[part], point_starts[part + 1] - 1):
             y0, y1 = points[i, 1], points[i + 1, 1]
             if (y0 > north) != (y1 > north):
-                if count == len(found):
-                    found = np.concatenate((found, found))
-                found[count] = points[i, 0] + (north - y0) / (y1 - y0) * (
+                if count == len(easts):
+                    easts = np.concatenate((easts, easts))
+                easts[count] = points[i, 0] + (north - y0) / (y1 - y0) * (
                     points[i + 1, 0] - points[i, 0]
                 )
                 count += 1
-    _sort(found, count)
-    return found, count
+    _sort(easts, count)
+    return easts, count
 
 
 @kernel

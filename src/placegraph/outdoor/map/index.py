@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.mapfile import MapFile
-from placegraph.outdoor.map.cells import EACH, MOST, Grid, out_of_proportion
+from placegraph.outdoor.map.cells import EACH, MOST, Grid, make_extent_error
 from placegraph.outdoor.map.index_kernels import (
     FADED,
     GRADES,
@@ -26,10 +26,10 @@ from placegraph.outdoor.map.index_kernels import (
     SIDE,
     STEP,
     WIDTH,
+    collect_visible,
+    mark_isolated,
+    mark_viewpoints,
     runs_of,
-    seen,
-    standing,
-    with_huts,
 )
 from placegraph.outdoor.map.objects import ends_of
 
@@ -90,7 +90,7 @@ class SightTotals(NamedTuple):
     """(T,) ... and of which share that is of all that one has in sight."""
     peak: NDArray[np.float32]
     """(T,) largest such share."""
-    sight: float
+    salience: float
     """Sum over viewpoints of all that is in sight."""
     spread: float
     """Largest sum of the shares of all labels."""
@@ -111,7 +111,7 @@ class _Band(NamedTuple):
 class InSight(NamedTuple):
     """Things in sight of tiles: one entry for each tile and thing."""
 
-    things: NDArray[np.int32]
+    objects: NDArray[np.int32]
     """(R,) rows of objects, tile after tile, and ascending within a tile."""
     slots: NDArray[np.int64]
     """(R,) from which points of the tile."""
@@ -119,7 +119,7 @@ class InSight(NamedTuple):
     """(R,) where its vectors begin."""
     offsets: NDArray[np.float32]
     """(E, 2) from points to things [m]."""
-    sight: NDArray[np.float32]
+    salience: NDArray[np.float32]
     """(E,) `fade` of them."""
 
 
@@ -170,16 +170,17 @@ def build(
     grid, tokens = grid_of(objects), tokens_of(objects)
     n_labels, n_tokens = len(objects.labels), len(objects.labels) + len(objects.names)
     bands = _bands(objects, grid, at_once, core)
-    looked = [_look(objects, grid, bands[0])] if len(bands) == 1 else []
+    looked = [_collect_band(objects, grid, bands[0])] if len(bands) == 1 else []
     found = np.zeros(len(objects), np.bool_)
     keeps = [
-        standing(tile_starts, around, objects.kind, ENOUGH, STRIDE, found)
-        for _, tile_starts, around in looked or (_look(objects, grid, band) for band in bands)
+        mark_viewpoints(tile_starts, around, objects.kind, ENOUGH, STRIDE, found)
+        for _, tile_starts, around in looked
+        or (_collect_band(objects, grid, band) for band in bands)
     ]
     mass, parts, sums, viewpoints = np.zeros(n_tokens + 1), [], [], 0
     for keep, band in zip(keeps, bands, strict=True):
-        tiles, tile_starts, around = looked.pop() if looked else _look(objects, grid, band)
-        with_huts(tile_starts, around, keep, STRIDE, found)
+        tiles, tile_starts, around = looked.pop() if looked else _collect_band(objects, grid, band)
+        mark_isolated(tile_starts, around, keep, STRIDE, found)
         counted, many = _counted(grid, tiles, keep, core)
         viewpoints += many
         runs, postings, (total, pairs, things, thing_counts), seen_ = runs_of(
@@ -228,17 +229,17 @@ def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) ->
     ]  # fmt: skip
 
 
-def _look(
+def _collect_band(
     objects: CityObjects, grid: Grid, band: _Band
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], InSight]:
     """Tiles of a band that have anything in sight, where their entries begin, and these."""
-    things, lines, columns, slots, first, offsets, done = seen(
+    things, lines, columns, slots, first, offsets, done = collect_visible(
         objects.kind, objects.part_starts, objects.point_starts, objects.points, band.rows,
         (grid.east, grid.north, grid.stride), band.window,
         max(1024, 32 * len(band.rows)), MOST + EACH * len(band.rows),
     )  # fmt: skip
     if not done:
-        raise out_of_proportion(len(band.rows), grid.stride)
+        raise make_extent_error(len(band.rows), grid.stride)
     key = lines.astype(np.int64) * (grid.columns // SIDE) + columns
     order = np.argsort(key, kind="stable")
     key = key[order]
@@ -301,6 +302,8 @@ _AROUND = 2
 
 _DERIVED = frozenset({"grid", "first", "thing_starts", "token_starts", "levels"})
 """Fields of `ViewColumns` that are not stored as they are."""
+_STORED_AS = {"objects": "things"}
+"""Names in the file of fields that have another name here."""
 
 
 class ViewColumns(NamedTuple):
@@ -321,7 +324,7 @@ class ViewColumns(NamedTuple):
     of 1 / 64, rounded down."""
     thing_starts: NDArray[np.int64]
     """(T + 1,)"""
-    things: NDArray[np.int32]
+    objects: NDArray[np.int32]
     """Rows of the objects in sight of any viewpoint of a tile, ascending."""
     token_starts: NDArray[np.int64]
     """(tokens + 1,) runs of a token: a run is a token in a tile."""
@@ -372,7 +375,7 @@ class ViewIndex:
             total=columns["total"],
             pairs=columns["pairs"],
             thing_starts=_starts(columns["thing_counts"]),
-            things=columns["things"],
+            objects=columns["things"],
             token_starts=_starts(columns["run_counts"]),
             levels=LEVELS,
             **{name: columns[name] for name in ViewColumns._fields if name.startswith("run_")},
@@ -384,7 +387,8 @@ class ViewIndex:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The columns that `of` takes."""
         c = self.columns
-        own = {name: value for name, value in c._asdict().items() if name not in _DERIVED}
+        stored = c._asdict().items()
+        own = {_STORED_AS.get(k, k): column for k, column in stored if k not in _DERIVED}
         counts = {"thing_counts": c.thing_starts, "run_counts": c.token_starts}
         sizes = {name: np.diff(starts).astype(np.uint32) for name, starts in counts.items()}
         return own | sizes | {"share": self.share}
@@ -517,7 +521,7 @@ def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
         (c.thing_starts, len(c.tiles) + 1, "thing_counts"),
         (c.total, c.first[-1], "total"),
         (c.pairs, c.first[-1], "pairs"),
-        (c.things, c.thing_starts[-1], "things"),
+        (c.objects, c.thing_starts[-1], "things"),
         (share, len(c.token_starts) - 1, "share"),
         *(
             (getattr(c, name), c.token_starts[-1], name)

@@ -118,17 +118,17 @@ def nearest_in_reach(scene, row, east, north):
 
 
 @kernel(_nrt=False)
-def look(scene, views, tile, slot, objects, offsets, sight):
-    """List what is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `sight`.
+def list_visible(scene, views, tile, slot, objects, offsets, salience):
+    """List what is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `salience`.
 
-    Returns how many things there are, the sum of their `sight`, and of its products over ordered
+    Returns how many things there are, the sum of their `salience`, and of its products over ordered
     pairs of what one does not stand in.
     """
     east, north = place_of(views, tile, slot)
     n = 0
     total = apart = squared = np.float32(0.0)
     for k in range(views.thing_starts[tile], views.thing_starts[tile + 1]):
-        o = views.things[k]
+        o = views.objects[k]
         if o < 0 or o >= len(scene.kind):  # a forged map
             continue
         if (
@@ -143,14 +143,14 @@ def look(scene, views, tile, slot, objects, offsets, sight):
             objects[n] = o
             offsets[n, 0], offsets[n, 1] = x, y
             distance = np.sqrt(offsets[n, 0] * offsets[n, 0] + offsets[n, 1] * offsets[n, 1])
-            seen = np.float32(1.0) / (
+            weight = np.float32(1.0) / (
                 np.float32(1.0) + np.exp((distance - np.float32(FADED)) / np.float32(WIDTH))
             )
-            sight[n] = seen
-            total += seen
+            salience[n] = weight
+            total += weight
             if scene.kind[o] != AREA or offsets[n, 0] != 0.0 or offsets[n, 1] != 0.0:
-                apart += seen
-                squared += seen * seen
+                apart += weight
+                squared += weight * weight
             n += 1
     return n, total, max(apart * apart - squared, np.float32(0.0))
 
@@ -181,7 +181,7 @@ def tile_of(views, view):
 
 
 @kernel(_nrt=False)
-def most_things(views):
+def most_objects(views):
     """Return the largest number of things in sight of a tile."""
     most = 0
     for tile in range(len(views.tiles)):
@@ -190,62 +190,65 @@ def most_things(views):
 
 
 @kernel
-def looks(scene, views, rows):
-    """List what is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `sight`."""
-    starts, most = np.zeros(len(rows) + 1, np.int64), most_things(views)
+def list_visible_each(scene, views, rows):
+    """List what is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `salience`."""
+    starts, most = np.zeros(len(rows) + 1, np.int64), most_objects(views)
     size = max(1024, 32 * len(rows)) + most
-    objects, sight = np.empty(size, np.int32), np.empty(size, np.float32)
+    objects, salience = np.empty(size, np.int32), np.empty(size, np.float32)
     offsets = np.empty((size, 2), np.float32)
     for k in range(len(rows)):
         n = starts[k]
         if n + most > len(objects):
-            objects, sight = np.concatenate((objects, objects)), np.concatenate((sight, sight))
+            objects, salience = (
+                np.concatenate((objects, objects)),
+                np.concatenate((salience, salience)),
+            )
             offsets = np.concatenate((offsets, offsets))
         tile, slot = tile_of(views, rows[k])
-        many, _, _ = look(scene, views, tile, slot, objects[n:], offsets[n:], sight[n:])
+        many, _, _ = list_visible(scene, views, tile, slot, objects[n:], offsets[n:], salience[n:])
         starts[k + 1] = n + many
     n = starts[-1]
-    return starts, objects[:n].copy(), offsets[:n].copy(), sight[:n].copy()
+    return starts, objects[:n].copy(), offsets[:n].copy(), salience[:n].copy()
 
 
 POINT = 0
 
 
 @kernel
-def standing(tile_starts, seen, kind, enough, stride, found):
+def mark_viewpoints(tile_starts, visible, kind, enough, stride, covered):
     """Slots (T,) of points that see `enough`, or a point object closer than `stride` [m].
 
-    `seen` is what tiles have in sight (`InSight`); notes in `found` (N,) what those points see.
+    `visible` is what tiles have in sight (`InSight`); notes in `covered` (N,) what those points see.
     """
     keep, total = np.zeros(len(tile_starts) - 1, np.int64), np.zeros(SLOTS, np.float32)
     for tile in range(len(tile_starts) - 1):
         total[:] = 0.0
         for r in range(tile_starts[tile], tile_starts[tile + 1]):
-            bits, e, lone = seen.slots[r], seen.first[r], kind[seen.things[r]] == POINT
+            bits, e, lone = visible.slots[r], visible.first[r], kind[visible.objects[r]] == POINT
             while bits:
                 lowest = bits & -bits
                 bits ^= lowest
-                total[ones(lowest - 1)] += seen.sight[e]
-                x, y = seen.offsets[e]
+                total[ones(lowest - 1)] += visible.salience[e]
+                x, y = visible.offsets[e]
                 if lone and x * x + y * y < stride * stride:
                     keep[tile] |= lowest
                 e += 1
         for slot in range(SLOTS):
             keep[tile] |= np.int64(total[slot] >= enough) << slot
         for r in range(tile_starts[tile], tile_starts[tile + 1]):
-            if seen.slots[r] & keep[tile]:
-                found[seen.things[r]] = True
+            if visible.slots[r] & keep[tile]:
+                covered[visible.objects[r]] = True
     return keep
 
 
 @kernel
-def with_huts(tile_starts, seen, keep, stride, found):
-    """Add to `keep` points closer than `stride` [m] to what was not `found`: in the hills, little else."""
+def mark_isolated(tile_starts, visible, keep, stride, covered):
+    """Add to `keep` points closer than `stride` [m] to what was not `covered`: in the hills, little else."""
     for tile in range(len(tile_starts) - 1):
         for r in range(tile_starts[tile], tile_starts[tile + 1]):
-            bits, e = seen.slots[r], seen.first[r]
-            while bits and not found[seen.things[r]]:
-                x, y = seen.offsets[e]
+            bits, e = visible.slots[r], visible.first[r]
+            while bits and not covered[visible.objects[r]]:
+                x, y = visible.offsets[e]
                 if x * x + y * y < stride * stride:
                     keep[tile] |= bits & -bits
                 bits &= bits - 1
@@ -253,10 +256,10 @@ def with_huts(tile_starts, seen, keep, stride, found):
 
 
 @kernel
-def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass):
+def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, mass):
     """Runs of a band: of each tile, and each token in sight there, its viewpoints and their postings.
 
-    `keep` (T,) are the slots of viewpoints, `core` (T,) those of them that are counted, `seen` what tiles
+    `keep` (T,) are the slots of viewpoints, `core` (T,) those of them that are counted, `visible` what tiles
     have in sight. Adds to `mass` (tokens + 1,) what of each is in sight of all viewpoints, and of all
     things (the last). Returns columns of the runs (token, tile, slots, postings, grades of the largest
     masses against pairs and totals), and the postings (`pack`); totals and pairs of viewpoints; things of
@@ -269,7 +272,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
     run_slots, run_size = np.empty(1024, np.int64), np.empty(1024, np.uint8)
     run_grades, posted = np.empty((1024, 2), np.uint8), np.empty(8192, np.uint32)
     totals, roots, views = np.empty(1024, np.uint8), np.empty(1024, np.uint16), 0
-    things, n_things = np.empty(len(seen.things), np.int32), 0
+    things, n_things = np.empty(len(visible.objects), np.int32), 0
     thing_counts = np.zeros(len(keep), np.uint32)
     counted, shares = np.zeros(len(mass) - 1), np.zeros(len(mass) - 1)
     peak = np.zeros(len(mass) - 1, np.float32)
@@ -277,7 +280,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
     # of each slot: all, apart from what one stands in, squares of that; divisors; shares of labels
     sums, against = np.zeros((4, SLOTS), np.float32), np.empty((2, SLOTS), np.float32)
     total, alone, squared, labelled = sums[0], sums[1], sums[2], sums[3]
-    where, at, sight = (
+    where, at, salience = (
         np.empty(SLOTS, np.int64),
         np.empty((SLOTS, 2), np.float32),
         np.empty(SLOTS, np.float32),
@@ -287,7 +290,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
         n = 0
         sums[:] = 0.0
         for r in range(tile_starts[tile], tile_starts[tile + 1]):
-            bits, e, o, many = seen.slots[r], seen.first[r], seen.things[r], 0
+            bits, e, o, many = visible.slots[r], visible.first[r], visible.objects[r], 0
             if not bits & keep[tile]:
                 continue
             things[n_things] = o
@@ -297,8 +300,8 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
                 slot = ones((bits & -bits) - 1)
                 bits &= bits - 1
                 if keep[tile] >> slot & 1:
-                    s, (x, y) = seen.sight[e], seen.offsets[e]
-                    where[many], sight[many], at[many, 0], at[many, 1] = slot, s, x, y
+                    s, (x, y) = visible.salience[e], visible.offsets[e]
+                    where[many], salience[many], at[many, 0], at[many, 1] = slot, s, x, y
                     many += 1
                     total[slot] += s
                     if (
@@ -325,7 +328,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
                     else:
                         box[0], box[1] = min(box[0], x), min(box[1], y)
                         box[2], box[3] = max(box[2], x), max(box[3], y)
-                    held[m, where[i]] += sight[i] * token_weights[t]
+                    held[m, where[i]] += salience[i] * token_weights[t]
         if views + SLOTS > len(totals):
             totals = np.concatenate((totals, np.empty_like(totals)))
             roots = np.concatenate((roots, np.empty_like(roots)))
@@ -398,7 +401,7 @@ LINES = 2
 
 
 @kernel
-def seen(kind, part_starts, point_starts, points, rows, grid, window, capacity, most):
+def collect_visible(kind, part_starts, point_starts, points, rows, grid, window, capacity, most):
     """Things in sight of the points of a `grid` (east, north, stride) within `window`.
 
     `window` bounds columns and rows of its tiles, the last excluded. Returns, a thing and tile each: thing,

@@ -99,7 +99,7 @@ class NameIndex:
         said = " ".join(words)
         if said not in self.meant:
             found = dict.fromkeys(self.by_words.get(said, ()), 1.0)
-            for name, fit in self._in_part(words, whole=bool(found)):
+            for name, fit in self._in_part(words, is_name=bool(found)):
                 for row in self.by_words[name]:
                     found.setdefault(row, fit)
             rest = words[:-1]
@@ -114,15 +114,18 @@ class NameIndex:
             self.meant[said] = found
         return self.meant[said]
 
-    def _in_part(self, words: Sequence[str], *, whole: bool) -> Iterator[tuple[str, float]]:
-        """Names that have so much in common with a phrase that it may mean them."""
-        said = [self._written(word) for word in self._joined(words)]
-        told = {word: self._tells(word) for word in said}
-        known = [word for word in told if word in self._counts and word not in SMALL]
-        if not known or sum(told.values()) <= 0.0:
+    def _in_part(self, words: Sequence[str], *, is_name: bool) -> Iterator[tuple[str, float]]:
+        """Yield names that share so much with a phrase that it may mean them, and their fit.
+
+        `is_name`: whether the phrase is itself a name of the map.
+        """
+        phrase = [self._written(word) for word in self._joined(words)]
+        weights = {word: self._word_weight(word) for word in phrase}
+        rare = [word for word in weights if word in self._counts and word not in SMALL]
+        if not rare or sum(weights.values()) <= 0.0:
             return
-        rarest = max(known, key=lambda word: told[word])
-        street = all(map(_tells_apart, said))
+        rarest = max(rare, key=lambda word: weights[word])
+        street = all(map(_tells_apart, phrase))
         if self._counts[rarest] > (CROWDED if street else MANY):
             return
         names = self._postings[rarest]
@@ -130,34 +133,33 @@ class NameIndex:
             names = [name for name in names if _is_counted(name.split())]
         if not 0 < len(names) <= MANY:
             return
-        shares = {name: self._shares(said, told, name, whole=whole) for name in names}
-        most = ALMOST * max(share for share, _ in shares.values())
-        fits = {name: share * of for name, (share, of) in shares.items() if share >= most > 0.0}
-        weight = (PART if whole else 1.0) / max(1, len(fits)) ** 0.5
+        shares = {name: self._shares(phrase, weights, name, is_name=is_name) for name in names}
+        least = ALMOST * max(share for share, _ in shares.values())
+        fits = {name: share * of for name, (share, of) in shares.items() if share >= least > 0.0}
+        weight = (PART if is_name else 1.0) / max(1, len(fits)) ** 0.5
         for name, fit in fits.items():
             yield name, weight * fit
 
     def _shares(
-        self, said: Sequence[str], told: dict[str, float], name: str, *, whole: bool
+        self, phrase: Sequence[str], weights: dict[str, float], name: str, *, is_name: bool
     ) -> tuple[float, float]:
-        """Shares of what a phrase and a name tell that they have in common; 0 if it means another."""
+        """Return the shares of a phrase and of a name that both have; 0 if it means another name."""
         words = [_stem(word) for word in name.split()]
-        common = set(said) & set(words)
-        missing = [word for word in said if word not in common]
+        common = set(phrase) & set(words)
         if (
-            any(_tells_apart(word) for word in missing)
-            or _is_road(said) > _is_road(words)
-            or (whole and words == list(said))  # the phrase itself
+            any(_tells_apart(word) for word in phrase if word not in common)
+            or _is_road(phrase) > _is_road(words)
+            or (is_name and words == phrase)  # the phrase itself
         ):
             return 0.0, 0.0
-        tells = {word: self._tells(word) for word in words}
-        share = sum(told[word] for word in common) / sum(told.values())
-        of_name = sum(tells[word] for word in common) / max(sum(tells.values()), 1e-9)
-        enough = share >= (SAME if whole else SAID) and of_name >= (SAME if whole else KNOWN)
+        own = {word: self._word_weight(word) for word in words}
+        share = sum(weights[word] for word in common) / sum(weights.values())
+        of_name = sum(own[word] for word in common) / max(sum(own.values()), 1e-9)
+        enough = share >= (SAME if is_name else SAID) and of_name >= (SAME if is_name else KNOWN)
         return (share, of_name) if enough else (0.0, 0.0)
 
-    def _tells(self, word: str) -> float:
-        """Return how telling a word is: the rarer in names, the more."""
+    def _word_weight(self, word: str) -> float:
+        """Return the weight of a word: the rarer in names, the larger (inverse document frequency)."""
         if word in SMALL:
             return 0.0
         return log(1.0 + len(self.by_words) / (1.0 + self._counts.get(word, 0)))

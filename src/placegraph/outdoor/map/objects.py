@@ -223,7 +223,7 @@ class Blocks(NamedTuple):
         length = np.hypot(*gaps.T)
         if len(gaps) < ENOUGH:
             return cls()
-        usual = _usual(length)
+        usual = _trimmed_mean(length)
         angle = np.arctan2(gaps[:, 0], gaps[:, 1])
         fourfold = np.mean(np.exp(4j * angle))
         axis = float(np.angle(fourfold)) / 4.0
@@ -231,7 +231,8 @@ class Blocks(NamedTuple):
             return cls(0.0, usual, usual)
         first = np.abs(np.cos(angle - axis)) >= np.sqrt(0.5)
         lengths = [
-            _usual(length[rows]) if rows.sum() >= ENOUGH else usual for rows in (first, ~first)
+            _trimmed_mean(length[rows]) if rows.sum() >= ENOUGH else usual
+            for rows in (first, ~first)
         ]
         return cls(axis, *lengths)
 
@@ -269,7 +270,7 @@ def _gaps(points: NDArray[np.float64], names: NDArray[np.int32]) -> NDArray[np.f
     return np.concatenate(found)
 
 
-def _usual(lengths: NDArray[np.float64]) -> float:
+def _trimmed_mean(lengths: NDArray[np.float64]) -> float:
     """Mean of the middle half: what many blocks come to, whatever a few odd ones are."""
     quarter = len(lengths) // 4
     return float(np.sort(lengths)[quarter : len(lengths) - quarter].mean())

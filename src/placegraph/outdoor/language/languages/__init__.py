@@ -226,7 +226,7 @@ class Language(Phrases):
 
     @cached_property
     def _road_ends(self) -> tuple[str, ...]:
-        """How names of roads end before an ending is added."""
+        """Stems of the endings of names of roads."""
         return tuple(stem for word in self.lists["road_words"] for stem in self.forms.stems(word))
 
     def said_of_compass(self, degrees: int) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ _CLEAR = 0.75
 _MEMORY = 1 << 13
 
 
-class Found(NamedTuple):
+class DictionaryEntry(NamedTuple):
     """A phrase of a text in the dictionary."""
 
     word: str
@@ -127,7 +127,7 @@ class LanguageWords:
         forms = self.language.forms.of(folded(normal(word)))
         return any(self._beginning(form.stem) for form in forms)
 
-    def _find(self, phrase: str) -> Found | None:
+    def _find(self, phrase: str) -> DictionaryEntry | None:
         """Look a phrase up: as it stands, then by its stems, the longest first."""
         words = folded(normal(phrase)).split(" ")
         if not words[0]:
@@ -144,7 +144,7 @@ class LanguageWords:
                 if case is not None and (best is None or len(entry) < best[0]):
                     best = (len(entry), entry, case)
             if best is not None and (senses := self._senses(best[1], normal(phrase))):
-                return Found(best[1], senses, best[2])
+                return DictionaryEntry(best[1], senses, best[2])
         return None
 
     def _case(
@@ -237,7 +237,7 @@ class Vocabulary:
         self._known = lru_cache(_MEMORY)(self._look_up)
         self._meant = lru_cache(_MEMORY)(self._guess)
         self._opens = lru_cache(_MEMORY)(self._begins)
-        self._lone = lru_cache(_MEMORY)(self._alone)
+        self._lone = lru_cache(_MEMORY)(self._find_single_word)
         self._near = lru_cache(_MEMORY)(self._nearest)
         self._names = lru_cache(None)(sources.names_in)
         self.of = lru_cache(None)(partial(LanguageWords, self))
@@ -338,7 +338,11 @@ class Vocabulary:
         value = " ".join(re.split(r"[_:-]", value))
         if value in ("*", "yes"):
             return key.partition(":")[0].replace("_", " ")
-        return self._objects.rule(label).said.format(value) if self._objects.names(label) else value
+        return (
+            self._objects.rule(label).template.format(value)
+            if self._objects.names(label)
+            else value
+        )
 
     @cached_property
     def english(self) -> dict[str, tuple[str, ...]]:
@@ -375,7 +379,7 @@ class Vocabulary:
                 return senses
         forms = dict.fromkeys((form, plain, singular(form)))
         for word in forms:
-            if senses := self.sources.ranked(self._words.others.get(word, {})):
+            if senses := self.sources.ranked(self._words.foreign.get(word, {})):
                 return senses
         for word in () if self._is_stop(plain) else forms:
             if senses := self.sources.ranked(
@@ -404,7 +408,7 @@ class Vocabulary:
                 found.setdefault(label, aside)
         return self.sources.ranked(found)
 
-    def _alone(self, token: str) -> tuple[Sense, ...]:
+    def _find_single_word(self, token: str) -> tuple[Sense, ...]:
         """Return the senses of a single word of a text: no ordinary word, no mere English search term."""
         form = folded(normal(token))
         if self._is_stop(form):
@@ -416,7 +420,7 @@ class Vocabulary:
             self._english.senses(word) for word in forms
         ):
             return senses if senses and senses[0].weight >= _CLEAR else ()
-        foreign = len(form) >= SHORTEST or not token.isascii() or form in self._words.others
+        foreign = len(form) >= SHORTEST or not token.isascii() or form in self._words.foreign
         return senses if foreign else ()
 
     def _is_stop(self, word: str) -> bool:

@@ -343,8 +343,8 @@ class Rule(NamedTuple):
     rank: int = 0
     needs: tuple[str, ...] = ()
     """Tags, ``key`` or ``key=value``, of which a thing must have one."""
-    said: str = "{}"
-    """How a value is said where no table has a better word."""
+    template: str = "{}"
+    """Words for a value, ``{}``, that no table has a better word for."""
 
 
 _Hit: TypeAlias = tuple[int, str, bool, tuple[str, ...]]
@@ -421,7 +421,7 @@ class ObjectTable:
         values = self._rules[key]
         return values.get(value) or values.get("*") or next(iter(values.values()))
 
-    def listed(self) -> list[str]:
+    def list_labels(self) -> list[str]:
         """Return the labels of objects and kinds that have a row of their own."""
         return [
             f"{key}={value}"
@@ -434,14 +434,16 @@ class ObjectTable:
     def undrawn(self) -> frozenset[str]:
         """Values, in normal form, that are words for things no map draws: skipped, but said."""
         everywhere = [self._common, *self._rules.values()]
-        skipped = [(v, r.said) for rules in everywhere for v, r in rules.items() if r.role == SKIP]
-        return frozenset(singular(normal(value)) for value, said in skipped if said != "{}")
+        skipped = [
+            (v, r.template) for rules in everywhere for v, r in rules.items() if r.role == SKIP
+        ]
+        return frozenset(singular(normal(value)) for value, template in skipped if template != "{}")
 
-    def by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
+    def by_rank(self, weights: Mapping[str, float]) -> dict[str, float]:
         """Return nameable labels, those of specific keys first."""
-        known = [label for label in found if self.names(label)]
+        known = [label for label in weights if self.names(label)]
         known.sort(key=lambda label: self.rule(label).rank)
-        return {label: found[label] for label in known}
+        return {label: weights[label] for label in known}
 
     def built(self, form: str) -> Iterator[tuple[str, str]]:
         """Yield key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
@@ -451,9 +453,11 @@ class ObjectTable:
 
     @cached_property
     def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
-        """How unlisted values are said ("0 shop"), as expressions, by key."""
+        """Expressions of unlisted values ("0 shop"), by key."""
         rules = [(key, values["*"]) for key, values in self._rules.items() if "*" in values]
-        said = [(k, normal(r.said.replace("{}", " 0 "))) for k, r in rules if r.said != "{}"]
+        said = [
+            (k, normal(r.template.replace("{}", " 0 "))) for k, r in rules if r.template != "{}"
+        ]
         said.append(("shop", "0 store"))
         return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
 
@@ -492,7 +496,7 @@ def read_objects(folder: Path | None = None) -> ObjectTable:
     return ObjectTable(rules)
 
 
-def _read_rule(where: str, key: str, role: str, rank: str, needs: str, said: str) -> Rule:
+def _read_rule(where: str, key: str, role: str, rank: str, needs: str, template: str) -> Rule:
     if role not in ROLES:
         raise InputError(f"{where}: the field 'role' is {role!r}; write {', '.join(ROLES)}.")
     if key == "*" and role != SKIP:
@@ -503,9 +507,9 @@ def _read_rule(where: str, key: str, role: str, rank: str, needs: str, said: str
         raise InputError(
             f"{where}: only a kind or detail can have the field 'with'; it is {needs!r}."
         )
-    if said.count("{}") != bool(said):
-        raise InputError(f"{where}: the field 'said' is {said!r}; write {{}} once in it.")
-    return Rule(role, int(rank or 0), tuple(needs.split()), said or "{}")
+    if template.count("{}") != bool(template):
+        raise InputError(f"{where}: the field 'said' is {template!r}; write {{}} once in it.")
+    return Rule(role, int(rank or 0), tuple(needs.split()), template or "{}")
 
 
 # words.tsv, spoken.tsv, stop.tsv
@@ -520,7 +524,7 @@ class WordTables:
 
     english: Meanings
     """Replaces what the lexicon says of these words."""
-    others: Meanings
+    foreign: Meanings
     """Words of other languages."""
     tongues: dict[str, Meanings]
     """The same, language by language."""
@@ -539,14 +543,14 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
         Naming file, line and field of what is wrong.
     """
     english: Meanings = {}
-    others: Meanings = {}
+    foreign: Meanings = {}
     tongues: dict[str, Meanings] = {}
     for where, language, words, labels in _labelled_rows("words.tsv", folder):
         meaning = english.get(normal(labels)) or _read_meaning(where, labels, objects)
         if not meaning:
             continue
-        foreign = (others, tongues.setdefault(language.partition("-")[0], {}))
-        books = (english,) if language == "en" else foreign
+        non_english = (foreign, tongues.setdefault(language.partition("-")[0], {}))
+        books = (english,) if language == "en" else non_english
         for form in [normal(word) for word in words.split(",")]:
             if not form:
                 raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
@@ -565,7 +569,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
         for _, (line,) in rows(find("stop.tsv", folder), ("words",))
         for word in line.split()
     )
-    return WordTables(english, others, tongues, spoken, stops)
+    return WordTables(english, foreign, tongues, spoken, stops)
 
 
 def _labelled_rows(name: str, folder: Path | None) -> Iterator[tuple[str, str, str, str]]:
@@ -605,7 +609,7 @@ class Sources:
         self.words = read_words(self.objects, folder)
         self.english = read_lexicon(find("english.tsv", folder))
         self.listed = {
-            normal(label.partition("=")[2]): {label: 1.0} for label in self.objects.listed()
+            normal(label.partition("=")[2]): {label: 1.0} for label in self.objects.list_labels()
         }
         """Values that have a row of their own in objects.tsv."""
         self.called: Meanings = {}
@@ -622,7 +626,7 @@ class Sources:
     @cached_property
     def prefixes(self) -> frozenset[str]:
         """All proper beginnings of English phrases."""
-        return beginnings((*self.english.words(), *self.words.english, *self.words.others))
+        return beginnings((*self.english.words(), *self.words.english, *self.words.foreign))
 
     @cached_property
     def solid(self) -> dict[str, str]:
@@ -636,11 +640,11 @@ class Sources:
         words = {*self.words.english, *self.english.words(strong=True)} - self.words.stops
         return sorted(word for word in words if len(word) >= SHORTEST)
 
-    def ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
+    def ranked(self, weights: Mapping[str, float]) -> tuple[Sense, ...]:
         """Return senses of nameable labels, likeliest first, otherwise in the given order."""
         senses = [
             Sense(label, round(weight, 3))
-            for label, weight in found.items()
+            for label, weight in weights.items()
             if weight >= LEAST and self.objects.names(label)
         ]
         senses.sort(key=lambda sense: -sense.weight)
