@@ -324,7 +324,7 @@ def test_any_text_gives_ordered_weights(text):
 
 
 def shipped_labels(vocabulary):
-    tables = [vocabulary._words.english, vocabulary._words.others]
+    tables = [vocabulary._words.english, vocabulary._words.foreign]
     presets = [label for text in vocabulary._english.presets for label, _ in weighted(text)]
     return sorted(
         {*presets, *(label for table in tables for row in table.values() for label in row)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import pi
 
 from placegraph.language.grammar import Chunk
@@ -62,7 +62,11 @@ def order_chunks(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.postpositions:
         chunks = _order_postpositions(chunks, language)
     chunks = [chunk for chunk in chunks if chunk.type not in _CASES]
-    chunks = _rewrite(chunks, _drop_lead, language)
+    pairs = zip(chunks, [*[chunk.type for chunk in chunks[1:]], ""], strict=False)
+    leads = (*_LEADS, "WITH", "PREP", "BETWEEN")  # "在公园里" is "in the park"
+    chunks = [
+        c for c, after in pairs if c.type not in ("IN", "ON", "AT", "TO") or after not in leads
+    ]
     if not (order.head_first or order.verb_final):
         chunks = _place_existing(chunks)
     return _say_gapped_verbs(chunks)
@@ -103,8 +107,6 @@ def _mark(chunk: Chunk, kind: str) -> Chunk:
 
 def _noun_of(chunks: Sequence[Chunk], at: int) -> int | None:
     """Return where the noun of a thing that begins here stands; None if none begins."""
-    if _type(chunks, at - 1) in _DETERMINERS:
-        return None
     while _type(chunks, at) in _DETERMINERS:
         at += 1
     return at if _type(chunks, at) in (*_NOUNS, *_PERSONS) else None
@@ -112,11 +114,8 @@ def _noun_of(chunks: Sequence[Chunk], at: int) -> int | None:
 
 def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
     """Tell whether a thing begins at i, and no direction or relation."""
-    start = i
     while _type(chunks, i) in (*_DETERMINERS, "ADVERB"):
         i += 1
-    if i > start and _type(chunks, i - 1) == "WORD":
-        return True  # a thing that is not known
     side = _type(chunks, i) == "DIR" and _type(chunks, i + 1) == "PART"
     return side or _type(chunks, i) in (*_THINGS, "PART")
 
@@ -138,22 +137,17 @@ def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
 
 
 def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
-    """Put an OF between a direction or a part and the thing that follows it: "nördlich der Kirche".
-
-    None follows a word with an article written onto it: "على اليمين".
-    """
+    """Put an OF between a direction or a part and its thing: "nördlich der Kirche"."""
     chunk, before, after = chunks[i], _type(chunks, i - 1), _type(chunks, i + 1)
-    if chunk.type == "OF" and before in _NOUNS and _joins_between(chunks, i):
-        output.append(replace(chunk, type="AND"))  # "בין בית הספר ל|כנסייה"
-        return
-    if chunk.type == "NEARBY" and after in (*_DETERMINERS, "OF", *_NOUNS):
-        output.append(replace(chunk, type="PREP", value="near"))  # "in der Nähe der Kirche"
-        return
     if chunk.type == "OF" and before == "NEARBY":
         return
-    if chunk.type == "FROM" and before == "PART":
-        output.append(replace(chunk, type="OF"))  # "الجانب الشمالي من الساحة"
-        return
+    joints = [other.type for other in chunks[:i] if other.type in ("BETWEEN", "AND", "CUT", "OF")]
+    if chunk.type == "OF" and before in _NOUNS and joints[-1:] == ["BETWEEN"]:
+        chunk = replace(chunk, type="AND")  # "בין בית הספר ל|כנסייה"
+    elif chunk.type == "NEARBY" and after in (*_DETERMINERS, "OF", *_NOUNS):
+        chunk = replace(chunk, type="PREP", value="near")  # "in der Nähe der Kirche"
+    elif chunk.type == "FROM" and before == "PART":
+        chunk = replace(chunk, type="OF")  # "الجانب الشمالي من الساحة"
     output.append(chunk)
     articles = language.lists["articles"].intersection(language.prefixes)
     rest = [other.type for other in chunks[i + 1 : i + 3] if other.type != "ADVERB"]
@@ -163,19 +157,10 @@ def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: L
         written_on = chunk.words.rpartition(" ")[2].startswith(tuple(articles))
         owned = chunk.type == "DIR" and before in _DETERMINERS  # "der nördliche Eingang"
         bare = rest[0] in (*_NOUNS, "ME", "YOU", "IT", "WORD") and not owned
+        # none follows an article that is written onto the word: "على اليمين"
         owns = not written_on and (bare or rest[0] in ("DET", "THIS", "MY", "YOUR", "ITS"))
     if owns:
         output.append(_mark(chunks[i + 1], "OF"))
-
-
-def _joins_between(chunks: list[Chunk], i: int) -> bool:
-    """Tell whether an OF is the first joint after "between"."""
-    for k in range(i - 1, -1, -1):
-        if chunks[k].type in ("BETWEEN", "AND", "CUT"):
-            return chunks[k].type == "BETWEEN"
-        if chunks[k].type == "OF" and _type(chunks, k - 1) in _NOUNS:
-            return False
-    return False
 
 
 def _mark_owners(chunks: list[Chunk]) -> list[Chunk]:
@@ -269,7 +254,6 @@ def _say_copula(output: list[Chunk], chunk: Chunk, joint: int) -> bool:
     at = _plain(output, len(output) - 1, -1)
     before = _type(output, at)
     if before == "AND" and output[at].words in ("–", "—", "-"):
-        at = output.index(output[at])
         output[at] = replace(output[at], type="BE")
         return True
     ends = before in _ENDS and before != "THIS"
@@ -305,6 +289,9 @@ def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: 
             output[-1:] = [_mark(chunk, "ON"), part]
     led = _last(output) in (*_LEADS, "PREP", "FACE")
     bare = after == "DIR" and not led and _type(chunks, i + 2) not in ("PART", "NOUN")
+    noun = _last(output) == "NOUN" and _last(output, 2) in ("DET", "A")
+    noun = noun and after not in ("OF", "FROM")
+    first = language.longest(chunk.words.split(" ")[:1], 0) if noun else None
     sides = ("side", "end", "corner")
     if chunk.type == "DIR" and _last(output) == "PART" and output[-1].value in sides:
         part = output.pop()
@@ -315,22 +302,12 @@ def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: 
         elif _type(output, lead) not in (*_LEADS, "PREP") and after == "OF":
             output.insert(lead + 1, _mark(chunk, "ON"))
         output += [chunk, part]
-    elif chunk.type == "DIR" and _names_entrance(output, chunk, after, language):
-        output.insert(len(output) - 1, chunk)
+    elif chunk.type == "DIR" and noun and (not first or first[1][0].type not in (*_LEADS, "DET")):
+        output.insert(len(output) - 1, chunk)  # "l'entrée nord", but "un bosque al este"
     elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
         output.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
     else:
         output.append(chunk)
-
-
-def _names_entrance(
-    output: Sequence[Chunk], direction: Chunk, after: str, language: Language
-) -> bool:
-    """Tell whether a direction is that of the noun before it: "l'entrée nord"."""
-    if _last(output) != "NOUN" or _last(output, 2) not in ("DET", "A") or after in ("OF", "FROM"):
-        return False
-    first = language.longest(direction.words.split(" ")[:1], 0)
-    return first is None or first[1][0].type not in (*_LEADS, "DET")  # "un bosque al este"
 
 
 def _move_quality(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
@@ -367,14 +344,10 @@ def _link_corner(output: list[Chunk], chunks: list[Chunk], i: int, _language: La
     if chunk.type == "AT" and _last(output) == "PART" and _leads_thing(chunks, i + 1):
         chunk = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
     elif chunk.type in ("WITH", "BETWEEN"):
-        corners = [
-            k
-            for k in range(max(0, len(output) - _FAR), len(output))
-            if output[k].type == "PART" and output[k].value in ("corner", "crossing")
-        ]
-        if corners and corners[-1] == len(output) - 1:
+        near = [c.type == "PART" and c.value in ("corner", "crossing") for c in output[-_FAR:]]
+        if near and near[-1]:
             chunk = replace(chunk, type="OF", value=None)
-        elif corners and chunk.type == "WITH" and _last(output) in _NOUNS:
+        elif any(near) and chunk.type == "WITH" and _last(output) in _NOUNS:
             chunk = replace(chunk, type="AND", value=None)
     output.append(chunk)
 
@@ -411,11 +384,9 @@ def _drop_repeated(output: list[Chunk], chunks: list[Chunk], i: int, _language: 
     chunk, before, after = chunks[i], _last_plain(output), _type(chunks, i + 1)
     link = ""
     for k in range(len(output) - 1, -1, -1):
-        if output[k].type in _STATED:
-            break
-        if output[k].type in _LEADS or output[k].type in ("PREP", "NEARBY", "ACROSS"):
-            link = output[k].type
-            if link not in _LEADS:
+        if output[k].type in (*_LEADS, *_STATED, "PREP", "NEARBY", "ACROSS"):
+            link = "" if output[k].type in _STATED else output[k].type
+            if link and link not in _LEADS:
                 following = _type(output, k + 1)
                 link = following if following in _LINKS else "OF"
             break
@@ -428,13 +399,8 @@ def _drop_repeated(output: list[Chunk], chunks: list[Chunk], i: int, _language: 
 
 
 _HEAD_FIRST: tuple[Rule, ...] = (
-    _name_street,
-    _move_direction,
-    _move_quality,
-    _link_corner,
-    _drop_link,
-    _drop_repeated,
-)
+    _name_street, _move_direction, _move_quality, _link_corner, _drop_link, _drop_repeated,
+)  # fmt: skip
 
 
 # verbs: "no está cerca", "il y a à ma gauche une église"
@@ -538,19 +504,12 @@ def _shows(chunks: Sequence[Chunk], i: int) -> bool:
     return False
 
 
-def _drop_lead(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
-    """Leave out a lead before another or before a preposition: "在公园里" is "in the park"."""
-    leads = _type(chunks, i + 1) in (*_LEADS, "WITH", "PREP", "BETWEEN")
-    if not (leads and chunks[i].type in ("IN", "ON", "AT", "TO")):
-        output.append(chunks[i])
-
-
 # postpositions and final verbs: "kirkon vieressä", "kita ni kyōkai ga aru"
 
 
 @dataclass
 class _Item:
-    """A thing with its marker, a place, or another chunk."""
+    """A thing with its markers, a place, or another chunk."""
 
     kind: str
     """``thing``, ``place``, or the type of the one chunk."""
@@ -559,13 +518,12 @@ class _Item:
     """Types of the markers behind a thing."""
 
     @property
-    def person(self) -> bool:
-        """Whether it is a person, or a word for something spoken of before."""
+    def is_person(self) -> bool:
         return self.kind == "thing" and self.chunks[0].type in (*_PERSONS, "THIS")
 
     @property
     def lead(self) -> list[str]:
-        """Last marker that stands for a word before the thing; empty if none does."""
+        """Return the last marker that stands for a word before the thing."""
         return [case for case in self.case if case in (*_LEADS, "WITH")][-1:]
 
 
@@ -574,18 +532,14 @@ def _order_postpositions(chunks: list[Chunk], language: Language) -> list[Chunk]
     order = language.order
     items = _mark_nearby(_group_items(chunks), language)
     found: list[_Item] = []
-    i = 0
-    while i < len(items):
-        end = i
-        while end < len(items) and items[end].kind in (*_RELATIONS, *_MEASURED):
-            end += 1
-        if end == i:
-            found.append(items[i])
-            i += 1
-            continue
-        shows = end < len(items) and items[end].kind == "thing"
-        _relate(found, items[i:end], marked=order.marked, shows=shows)
-        i = end
+    kinds = (*_RELATIONS, *_MEASURED)
+    groups = [list(group) for _, group in groupby(items, lambda item: item.kind in kinds)]
+    for group, following in zip(groups, [*groups[1:], []], strict=True):
+        if group[0].kind in kinds:
+            shows = bool(following) and following[0].kind == "thing"
+            _relate(found, group, marked=order.marked, shows=shows)
+        else:
+            found += group
     items = _move_owners(found)
     if order.verb_final:
         items = list(_move_verbs(items))
@@ -610,7 +564,7 @@ def _group_items(chunks: Sequence[Chunk]) -> list[_Item]:
         elif chunk.type in (*_NOUNS, *_DETERMINERS, *_PERSONS):
             before = _last(last.chunks)
             goes_on = before in _DETERMINERS or (before, chunk.type) in (_NOUNS, _NOUNS[::-1])
-            alone = last.person or bool(last.case) or chunk.type in (*_PERSONS, "THIS")
+            alone = last.is_person or bool(last.case) or chunk.type in (*_PERSONS, "THIS")
             if last.kind == "thing" and goes_on and not alone:
                 last.chunks.append(chunk)
             else:
@@ -632,10 +586,7 @@ def _mark_nearby(items: list[_Item], language: Language) -> list[_Item]:
 
 
 def _relate(output: list[_Item], words: list[_Item], *, marked: bool, shows: bool) -> None:
-    """Append a relation, and what of the things before it is its own.
-
-    `shows`: another thing follows.
-    """
+    """Append a relation and the things before it that are its own; `shows`: another thing follows."""
     hedges = [output.pop()] if output and output[-1].kind == "ADVERB" else []
     relations = [word for word in words if word.kind not in _MEASURED]
     measured = [word for word in words if word.kind in _MEASURED]
@@ -678,9 +629,7 @@ def _takes_thing(output: list[_Item], *, measured_only: bool, marked: bool, show
         return False  # what is seen, and then where
     if measured_only:
         return "FROM" in case or before == "FROM"
-    if not {"IN", "AT", "ON"}.isdisjoint(case):
-        return False
-    return bool(case) or not marked
+    return {"IN", "AT", "ON"}.isdisjoint(case) and (bool(case) or not marked)
 
 
 def _move_owners(items: list[_Item]) -> list[_Item]:
@@ -693,7 +642,7 @@ def _move_owners(items: list[_Item]) -> list[_Item]:
             found.append(item)
             continue
         found[-1] = item
-        if item.kind == "thing" and not owner.person and not item.person:
+        if item.kind == "thing" and not owner.is_person and not item.is_person:
             found.append(_Item("place", [_mark(owner.chunks[0], "OF"), *owner.chunks]))
     return found
 
@@ -718,7 +667,10 @@ def _move_verbs(items: list[_Item]) -> Iterator[_Item]:
         start = next((n for n, other in enumerate(clause) if other.kind != "AND"), len(clause))
         joints, clause = clause[:start], clause[start:]
         shown = items[i] if i < len(items) and items[i].kind == "thing" else None
-        if shown is not None and not shown.person and _is_relative(items[i - 1], clause):
+        places = [other.kind for other in clause if other.kind != "AND"]
+        relative = verb[-1].kind in ("EXISTS", "BE") and bool(places)
+        relative = relative and {"place", "DIR", "PREP", "NEARBY"}.issuperset(places)
+        if relative and shown is not None and not shown.is_person:
             i += 1  # "南にある建物は": the building in the south
             chunks = [chunk for one in (shown, *clause) for chunk in one.chunks]
             clause = [*joints, replace(shown, chunks=chunks)]
@@ -729,16 +681,6 @@ def _move_verbs(items: list[_Item]) -> Iterator[_Item]:
     yield from clause
 
 
-def _is_relative(verb: _Item, clause: list[_Item]) -> bool:
-    """Tell whether a verb ends what is said of the thing behind it, and no clause."""
-    places = [item for item in clause if item.kind != "AND"]
-    return (
-        bool(places)
-        and verb.kind in ("EXISTS", "BE")
-        and all(item.kind in ("place", "DIR", "PREP", "NEARBY") for item in places)
-    )
-
-
 def _place_verb(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
     """Return the items of a clause with its verb where the grammar has it."""
     free = [n for n, item in enumerate(clause) if item.kind == "thing" and not item.lead]
@@ -746,7 +688,7 @@ def _place_verb(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
     if free and kind in ("EXISTS", "BE") and free[0] == 0 and (len(clause) > 1 or kind == "BE"):
         be = _Item("BE", [replace(verb[0].chunks[0], type="BE")])
         return [clause[0], be, *verb[1:], *clause[1:]]
-    seen = [n for n in free if not clause[n].person]
+    seen = [n for n in free if not clause[n].is_person]
     if not seen or (kind == "BE" and seen[0] == 0):
         if kind == "SEE":
             return [*clause, *verb]
