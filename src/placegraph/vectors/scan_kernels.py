@@ -24,7 +24,7 @@ def _dot(row, query):
 
 @kernel(inline="always")
 def _inside(position, box):
-    """Whether longitude and latitude lie in west, south, east, north, edges included."""
+    """Tell whether longitude and latitude lie in west, south, east, north, edges included."""
     west, south, east, north = box
     if not south <= position[1] <= north:
         return False

@@ -81,7 +81,7 @@ class VectorStore(Protocol):
     def search(
         self, queries: NDArray[np.float32], n: int, region: Region | None = None
     ) -> Neighbours:
-        """Nearest `n` rows of each of the queries (Q, D), within a region where one is given."""
+        """Find the nearest `n` rows of each of the queries (Q, D), within a region where one is given."""
 
     def close(self) -> None:
         """Let go of connections and memory; a closed store is not searched again."""
@@ -124,7 +124,7 @@ class Vectors:
 
     @classmethod
     def of(cls, ids: ArrayLike, vectors: ArrayLike, positions: ArrayLike | None = None) -> Self:
-        """Rows in any order, of any length; raises `OptionError` where they are none.
+        """Check and sort rows in any order, of any length; raises `OptionError` for malformed ones.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class Vectors:
 
 
 def unit(vectors: ArrayLike, what: str) -> NDArray[np.float32]:
-    """Vectors (N, D) float32 of unit length; `OptionError` where they are none or have none."""
+    """Normalize vectors (N, D) to unit length as float32; raises `OptionError` for zero or infinite ones."""
     rows = np.asarray(vectors)
     if rows.ndim != 2 or not rows.shape[1] or rows.dtype.kind not in "fiu":
         raise OptionError(f"{what} are {rows.dtype} {rows.shape}; give numbers (rows, dimension).")
@@ -186,7 +186,7 @@ def unit(vectors: ArrayLike, what: str) -> NDArray[np.float32]:
 
 
 def checked_queries(queries: ArrayLike, n: int, dimension: int) -> NDArray[np.float32]:
-    """Unit queries (Q, D); raise `OptionError` where they, or `n`, do not fit a store."""
+    """Normalize queries (Q, D); raises `OptionError` where they, or `n`, do not fit a store."""
     if n < 1:
         raise OptionError(f"n is {n}; ask for at least one neighbour.")
     found = np.asarray(queries)
@@ -383,7 +383,7 @@ class EmbeddedStore:
             raise ValueError("ids are negative or not unique")
 
     def close(self) -> None:
-        """Nothing to let go of: memory goes with the last reference."""
+        """Do nothing: memory goes with the last reference."""
 
     def __enter__(self) -> Self:
         return self
@@ -406,7 +406,7 @@ Address = str | os.PathLike[str]
 
 
 def is_uri(where: Address) -> bool:
-    """Whether this is the address of a server, not of a file."""
+    """Tell whether this is the address of a server, not of a file."""
     return (
         isinstance(where, str) and where.partition("://")[0].lower() in SCHEMES and "://" in where
     )

@@ -287,7 +287,7 @@ def _resolve_block(chunk: Chunk, behind: Sequence[Chunk]) -> Chunk:
 
 
 def _resolve_by_following(chunk: Chunk, behind: Sequence[Chunk], after: str) -> tuple[Chunk, ...]:
-    """Settle "where", "not", "called" and "let's" by what follows them."""
+    """Resolve "where", "not", "called" and "let's" by what follows them."""
     if chunk.type == "WHERE":  # "where A meets B" is a place, any other "where" opens a clause
         kinds = [other.type for other in behind[:6]]
         end = next((i for i, kind in enumerate(kinds) if kind in JOINTS), len(kinds))

@@ -64,7 +64,7 @@ def find_visible(
     radius: float,
     rows: NDArray[np.int64] | None = None,
 ) -> VisibleObjects:
-    """Nearest points of objects within `radius` [m] of each grid point.
+    """Find the nearest points of objects within `radius` [m] of each grid point.
 
     `kind`, `part_starts`, `point_starts` and `points` are the columns of `CityObjects`; `rows`
     restricts to these objects. Cost grows with segments times grid points near them, and with the
@@ -103,7 +103,7 @@ def make_extent_error(count: int, stride: float) -> MapError:
 
 
 def _sorted(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stable order: where they fit by 16 bits at a time, for which NumPy counts."""
+    """Return the stable order of numbers; by 16 bits at a time where they fit, which NumPy sorts fast."""
     if numbers.max(initial=0) >= 1 << 32:
         return np.argsort(numbers, kind="stable")
     order = np.argsort(numbers.astype(np.uint16), kind="stable")
@@ -175,7 +175,7 @@ class Cells(PickleFields, Mapping[str, Cell]):
         return Cell(cell, float(lonlat[0]), float(lonlat[1]))
 
     def at(self, longitude: float, latitude: float) -> str | None:
-        """Id of the cell whose centre is nearest to a position, None where no cell covers it."""
+        """Return the id of the cell whose centre is nearest to a position, None where no cell covers it."""
         return self.at_plane(self.plane.to_plane((longitude, latitude)))
 
     def at_plane(self, east_north: NDArray[np.float64]) -> str | None:
@@ -192,7 +192,7 @@ class Cells(PickleFields, Mapping[str, Cell]):
         return cell if cell in self else None
 
     def nearest(self, east_north: NDArray[np.float64]) -> str:
-        """Id of the cell that covers a position, else of the cell whose centre is nearest."""
+        """Return the id of the cell that covers a position, else of the cell whose centre is nearest."""
         covering = self.at_plane(east_north)
         if covering is not None:
             return covering
@@ -210,7 +210,7 @@ class Cells(PickleFields, Mapping[str, Cell]):
             reach *= 4
 
     def center(self, cell: str) -> NDArray[np.float64]:
-        """Centre (2,) of a cell, east and north [m]; raises `OptionError` where there is none."""
+        """Return the centre (2,) of a cell, east and north [m]; raises `OptionError` for an unknown cell."""
         row, column = divmod(self.point(cell), self.grid.columns)
         return np.array([self.grid.east, self.grid.north]) + self.grid.stride * np.array(
             [column, row]
@@ -222,12 +222,12 @@ class Cells(PickleFields, Mapping[str, Cell]):
         return self.plane.to_lonlat(self.centers(np.arange(len(self.points))))
 
     def centers(self, rows: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """Centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
+        """Return the centres (K, 2) of the cells in `rows` of `points`, east and north [m]."""
         row, column = np.divmod(self.points[rows], self.grid.columns)
         return np.stack([column, row], 1) * self.grid.stride + (self.grid.east, self.grid.north)
 
     def rows_at(self, east_north: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rows (K,) of `points` of the cells nearest to positions (K, 2) [m]; -1 where none covers."""
+        """Find the rows (K,) in `points` of the cells that cover positions (K, 2) [m]; -1 where none does."""
         step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
         column, row = np.floor(step + 0.5).astype(np.int64).T
         reach = np.abs(step - np.stack([column, row], 1)).max(axis=1) * self.grid.stride
@@ -238,17 +238,17 @@ class Cells(PickleFields, Mapping[str, Cell]):
         return np.where(there, at, -1)
 
     def id_of(self, row: int) -> str:
-        """Id of the cell in a row of `points`."""
+        """Return the id of the cell in a row of `points`."""
         return self._id(int(self.points[row]))
 
     def bounds(self, cell: str) -> tuple[float, float, float, float]:
-        """West, south, east and north edge of a cell [m]."""
+        """Return the west, south, east and north edge of a cell [m]."""
         east, north = self.center(cell)
         half = self.size / 2
         return float(east - half), float(north - half), float(east + half), float(north + half)
 
     def point(self, cell: str) -> int:
-        """Grid point of a cell; raises `OptionError` where there is no such cell."""
+        """Return the grid point of a cell; raises `OptionError` for an unknown cell."""
         point = self._find_point(cell)
         if point is None:
             raise UnknownCellError(
@@ -272,7 +272,7 @@ class Cells(PickleFields, Mapping[str, Cell]):
 
 
 def find_in_cells(objects: CityObjects, grid: Grid, size: float) -> VisibleObjects:
-    """Objects of each square of edge `size` [m] around the grid's points, where they are nearest."""
+    """Find the objects of each square of edge `size` [m] around grid points, where they are nearest."""
     around = find_visible(
         objects.kind,
         objects.part_starts,
@@ -289,13 +289,13 @@ def find_in_cells(objects: CityObjects, grid: Grid, size: float) -> VisibleObjec
 
 
 def find_occupied(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.int64]:
-    """Grid points (C,) whose square holds at least two objects, so that an edge can exist."""
+    """Find grid points (C,) whose square holds at least two objects, so that an edge can exist."""
     seen = find_in_cells(objects, grid, size)
     return seen.points[np.diff(seen.starts) >= 2]
 
 
 def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
-    """Scene graph of a cell (Eq. 7): objects where they are nearest to its centre, relations of Eq. 6.
+    """Build the scene graph of a cell (Eq. 7): objects at their nearest points, relations of Eq. 6.
 
     Every ordered pair nearer than the edge distance is an edge "source is <relation> of target";
     pairs closer than 10 m are also `near`, what stands in an area is `inside` it, and what stands
@@ -334,7 +334,7 @@ def _relations(
     target: int,
     edge_distance: float,
 ) -> Iterator[str]:
-    """Relations of a source to a target, by the difference of their positions (Eq. 5)."""
+    """Yield the relations of a source to a target, by the difference of their positions (Eq. 5)."""
     delta = at[source] - at[target]
     apart = float(np.hypot(*delta))
     if 0.0 < apart <= edge_distance:
@@ -359,7 +359,7 @@ def _relations(
 
 
 def _holds(objects: CityObjects, outer: int, inner: int) -> bool:
-    """Whether area `outer` is the larger one, so that "inside" would be the wrong way round."""
+    """Tell whether area `outer` is the larger one, so that "inside" would be the wrong way round."""
     if objects.kind[outer] != AREA:
         return False
     spans = [

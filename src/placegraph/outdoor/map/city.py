@@ -91,7 +91,7 @@ class City(PickleFields):
         source: str,
         left_out: dict[str, int],
     ) -> Self:
-        """City over these objects; cells are laid over their bounding box."""
+        """Create a city of objects; cells are laid over their bounding box."""
         low, high = ends_of(objects.points)
         columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
         grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
@@ -189,7 +189,7 @@ class City(PickleFields):
         return city
 
     def graph(self, cell: str) -> SceneGraph:
-        """Scene graph of a cell (Eq. 1-8); raises `OptionError` where there is no such cell."""
+        """Build the scene graph of a cell (Eq. 1-8); raises `OptionError` for an unknown cell."""
         return cell_graph(self.objects, self.cells, cell)
 
     @property
@@ -228,7 +228,7 @@ class City(PickleFields):
         return Blocks.measured(self.objects)
 
     def block_length(self, bearing: float | None) -> float:
-        """Length of a block [m] in a direction [rad], or in any where that is None."""
+        """Return the length of a block [m] in a direction [rad], or in any where that is None."""
         return self.blocks.length(bearing)
 
     @cached_property
@@ -265,7 +265,7 @@ class City(PickleFields):
         return offsets_of(np.bincount(values, minlength=len(self.words))), owner[order]
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
-        """Share of all things in sight, over all viewpoints, that tokens stand for."""
+        """Return the share of tokens in all objects in sight, over all viewpoints."""
         return self.views.frequency(tokens, weights)
 
     def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -274,7 +274,7 @@ class City(PickleFields):
         return np.asarray(starts[tokens + 1] - starts[tokens])
 
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
-        """Rows of the objects that bear each of these tokens, ascending."""
+        """List the rows of the objects that bear each of these tokens, ascending."""
         starts, rows = self.token_objects
         return [rows[starts[t] : starts[t + 1]].astype(np.int64) for t in tokens]
 
@@ -308,7 +308,7 @@ class City(PickleFields):
 
 
 def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
-    """Bounds of counted entries; `ValueError` where they do not fit, which compiled code believes."""
+    """Return the bounds of counted entries; raises `ValueError` where they do not fit into 32 bits."""
     bounds = offsets_of(counts)
     if bounds[-1] > np.iinfo(np.int32).max:
         raise ValueError("counts are too large")
@@ -316,7 +316,7 @@ def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
 
 
 def make_geojson(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:
-    """FeatureCollection of a city: `CityMap.to_geojson` says more."""
+    """Make the FeatureCollection of a city. See also `CityMap.to_geojson`."""
     if what not in ("objects", "cells"):
         raise OptionError(f"what is {what!r}; it is 'objects' or 'cells'.")
     return make_collection(_objects(city) if what == "objects" else _cells(city))
@@ -357,7 +357,7 @@ WIDEST = 60_000.0
 
 
 def find_oddities(city: City) -> list[str]:
-    """Sentences about what is odd in a map that could be opened (so: sound in its bytes and columns)."""
+    """List what is odd in a map whose bytes and columns are sound, a sentence each."""
     objects, found = city.objects, []
     span = np.ptp(objects.points, axis=0)
     if span.max() > WIDEST:

@@ -52,20 +52,20 @@ class LabelledElement(NamedTuple):
 
 
 def join_words(labels: Iterable[str], names: Iterable[str]) -> str:
-    """Labels and names in one string, which `split_words` takes apart."""
+    """Join labels and names to one string, which `split_words` takes apart."""
     said = WORD.join([n if n.isprintable() else n.translate(_CLEAN) for n in names])
     return WORD.join(labels) + LIST + said if said else WORD.join(labels)
 
 
 def split_words(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Labels and names of a text."""
+    """Split a string of `join_words` into labels and names."""
     labels, _, names = text.partition(LIST)
     return tuple(labels.split(WORD)), tuple(names.split(WORD)) if names else ()
 
 
 @dataclass(frozen=True)
 class ElementTable:
-    """Columns of things; row i of every column is one."""
+    """Labelled elements as columns; row i of every column is one."""
 
     osm_type: NDArray[np.uint8]
     osm_id: NDArray[np.int64]
@@ -83,7 +83,7 @@ class ElementTable:
 
     @classmethod
     def of(cls, elements: Sequence[LabelledElement]) -> Self:
-        """Columns of things; there must be one."""
+        """Return the columns of elements, of which there must be one."""
         flat = [part for thing in elements for part in thing.parts]
         return cls(
             np.array([thing.osm_type for thing in elements], np.uint8),
@@ -97,7 +97,7 @@ class ElementTable:
 
     @classmethod
     def joined(cls, tables: Sequence[ElementTable]) -> Self:
-        """All things of some tables, one table after the other; there must be one."""
+        """Concatenate tables, of which there must be one."""
         return cls(
             np.concatenate([t.osm_type for t in tables]),
             np.concatenate([t.osm_id for t in tables]),
@@ -109,7 +109,7 @@ class ElementTable:
         )
 
     def take(self, rows: NDArray[np.int64]) -> Self:
-        """The things in these rows, in their order."""
+        """Take the elements in some rows, in their order."""
         part_starts, parts = gather_spans(self.part_starts, rows)
         point_starts, points = gather_spans(self.point_starts, parts)
         texts = self.texts
@@ -129,13 +129,13 @@ class ElementTable:
         return self.point_starts[self.part_starts]
 
     def ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """South-western and north-eastern corners (N, 2) of each thing [deg]."""
+        """Return the south-western and north-eastern corners (N, 2) of the elements [deg]."""
         first = self.first[:-1]
         low, high = np.minimum.reduceat(self.steps, first), np.maximum.reduceat(self.steps, first)
         return low / STEPS, high / STEPS
 
     def element(self, row: int) -> LabelledElement:
-        """One of them."""
+        """Return the element in a row."""
         first, last = self.part_starts[row : row + 2]
         bounds = self.point_starts[first : last + 1].tolist()
         parts = [self.steps[a:b] / STEPS for a, b in pairwise(bounds)]
@@ -149,7 +149,7 @@ class ElementTable:
 
 
 def drop_duplicates(elements: ElementTable) -> ElementTable:
-    """Things once each, where extracts that touch hold the same ones: the longest version counts."""
+    """Drop elements that extracts share; the version with the most points stays."""
     counts = np.diff(elements.first)
     order = np.lexsort((-counts, elements.osm_id, elements.osm_type))
     same = (np.diff(elements.osm_id[order]) == 0) & (np.diff(elements.osm_type[order]) == 0)
@@ -162,7 +162,7 @@ Points = NDArray[np.float64]
 
 
 def clip(kind: int, parts: Sequence[Points], box: Box, spare: float = 0.0) -> list[Points]:
-    """Parts, lines or rings (n, 2), of a thing within a box; none where it lies outside.
+    """Clip the parts, lines or rings (n, 2), of an element at a box; none where it lies outside.
 
     What sticks out by at most `spare` (in the box's unit) stays whole. A ring that leaves the box
     goes on along its edge.
@@ -181,7 +181,7 @@ def clip(kind: int, parts: Sequence[Points], box: Box, spare: float = 0.0) -> li
 
 
 def _ring(ring: Points, low: Points, high: Points) -> Points:
-    """A ring within a box, by Sutherland and Hodgman: edge after edge of the box."""
+    """Clip a ring at a box, edge after edge (Sutherland and Hodgman)."""
     for axis in (0, 1):
         for side, sign in ((low[axis], 1.0), (high[axis], -1.0)):
             if not len(ring):
@@ -199,7 +199,7 @@ def _ring(ring: Points, low: Points, high: Points) -> Points:
 
 
 def _pieces(line: Points, low: Points, high: Points) -> list[Points]:
-    """Pieces of a line within a box: cut where it meets the edges, and looked at in between."""
+    """Cut a line at the edges of a box, and return the pieces inside."""
     if len(line) == 1:
         return [line] if ((line >= low) & (line <= high)).all() else []
     start, step = line[:-1], np.diff(line, axis=0)
@@ -257,7 +257,7 @@ def read_extract(
     vocabulary: Vocabulary | None = None,
     progress: Progress | None = None,
 ) -> tuple[LocalPlane, CityObjects, dict[str, int]]:
-    """Objects of an extract, or of Overture, in a plane of their own, and what was left out, by reason.
+    """Read the objects of an extract, or of Overture, and count the elements left out, by reason.
 
     Raises
     ------
@@ -288,14 +288,14 @@ def make_empty_error(path: str | PathLike[str] | Overture, left_out: LeftOut) ->
 
 
 def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
-    """Keys of the elements that a city is made of, by the shipped vocabulary where none is given."""
+    """Return the keys of elements that become objects, by the shipped vocabulary if none is given."""
     return frozenset((*(vocabulary or Vocabulary.default()).keys, "name"))
 
 
 def label_elements(
     blocks: Iterable[OsmColumns], vocabulary: Vocabulary, progress: Progress
 ) -> Generator[ElementTable]:
-    """Elements that the vocabulary has a word for, or that have a name; blocks of them at a time."""
+    """Yield blocks of the elements that the vocabulary has a word for, or that have a name."""
     waiting, seen = [], 0
     for columns in blocks:
         progress("reading", seen)
@@ -309,7 +309,7 @@ def label_elements(
 
 
 def _label_block(columns: OsmColumns, vocabulary: Vocabulary) -> ElementTable:
-    """Things of a block; elements of the same tags are looked at once."""
+    """Label the elements of a block; elements that share their tags are labelled once."""
     known: dict[tuple[int, int], str] = {}
     texts = []
     for kind, tags in zip(columns.kind.tolist(), columns.tags, strict=True):
@@ -333,7 +333,7 @@ def _in_columns(elements: Iterator[OsmElement]) -> Iterator[OsmColumns]:
 
 
 def list_names(tags: Mapping[str, str]) -> tuple[str, ...]:
-    """Names of an element, the name proper first, the address last, without repetitions."""
+    """List the names of an element, the name proper first, the address last, without repetitions."""
     found = [tags["name"]] if "name" in tags else []
     keys = [key for key in tags if "name" in key or "brand" in key]
     found += [tags[key] for key in sorted(keys) if NAME_KEY.match(key)]
@@ -349,7 +349,7 @@ def list_names(tags: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def named_labels(kind: int, tags: Mapping[str, str], vocabulary: Vocabulary) -> tuple[str, ...]:
-    """Labels of a thing known by its name alone; a name such as "parking lot" says what it is."""
+    """Return labels of an element that has a name alone; "parking lot" says what it is."""
     if "name" not in tags or kind == LINE or not tags.keys().isdisjoint(NOT_THINGS):
         return ()
     roads = {s.label for s in vocabulary.senses("road")} if kind == POINT else set()
@@ -382,13 +382,13 @@ def drop_largest(
 
 
 def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
-    """Plane at the median: one far-off member of a clipped relation must not tilt it."""
+    """Return the plane at the median: one far-off member of a clipped relation must not tilt it."""
     median = np.percentile(lonlat, 50, axis=0, method="lower")  # of a point: dates have a line
     return LocalPlane(*(round(float(x), 4) for x in median))
 
 
 def make_objects(elements: ElementTable, plane: LocalPlane) -> CityObjects:
-    """Columns of things on a plane: simplified, and sorted along a curve, whatever order they came in."""
+    """Make objects on a plane of elements in any order: simplified, and sorted along a curve."""
     simple, point_starts = simplify(
         plane.to_plane(elements.lonlat), elements.point_starts, TOLERANCE
     )
@@ -425,7 +425,7 @@ def make_objects(elements: ElementTable, plane: LocalPlane) -> CityObjects:
 def _table(
     texts: list[tuple[str, ...]], which: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], tuple[str, ...], NDArray[np.int32]]:
-    """Bounds of the words of each row, which has one of the texts; all words, sorted; which each is."""
+    """Return the bounds of the words of each row, all words, sorted, and the indices of each row's words."""
     flat = [word for text in texts for word in text]
     table = tuple(sorted(set(flat)))
     index = {word: i for i, word in enumerate(table)}

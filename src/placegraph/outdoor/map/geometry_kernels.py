@@ -95,7 +95,7 @@ def _boxes(part_starts, point_starts, points):
 
 @kernel
 def along_curve(steps):
-    """Position (N,) along a Hilbert curve, 2^18 steps a side: neighbours stay neighbours."""
+    """Return positions (N,) along a Hilbert curve, 2^18 steps a side: neighbours stay neighbours."""
     found = np.zeros(len(steps), np.int64)
     for i in range(len(steps)):
         x, y = steps[i]
@@ -116,7 +116,7 @@ AREA = 2
 
 @kernel(_nrt=False)
 def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
-    """Vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
+    """Return the vector from (east, north) to the nearest point of object `row`, and its square [m^2]."""
     best = np.inf
     best_e = best_n = 0.0
     inside = False
@@ -147,7 +147,7 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
 
 @kernel(finite=True)
 def nearest_to_each(part_starts, point_starts, points, kind, row, at, near, squares):
-    """Vectors (2, K) from positions `at` (2, K) to the nearest points of object `row`, and squares (K,).
+    """Find vectors (2, K) from positions `at` (2, K) to the nearest points of object `row`, and squares (K,).
 
     As `nearest_on_parts`, of many positions at once: a segment is read once, and compared with all.
     """
@@ -197,7 +197,7 @@ def _sort(values, count):
 
 @kernel
 def box_of(points, a, b):
-    """West, east, south and north end of some points."""
+    """Return the west, east, south and north end of points."""
     w = e = np.float64(points[a, 0])
     s = n = np.float64(points[a, 1])
     for i in range(a + 1, b):
@@ -229,7 +229,7 @@ def crossings(part_starts, point_starts, points, row, north, easts):
 
 @kernel
 def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity, most):
-    """Entries of `sightings`, unsorted, and whether they were found by at most `most` comparisons."""
+    """Collect objects near grid points, unsorted; tell whether at most `most` comparisons were enough."""
     east0, north0, stride, columns, n_rows = grid
     at = np.empty(capacity, np.int64)
     who = np.empty(capacity, np.int32)

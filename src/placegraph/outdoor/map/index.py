@@ -133,7 +133,7 @@ def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
 def tokens_of(
     objects: CityObjects,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    """Tokens of every object as CSR (starts, values, weights): its labels, then its names."""
+    """Return the tokens of every object as CSR (starts, values, weights): its labels, then its names."""
     n_labels, n_names = np.diff(objects.label_starts), np.diff(objects.name_starts)
     starts = np.concatenate(([0], np.cumsum(n_labels + n_names))).astype(np.int32)
     row = np.arange(len(objects), dtype=np.int32)
@@ -152,7 +152,7 @@ def tokens_of(
 
 
 def grid_of(objects: CityObjects) -> Grid:
-    """Grid of the viewpoints; its sides are whole tiles."""
+    """Return the grid of the viewpoints; its sides are whole tiles."""
     low, high = ends_of(objects.points)
     low, high = low - REACHED, high + REACHED
     columns, rows = (SIDE * int(n) for n in np.ceil((np.ceil((high - low) / STRIDE) + 1) / SIDE))
@@ -162,7 +162,7 @@ def grid_of(objects: CityObjects) -> Grid:
 def build(
     objects: CityObjects, at_once: int = AT_ONCE, core: Core | None = None
 ) -> tuple[dict[str, NDArray[Any]], SightTotals]:
-    """Columns of a `ViewIndex`, and what was seen from a core; of nothing, where there is none.
+    """Build the columns of a `ViewIndex`, and total what is seen from a core, if there is one.
 
     Memory grows with what is in sight of a band, time with the map. Raises `MapError` where things
     reach over more ground than a map of so many is looked through for.
@@ -207,7 +207,7 @@ def build(
 
 
 def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) -> list[_Band]:
-    """Bands of whole tiles from south to north, about as many objects in each."""
+    """Cut the grid into bands of whole tiles, from south to north, with about as many objects in each."""
     ends = objects.point_starts[objects.part_starts]
     norths = objects.points[:, 1].astype(np.float64) - grid.north
     south, north = (end.reduceat(norths, ends[:-1]) for end in (np.minimum, np.maximum))
@@ -232,7 +232,7 @@ def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) ->
 def _collect_band(
     objects: CityObjects, grid: Grid, band: _Band
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], InSight]:
-    """Tiles of a band that have anything in sight, where their entries begin, and these."""
+    """Collect the tiles of a band that have anything in sight, where their entries begin, and these."""
     things, lines, columns, slots, first, offsets, done = collect_visible(
         objects.kind, objects.part_starts, objects.point_starts, objects.points, band.rows,
         (grid.east, grid.north, grid.stride), band.window,
@@ -252,7 +252,7 @@ def _collect_band(
 def _counted(
     grid: Grid, tiles: NDArray[np.int64], keep: NDArray[np.int64], core: Core | None
 ) -> tuple[NDArray[np.int64], int]:
-    """Slots (T,) of viewpoints in the core, and how many these are."""
+    """Return the slots (T,) of viewpoints in the core, and count these."""
     bits = np.unpackbits(
         keep.astype("<i8").view(np.uint8).reshape(-1, 8), axis=1, bitorder="little"
     )
@@ -268,7 +268,7 @@ def _counted(
 
 
 def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, NDArray[Any]]:
-    """Bands put one after the other; runs by token, and within a token by tile."""
+    """Join bands; sort runs by token, and within a token by tile."""
     for part, tiles in zip(parts, np.cumsum([0, *(len(p["tiles"]) for p in parts)]), strict=False):
         part["run_tiles"] = part["run_tiles"] + np.uint32(tiles)
     columns = {name: np.concatenate([p.pop(name) for p in parts]) for name in list(parts[0])}
@@ -357,14 +357,14 @@ class ViewIndex:
 
     @classmethod
     def build(cls, objects: CityObjects, core: Core | None = None) -> tuple[Self, SightTotals]:
-        """Index of a map that has none yet, about a core if one is given, and what is seen there."""
+        """Build the index of a map; total what is seen from a core, if there is one."""
         grid = grid_of(objects)
         columns, seen = build(objects, core=core)
         return cls.of(columns, (grid.east, grid.north, grid.columns // SIDE)), seen
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], grid: tuple[float, float, int]) -> Self:
-        """Index of the columns that `build` makes; `ValueError` where they contradict each other."""
+        """Make an index of the columns of `build`; raises `ValueError` where they contradict each other."""
         east, north, width = grid
         columns = {name: _locked(column) for name, column in columns.items()}
         given = ViewColumns(
@@ -385,7 +385,7 @@ class ViewIndex:
         return cls(given, columns["share"])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The columns that `of` takes."""
+        """Return the columns that `of` takes."""
         c = self.columns
         stored = c._asdict().items()
         own = {_STORED_AS.get(k, k): column for k, column in stored if k not in _DERIVED}
@@ -411,7 +411,7 @@ class ViewIndex:
         return self._at(*np.nonzero(_bits(self.columns.present)))
 
     def positions_of(self, rows: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
-        """(K, 2) east, north of viewpoints (K,) [m]."""
+        """Return the positions (K, 2) of viewpoints (K,), east and north [m]."""
         if len(rows) > len(self) // 8 or len(self) <= FEW:
             return self.positions[rows]
         tile = np.searchsorted(self.columns.first, rows, side="right") - 1
@@ -428,11 +428,11 @@ class ViewIndex:
         return np.stack([x, north + (line * SIDE + slot // SIDE) * stride], 1).astype(np.float32)
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
-        """Share of all things in sight, over all viewpoints, that these tokens stand for."""
+        """Return the share of tokens in all objects in sight, over all viewpoints."""
         return float(weights @ self.share[tokens])
 
     def near(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
-        """Viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
+        """Find viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
         found = self.around(position, reach)
         delta = _farther(self.positions_of(found) - position)
         inside = delta <= reach
@@ -440,7 +440,7 @@ class ViewIndex:
         return found[np.argsort(delta, kind="stable")]
 
     def around(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
-        """Viewpoints (K,) of all tiles that have points within `reach` [m] of a position, ascending."""
+        """Find viewpoints (K,) of all tiles that have points within `reach` [m] of a position, ascending."""
         east, north, stride, width = self.columns.grid
         tile = SIDE * stride
         low = np.floor((np.asarray(position, np.float64) - reach - (east, north)) / tile)
@@ -454,7 +454,7 @@ class ViewIndex:
         return np.concatenate([np.zeros(0, np.int64), *(np.arange(a, b) for a, b in rows)])
 
     def nearest(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
-        """First (K,) of what `near` finds within `STRIDE` of positions (K, 2); -1 where it is none."""
+        """Find the viewpoints (K,) nearest to positions (K, 2), within `STRIDE`; -1 where there is none."""
         east, north, stride, _ = self.columns.grid
         at = (np.asarray(positions, np.float64) - (east, north)) / stride
         steps = np.arange(1 - _AROUND, 1 + _AROUND)
@@ -468,7 +468,7 @@ class ViewIndex:
         return np.where(best <= STRIDE, first, -1)
 
     def _rows(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Viewpoints at points of the grid; -1 where there is none."""
+        """Find the viewpoints at points of the grid; -1 where there is none."""
         c, width = self.columns, self.columns.grid[3]
         on = (column >= 0) & (column < width * SIDE) & (row >= 0)
         key = (row // SIDE) * width + column // SIDE
@@ -481,12 +481,12 @@ class ViewIndex:
 
 
 def _farther(delta: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """The larger of the distances in east and in north of differences (..., 2)."""
+    """Return the larger of the distances in east and in north of differences (..., 2)."""
     return np.maximum(np.abs(delta[..., 0]), np.abs(delta[..., 1]))
 
 
 def _bits(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Bits (n, 64) of numbers (n,), the lowest first."""
+    """Unpack bits (n, 64) of numbers (n,), the lowest first."""
     in_bytes = numbers.astype("<i8").view(np.uint8).reshape(-1, 8)
     return np.unpackbits(in_bytes, axis=1, bitorder="little")
 
@@ -505,7 +505,7 @@ def _starts(counts: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _locked(column: NDArray[Any]) -> NDArray[Any]:
-    """The column, which nobody may write: compiled code tells the two apart."""
+    """Return a read-only view of a column: compiled code tells the two apart."""
     column = np.ascontiguousarray(column).view()
     column.flags.writeable = False
     return column
@@ -548,7 +548,7 @@ def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
 
 
 def index_in(file: MapFile, words: int) -> ViewIndex | None:
-    """The index that a map file has of as many `words`; None where it has none.
+    """Read the index of a map file, of as many `words`; None where it has none.
 
     Raises `MapError` where a column is missing, and what `store.sound` turns into one where columns
     contradict each other.

@@ -32,7 +32,7 @@ EDGE, WIDE = 40.0, 1.25
 
 @kernel(inline="always")
 def slot_of(bits):
-    """Slot of the lowest bit that is set."""
+    """Return the slot of the lowest bit that is set."""
     x = (bits & -bits) - 1
     return ones(x)
 
@@ -55,13 +55,13 @@ def below(bits, slot):
 
 @kernel(inline="always")
 def grade_of(mass):
-    """Least grade whose mass is no smaller."""
+    """Return the least grade whose mass is no smaller."""
     return min(GRADES - 1, max(0, int(np.ceil(np.log(mass / LEAST) / STEP))))
 
 
 @kernel(inline="always")
 def pack(mass, west, south, east, north):
-    """Posting: grade of a mass, and the ends of a box within `REACHED` [m], in 32 bits."""
+    """Pack a posting: grade of a mass, and the ends of a box within `REACHED` [m], in 32 bits."""
     low = (int(np.floor((west + EDGE) / WIDE)) << 18) | (int(np.floor((south + EDGE) / WIDE)) << 12)
     high = (int(np.ceil((east + EDGE) / WIDE)) << 6) | int(np.ceil((north + EDGE) / WIDE))
     return (grade_of(mass) << 24) | low | high
@@ -69,7 +69,7 @@ def pack(mass, west, south, east, north):
 
 @kernel(inline="always")
 def unpack(posting):
-    """Grade, and west, south, east and north end of a posting [m]."""
+    """Unpack a posting: grade, and west, south, east and north end [m]."""
     return (
         posting >> 24,
         np.float32(((posting >> 18) & 63) * WIDE - EDGE),
@@ -157,7 +157,7 @@ def list_visible(scene, views, tile, slot, objects, offsets, salience):
 
 @kernel(inline="always")
 def place_of(views, tile, slot):
-    """East and north of a slot of a tile [m]."""
+    """Return east and north of a slot of a tile [m]."""
     east0, north0, stride, columns = views.grid
     row, column = views.tiles[tile] // columns, views.tiles[tile] % columns
     east = east0 + (column * SIDE + (slot & (SIDE - 1))) * stride
@@ -166,7 +166,7 @@ def place_of(views, tile, slot):
 
 @kernel(inline="always")
 def tile_of(views, view):
-    """Tile and slot of a viewpoint."""
+    """Return tile and slot of a viewpoint."""
     low, high = 0, len(views.tiles)
     while high - low > 1:
         middle = (low + high) >> 1
@@ -216,7 +216,7 @@ POINT = 0
 
 @kernel
 def mark_viewpoints(tile_starts, visible, kind, enough, stride, covered):
-    """Slots (T,) of points that see `enough`, or a point object closer than `stride` [m].
+    """Mark the slots (T,) of points that see `enough`, or a point object closer than `stride` [m].
 
     `visible` is what tiles have in sight (`InSight`); notes in `covered` (N,) what those points see.
     """
@@ -257,7 +257,7 @@ def mark_isolated(tile_starts, visible, keep, stride, covered):
 
 @kernel
 def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, mass):
-    """Runs of a band: of each tile, and each token in sight there, its viewpoints and their postings.
+    """Build the runs of a band: for each tile and token in sight, its viewpoints and their postings.
 
     `keep` (T,) are the slots of viewpoints, `core` (T,) those of them that are counted, `visible` what tiles
     have in sight. Adds to `mass` (tokens + 1,) what of each is in sight of all viewpoints, and of all
@@ -402,7 +402,7 @@ LINES = 2
 
 @kernel
 def collect_visible(kind, part_starts, point_starts, points, rows, grid, window, capacity, most):
-    """Things in sight of the points of a `grid` (east, north, stride) within `window`.
+    """Collect objects in sight of the points of a `grid` (east, north, stride) within `window`.
 
     `window` bounds columns and rows of its tiles, the last excluded. Returns, a thing and tile each: thing,
     line and column of the tile, slots, and where its vectors begin (one more); then vectors (E, 2) from

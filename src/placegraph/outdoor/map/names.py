@@ -83,12 +83,12 @@ class NameIndex:
         return self.close[words]
 
     def _alike(self, words: str) -> Iterable[str]:
-        """Names that words may be a misspelling of."""
+        """Return names that words may be a misspelling of."""
         del words
         return self.by_words.keys()
 
     def named(self, phrase: str) -> dict[int, float]:
-        """Rows of `CityObjects.names` that a phrase means, and how surely.
+        """Find the rows of `CityObjects.names` that a phrase may mean, and their weights.
 
         A name that was said as a whole weighs 1. One of which a part was said weighs the less the
         more was left out, and the more names the part belongs to.
@@ -165,7 +165,7 @@ class NameIndex:
         return log(1.0 + len(self.by_words) / (1.0 + self._counts.get(word, 0)))
 
     def _joined(self, words: Sequence[str]) -> list[str]:
-        """Words of a phrase; two that names write as one are one: "Met Life" is "MetLife"."""
+        """Join words of a phrase that names write as one: "Met Life" is "MetLife"."""
         found: list[str] = []
         at = 0
         while at < len(words):
@@ -176,7 +176,7 @@ class NameIndex:
         return found
 
     def _written(self, word: str) -> str:
-        """A word as names write it, where it is inflected or misspelt."""
+        """Return an inflected or misspelt word as names write it."""
         if word in self._counts or not is_alphabetic(word):
             return word
         at = bisect_left(self._alphabetic, word)
@@ -216,7 +216,7 @@ class NameIndex:
 
 
 def spoken(name: str) -> list[list[str]]:
-    """Words by which a name is called, one way or two.
+    """List the words by which a name is called, one way or two.
 
     "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub".
     """
@@ -226,23 +226,23 @@ def spoken(name: str) -> list[list[str]]:
 
 
 def stems(name: str) -> list[str]:
-    """Stems of a name's words; none of an address, a part of which means the street."""
+    """List the stems of a name's words; none of an address, a part of which means the street."""
     words = name.split()
     return [] if _is_address(words) else list(dict.fromkeys(map(_stem, words)))
 
 
 def is_alphabetic(word: str) -> bool:
-    """Whether a word may be inflected or misspelt."""
+    """Tell whether a word may be inflected or misspelt."""
     return len(word) >= 5 and word.isalpha()
 
 
 def _stem(word: str) -> str:
-    """A word without the ending of plurals and possessives: "Macy's", "Macys" and "Macy"."""
+    """Cut the ending of plurals and possessives: "Macy's", "Macys" and "Macy"."""
     return word[:-1] if len(word) > 3 and word[-1] == "s" and word[-2] not in "su" else word
 
 
 def _inflected(one: str, other: str) -> bool:
-    """Whether two words are forms of one: "ulicy" and "ulica", "Floriańskiej" and "Floriańska"."""
+    """Tell whether two words are forms of one: "ulicy" and "ulica", "Floriańskiej" and "Floriańska"."""
     from rapidfuzz.distance import Prefix
 
     stem = Prefix.similarity(one, other)
@@ -251,12 +251,12 @@ def _inflected(one: str, other: str) -> bool:
 
 
 def _tells_apart(word: str) -> bool:
-    """Whether a name that lacks this word is another one: "4th Street" is not "Street"."""
+    """Tell whether a name that lacks this word is another one: "4th Street" is not "Street"."""
     return word in COMPASS or any(c.isdigit() for c in word)
 
 
 def _is_address(words: Sequence[str]) -> bool:
-    """Whether words are a house number and a street: "125 East 34th Street"."""
+    """Tell whether words are a house number and a street: "125 East 34th Street"."""
     return (
         len(words) > 2
         and words[0][0].isdecimal()
@@ -265,7 +265,7 @@ def _is_address(words: Sequence[str]) -> bool:
 
 
 def _is_counted(words: Sequence[str]) -> bool:
-    """Whether words are a street with a number, and no more: "West 38th Street"."""
+    """Tell whether words are a street with a number, and no more: "West 38th Street"."""
     return _is_road(words) and all(_tells_apart(word) or word in ROADS for word in words)
 
 

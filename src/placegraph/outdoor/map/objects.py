@@ -93,20 +93,20 @@ class CityObjects(PickleFields):
                 raise ValueError(f"{name} point outside their table")
 
     def osm(self, i: int) -> str:
-        """OpenStreetMap's own id of object i: ``node/1``, ``way/2``, ``relation/3``."""
+        """Return OpenStreetMap's own id of object i: ``node/1``, ``way/2``, ``relation/3``."""
         return f"{('node', 'way', 'relation')[self.osm_type[i]]}/{self.osm_id[i]}"
 
     def label(self, i: int) -> str:
-        """Most specific label of object i."""
+        """Return the most specific label of object i."""
         return self.labels[self.label_values[self.label_starts[i]]]
 
     def name(self, i: int) -> str:
-        """Name of object i, or an empty string."""
+        """Return the name of object i, or an empty string."""
         start = self.name_starts[i]
         return self.names[self.name_values[start]] if start < self.name_starts[i + 1] else ""
 
     def parts(self, i: int) -> list[NDArray[np.float32]]:
-        """Lines or rings of object i, each (n, 2) east, north [m]."""
+        """Return the lines or rings of object i, each (n, 2) east, north [m]."""
         bounds = self.point_starts[self.part_starts[i] : self.part_starts[i + 1] + 1]
         return [self.points[a:b] for a, b in itertools.pairwise(bounds)]
 
@@ -127,12 +127,12 @@ class CityColumns(NamedTuple):
 
 
 def of_name(name: str) -> str:
-    """The word that stands for a proper name."""
+    """Return the token that stands for a proper name."""
     return "~" + " ".join(name.split()).casefold()
 
 
 def index_of(labels: tuple[str, ...]) -> dict[str, list[int]]:
-    """Rows of labels by label and by ``key=*``."""
+    """Index the rows of labels by label and by ``key=*``."""
     index: dict[str, list[int]] = {}
     for row, label in enumerate(labels):
         index.setdefault(label, []).append(row)
@@ -148,21 +148,21 @@ def centers(
     point_starts: NDArray[np.int32],
     points: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Centers (N, 2) [m] of objects: the point, the middle of the line, the area's centroid."""
+    """Compute centres (N, 2) [m] of objects: the point, the middle of the line, the area's centroid."""
     return _centers(kind, part_starts, point_starts, points)
 
 
 def columns_of(
     o: CityObjects, tokens: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]
 ) -> CityColumns:
-    """Columns that compiled code reads, of objects and their tokens (starts, values, weights)."""
+    """Return the columns of objects and their tokens (starts, values, weights) for compiled code."""
     kind, box = o.kind.view(), _boxes(o.part_starts, o.point_starts, o.points)
     kind.flags.writeable = False  # as of a map that was opened: compiled code tells the two apart
     return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, box, *tokens)
 
 
 def ends_of(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """South-western and north-eastern corner (2,) of points (N, 2)."""
+    """Return the south-western and north-eastern corner (2,) of points (N, 2)."""
     axes = np.ascontiguousarray(points.T)  # NumPy is slow across rows of two
     return axes.min(axis=1), axes.max(axis=1)
 
@@ -210,7 +210,7 @@ class Blocks(NamedTuple):
     """Length along the second [m]."""
 
     def length(self, bearing: float | None) -> float:
-        """Length of a block in a direction [rad]; of no particular direction where that is None."""
+        """Return the length of a block [m] in a direction [rad], or the mean length for None."""
         if bearing is None:
             return float(np.sqrt(self.first * self.second))
         along = abs(np.cos(bearing - self.axis)) >= np.sqrt(0.5)
@@ -218,7 +218,7 @@ class Blocks(NamedTuple):
 
     @classmethod
     def measured(cls, objects: CityObjects) -> Blocks:
-        """Blocks of a map: usual distances between neighbouring crossings of a street."""
+        """Measure the usual distances between neighbouring crossings of the streets of a map."""
         gaps = _gaps(*_followed(objects))
         length = np.hypot(*gaps.T)
         if len(gaps) < ENOUGH:
@@ -238,7 +238,7 @@ class Blocks(NamedTuple):
 
 
 def _followed(objects: CityObjects) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Points (K, 2) along all named streets [m], and the name (K,) of each."""
+    """Sample points (K, 2) along all named streets [m], and return the name (K,) of each."""
     streets = {row for row, label in enumerate(objects.labels) if label in STREETS}
     label = objects.label_values[objects.label_starts[:-1]]
     named = np.diff(objects.name_starts) > 0
@@ -254,7 +254,7 @@ def _followed(objects: CityObjects) -> tuple[NDArray[np.float64], NDArray[np.int
 
 
 def _gaps(points: NDArray[np.float64], names: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Vectors (B, 2) [m] between neighbouring crossings of each street."""
+    """Return the vectors (B, 2) [m] between neighbouring crossings of each street."""
     squares = np.floor(points / CROSSING).astype(np.int64)
     met = np.unique(np.column_stack([squares, names]), axis=0)
     _, square, streets = np.unique(met[:, :2], axis=0, return_inverse=True, return_counts=True)
@@ -271,6 +271,6 @@ def _gaps(points: NDArray[np.float64], names: NDArray[np.int32]) -> NDArray[np.f
 
 
 def _trimmed_mean(lengths: NDArray[np.float64]) -> float:
-    """Mean of the middle half: what many blocks come to, whatever a few odd ones are."""
+    """Return the interquartile mean."""
     quarter = len(lengths) // 4
     return float(np.sort(lengths)[quarter : len(lengths) - quarter].mean())
