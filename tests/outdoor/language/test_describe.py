@@ -1,8 +1,7 @@
-"""What is refused, names of a map, contradictions, and time."""
+"""What is refused, names of a map, and contradictions."""
 
 from __future__ import annotations
 
-import time
 from math import cos, pi, radians, sin
 
 import pytest
@@ -26,10 +25,8 @@ from placegraph.outdoor.language.scan import scan_english
     ],
 )  # fmt: skip
 def test_refused_with_a_mend(text, mend):
-    start = time.perf_counter()
     with pytest.raises(DescriptionError, match=mend):
         describe(text)
-    assert time.perf_counter() - start < 0.1
 
 
 @pytest.mark.parametrize("text", ["asdf qwer", "¿Qué?", "12345", "!!! ???", "the the the", "🏠"])
@@ -199,53 +196,27 @@ def test_legs_make_one_way_in_blocks_of_the_map(text, target, east, north):
     assert way.distance * cos(way.bearing) == pytest.approx(north, abs=1.0)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "The church is north of the school. The church is south of the school.",
-        "The church is north of me. I'm north of the church.",
-        "A bakery is to my east. It is west of me.", "There are no trees here. There is a tree.",
-        "There is no church to my north. A church is north of me.",
-        "I'm at the bank. The church is north of me. The church is south of the bank.",
-    ],
+CONTRADICTIONS = (
+    "The church is north of the school. The church is south of the school.",
+    "The church is north of me. I'm north of the church.",
+    "A bakery is to my east. It is west of me.", "There are no trees here. There is a tree.",
+    "There is no church to my north. A church is north of me.",
+    "I'm at the bank. The church is north of me. The church is south of the bank.",
 )  # fmt: skip
+CONSISTENT = (
+    "The church is north of the school. The church is east of the school.",
+    "A church is north of me. A church is south of me.",
+    "There are no trees to my north. There is a tree to my south.",
+    "The bench is on the north of the bench.",
+    "The building is on the east of the road. The building is on the west of the road.",
+    "A bench is north of the bank. A bench is south of the bank.", "Head north, then south.",
+    "There is no bank. There is a church.",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", CONTRADICTIONS + CONSISTENT)
 def test_contradictions_are_told(text):
-    assert describe(text).conflicts
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "The church is north of the school. The church is east of the school.",
-        "A church is north of me. A church is south of me.",
-        "There are no trees to my north. There is a tree to my south.",
-        "The bench is on the north of the bench.",
-        "The building is on the east of the road. The building is on the west of the road.",
-        "A bench is north of the bank. A bench is south of the bank.", "Head north, then south.",
-        "There is no bank. There is a church.",
-    ],
-)  # fmt: skip
-def test_no_contradiction(text):
-    assert describe(text).conflicts == ()
-
-
-def test_a_text_of_the_papers_form_takes_little_time():
-    text = " ".join(
-        f"The {a} is on the {d} of the {b}."
-        for a, d, b in [
-            ("bench", "north", "bicycle_parking"), ("Ripley's_Aquarium_of_Canada", "east", "steps"),
-            ("residential", "south", "grass"), ("cafe", "west", "tree"),
-            ("Rue_Grimaldi", "north", "fountain"), ("bakery", "east", "bench"),
-        ]
-    )  # fmt: skip
-    describe(text)
-    times = []
-    for _ in range(30):
-        start = time.perf_counter()
-        describe(text)
-        times.append(time.perf_counter() - start)
-    # 0.7 ms where it was measured; room for a slow or busy machine
-    assert sorted(times)[5] < 0.006
+    assert bool(describe(text).conflicts) == (text in CONTRADICTIONS)
 
 
 @pytest.mark.parametrize(

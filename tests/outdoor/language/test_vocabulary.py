@@ -367,13 +367,16 @@ def test_spoken(vocabulary):
         assert vocabulary.spoken(label) == word
 
 
-def test_spoken_in_other_languages(vocabulary):
-    assert vocabulary.spoken("shop=bakery", language="fr") == "boulangerie"
-    assert vocabulary.spoken("shop=bakery", language="ca") == "fleca"
-    assert vocabulary.spoken("amenity=library", language="tr") == "kütüphane"
-    assert vocabulary.spoken("amenity=school", language="de") == "schulgelände"
-    assert vocabulary.spoken("amenity=library", language="th") == "ห้องสมุด"
-    assert vocabulary.spoken("amenity=library", language="tlh") == "library"
+@pytest.mark.parametrize(
+    ("label", "language", "word"),
+    [
+        ("shop=bakery", "fr", "boulangerie"), ("shop=bakery", "ca", "fleca"),
+        ("amenity=library", "tr", "kütüphane"), ("amenity=school", "de", "schulgelände"),
+        ("amenity=library", "th", "ห้องสมุด"), ("amenity=library", "tlh", "library"),
+    ],
+)  # fmt: skip
+def test_spoken_in_other_languages(vocabulary, label, language, word):
+    assert vocabulary.spoken(label, language=language) == word
 
 
 # --- in a text
@@ -513,21 +516,9 @@ WORDS = "language\twords\tlabels\n"
         ("objects.tsv", HEADER + "a\tb\tobject\t1\tc\n", "line 2: only a kind or detail"),
         ("objects.tsv", HEADER + "a\tb\tobject\t1\t\tc\n", "line 2: the field 'said'"),
         ("objects.tsv", HEADER + "a\tb\tobject\t1\t\t{}\tx\n", "line 2: 7 fields where 6"),
-        (
-            "words.tsv",
-            WORDS + "en\tfoo\tshop\n",
-            "line 2: in the field 'labels', 'shop' is no label",
-        ),
-        (
-            "words.tsv",
-            WORDS + "en\tfoo\tshop=x@2\n",
-            "line 2: in the field 'labels', the weight '2'",
-        ),
-        (
-            "words.tsv",
-            WORDS + "en\tfoo\tshop=x@a\n",
-            "line 2: in the field 'labels', the weight 'a'",
-        ),
+        ("words.tsv", WORDS + "en\tfoo\tshop\n", "line 2: in the field 'labels', 'shop' is no"),
+        ("words.tsv", WORDS + "en\tfoo\tshop=x@2\n", "line 2: in the field 'labels', the weight"),
+        ("words.tsv", WORDS + "en\tfoo\tshop=x@a\n", "the weight 'a' of shop=x"),
         ("words.tsv", WORDS + "en\t\tshop=x\n", "line 2: the field 'words' is empty"),
         ("words.tsv", WORDS + "en\tfoo,,bar\tshop=x\n", "line 2: the field 'words'"),
         ("spoken.tsv", WORDS + "\tfoo\tshop=x\n", "line 2: the field 'language' is empty"),

@@ -534,7 +534,7 @@ def _order_postpositions(chunks: list[Chunk], language: Language) -> list[Chunk]
     found: list[_Item] = []
     kinds = (*_RELATIONS, *_MEASURED)
     groups = [list(group) for _, group in groupby(items, lambda item: item.kind in kinds)]
-    for group, following in zip(groups, [*groups[1:], []], strict=True):
+    for group, following in zip(groups, [*groups[1:], []], strict=False):
         if group[0].kind in kinds:
             shows = bool(following) and following[0].kind == "thing"
             _relate(found, group, marked=order.marked, shows=shows)
