@@ -262,7 +262,7 @@ def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
     assert seen.viewpoints == len(inside)
     looked = real_city.in_sight(inside)
     sight, (starts, values, weights) = sight_of(looked), real_city.tokens
-    assert seen.salience == pytest.approx(sight.sum(), rel=1e-4)
+    assert seen.visibility == pytest.approx(sight.sum(), rel=1e-4)
     mass = np.zeros((len(inside), len(seen.mass)))
     view = np.repeat(np.arange(len(inside)), np.diff(looked.starts))
     for row, o_row, s in zip(view.tolist(), looked.objects.tolist(), sight.tolist(), strict=True):
@@ -281,7 +281,7 @@ def test_a_core_in_which_nothing_is_seen_counts_nothing(harbour):
     far = np.full(2, 1e6)
     index, seen = ViewIndex.build(harbour.objects, Core(far, far, lambda at: at[:, 0] > 1e5))
     assert len(index) == len(harbour.views)
-    assert (seen.viewpoints, seen.salience, seen.mass.any()) == (0, 0.0, False)
+    assert (seen.viewpoints, seen.visibility, seen.mass.any()) == (0, 0.0, False)
 
 
 def test_an_index_travels(harbour):

@@ -90,7 +90,7 @@ class SightTotals(NamedTuple):
     """(T,) ... and of which share that is of all that one has in sight."""
     peak: NDArray[np.float32]
     """(T,) largest such share."""
-    salience: float
+    visibility: float
     """Sum over viewpoints of all that is in sight."""
     spread: float
     """Largest sum of the shares of all labels."""
@@ -119,7 +119,7 @@ class InSight(NamedTuple):
     """(R,) where its vectors begin."""
     offsets: NDArray[np.float32]
     """(E, 2) from points to things [m]."""
-    salience: NDArray[np.float32]
+    visibility: NDArray[np.float32]
     """(E,) `fade` of them."""
 
 

@@ -118,10 +118,10 @@ def nearest_in_reach(scene, row, east, north):
 
 
 @kernel(_nrt=False)
-def list_visible(scene, views, tile, slot, objects, offsets, salience):
-    """List what is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `salience`.
+def list_visible(scene, views, tile, slot, objects, offsets, visibility):
+    """List what is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `visibility`.
 
-    Returns how many things there are, the sum of their `salience`, and of its products over ordered
+    Returns how many things there are, the sum of their `visibility`, and of its products over ordered
     pairs of what one does not stand in.
     """
     east, north = place_of(views, tile, slot)
@@ -146,7 +146,7 @@ def list_visible(scene, views, tile, slot, objects, offsets, salience):
             weight = np.float32(1.0) / (
                 np.float32(1.0) + np.exp((distance - np.float32(FADED)) / np.float32(WIDTH))
             )
-            salience[n] = weight
+            visibility[n] = weight
             total += weight
             if scene.kind[o] != AREA or offsets[n, 0] != 0.0 or offsets[n, 1] != 0.0:
                 apart += weight
@@ -191,24 +191,26 @@ def most_objects(views):
 
 @kernel
 def list_visible_each(scene, views, rows):
-    """List what is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `salience`."""
+    """List what is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `visibility`."""
     starts, most = np.zeros(len(rows) + 1, np.int64), most_objects(views)
     size = max(1024, 32 * len(rows)) + most
-    objects, salience = np.empty(size, np.int32), np.empty(size, np.float32)
+    objects, visibility = np.empty(size, np.int32), np.empty(size, np.float32)
     offsets = np.empty((size, 2), np.float32)
     for k in range(len(rows)):
         n = starts[k]
         if n + most > len(objects):
-            objects, salience = (
+            objects, visibility = (
                 np.concatenate((objects, objects)),
-                np.concatenate((salience, salience)),
+                np.concatenate((visibility, visibility)),
             )
             offsets = np.concatenate((offsets, offsets))
         tile, slot = tile_of(views, rows[k])
-        many, _, _ = list_visible(scene, views, tile, slot, objects[n:], offsets[n:], salience[n:])
+        many, _, _ = list_visible(
+            scene, views, tile, slot, objects[n:], offsets[n:], visibility[n:]
+        )
         starts[k + 1] = n + many
     n = starts[-1]
-    return starts, objects[:n].copy(), offsets[:n].copy(), salience[:n].copy()
+    return starts, objects[:n].copy(), offsets[:n].copy(), visibility[:n].copy()
 
 
 POINT = 0
@@ -228,7 +230,7 @@ def mark_viewpoints(tile_starts, visible, kind, enough, stride, covered):
             while bits:
                 lowest = bits & -bits
                 bits ^= lowest
-                total[ones(lowest - 1)] += visible.salience[e]
+                total[ones(lowest - 1)] += visible.visibility[e]
                 x, y = visible.offsets[e]
                 if lone and x * x + y * y < stride * stride:
                     keep[tile] |= lowest
@@ -280,7 +282,7 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
     # of each slot: all, apart from what one stands in, squares of that; divisors; shares of labels
     sums, against = np.zeros((4, SLOTS), np.float32), np.empty((2, SLOTS), np.float32)
     total, alone, squared, labelled = sums[0], sums[1], sums[2], sums[3]
-    where, at, salience = (
+    where, at, visibility = (
         np.empty(SLOTS, np.int64),
         np.empty((SLOTS, 2), np.float32),
         np.empty(SLOTS, np.float32),
@@ -300,8 +302,8 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
                 slot = ones((bits & -bits) - 1)
                 bits &= bits - 1
                 if keep[tile] >> slot & 1:
-                    s, (x, y) = visible.salience[e], visible.offsets[e]
-                    where[many], salience[many], at[many, 0], at[many, 1] = slot, s, x, y
+                    s, (x, y) = visible.visibility[e], visible.offsets[e]
+                    where[many], visibility[many], at[many, 0], at[many, 1] = slot, s, x, y
                     many += 1
                     total[slot] += s
                     if (
@@ -328,7 +330,7 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
                     else:
                         box[0], box[1] = min(box[0], x), min(box[1], y)
                         box[2], box[3] = max(box[2], x), max(box[3], y)
-                    held[m, where[i]] += salience[i] * token_weights[t]
+                    held[m, where[i]] += visibility[i] * token_weights[t]
         if views + SLOTS > len(totals):
             totals = np.concatenate((totals, np.empty_like(totals)))
             roots = np.concatenate((roots, np.empty_like(roots)))

@@ -436,7 +436,7 @@ def count_words(city: City, key: str) -> WordCounts:
         objects.labels, objects.names,
         np.bincount(values[own[owner]], minlength=len(seen.mass)).astype(np.int32),
         seen.mass.astype(np.float32), seen.shares.astype(np.float32), seen.peak,
-        seen.salience, seen.spread, seen.pull,
+        seen.visibility, seen.spread, seen.pull,
         int(own.sum()), int(are_in_tile(middles, key).sum()), seen.viewpoints,
     )  # fmt: skip
 
