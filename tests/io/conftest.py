@@ -187,7 +187,7 @@ class Recorded:
         ]
         metres = np.stack(
             [
-                stage.shot(camera, pose).depth
+                stage.geometry(camera, pose).depth
                 for camera, pose in zip(self.depth_cameras, self.poses, strict=True)
             ]
         )
@@ -198,7 +198,7 @@ class Recorded:
         self.metres = np.nan_to_num(metres)
 
     def _colours(self, stage, camera, pose):
-        depth = stage.shot(camera, pose).depth
+        depth = stage.geometry(camera, pose).depth
         points = unproject(depth, camera) @ pose[:3, :3].T + pose[:3, 3]
         return np.rint(np.nan_to_num(self.colour_of(points))).astype(np.uint8)
 

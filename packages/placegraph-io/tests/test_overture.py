@@ -1,5 +1,3 @@
-"""Overture's GeoParquet: the elements that OpenStreetMap would have, or one typed error."""
-
 import sys
 from collections import Counter
 
@@ -114,7 +112,6 @@ def write(path, kind, rows, **options):
 
 
 def read(*paths, **options):
-    """Elements and what was left out."""
     left_out = LeftOut()
     source = Overture(tuple(map(str, paths)), **options)
     return list(read_overture(source, left_out)), left_out.counts
@@ -122,7 +119,6 @@ def read(*paths, **options):
 
 @pytest.fixture
 def release(tmp_path):
-    """A corner of a city, laid out as a release is."""
     square = "POLYGON ((10 50, 10.001 50, 10.001 50.001, 10 50.001, 10 50))"
     ring = square.replace(
         "))", "), (10.0002 50.0002, 10.0004 50.0002, 10.0004 50.0004, 10.0002 50.0002))"

@@ -1,5 +1,3 @@
-"""3D Scanner App: a JSON file a frame, images of some of them."""
-
 import json
 import sys
 import zipfile
@@ -280,7 +278,6 @@ def metadata(world, **changes):
 
 
 def metres(world, i):
-    """Depth as LiDAR has it: NaN where there is none."""
     return np.where(world.metres[i] == 0, np.nan, world.metres[i]).astype("<f4")
 
 

@@ -1,5 +1,3 @@
-"""Files of a ZIP: as the standard library reads them, and refused where they are spoilt."""
-
 import bz2
 import zipfile
 
@@ -73,7 +71,6 @@ PACK = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}
 
 @pytest.mark.parametrize("kind", PACK)
 def test_pieces(kind):
-    """Any piece, in any order; nothing behind the end; of what is cut, what is there."""
     part = CompressedBytes(PACK[kind](DATA), kind, "x")
     pieces = ((0, 31), (700_000, 250_000), (10, 300_000), (999_990, 100), (2_000_000, 5))
     for offset, count in pieces:
@@ -85,7 +82,6 @@ def test_pieces(kind):
 
 @pytest.mark.parametrize("kind", PACK)
 def test_what_is_read_alone_is_unpacked(kind):
-    """A bomb does no harm: what nobody reads stays packed, and nobody reads beyond what may be."""
     bomb = PACK[kind](bytes(50_000_000))
     part = CompressedBytes(bomb, kind, "x")
     assert part.read(0, 100) == bytes(100)

@@ -1,5 +1,3 @@
-"""Up of a reconstruction: of the cameras, then of level surfaces."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +13,6 @@ VECTORS = st.tuples(*[st.floats(-2, 2)] * 3).filter(lambda v: np.linalg.norm(v) 
 
 
 def cameras(yaws, down=0.3, roll=0.0):
-    """Rotations of cameras that look down a little, in a world with z up."""
     gravity = [np.sin(roll), np.cos(down), np.sin(down)]
     return rotation_z(np.asarray(yaws)) @ level_from_camera(gravity)
 
@@ -69,7 +66,6 @@ ROOM = np.array([[-3.0, -2.5, -1.4], [3.5, 4.0, 1.2]])
 
 
 def room_depth(rotation, rng, box=ROOM):
-    """Depth [m] in a box with the noise of a real sensor: 1.2 mm, and 1.9 mm (z / m - 0.4)^2."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = CAMERA.directions(np.stack([u + 0.5, v + 0.5], axis=-1)) @ rotation.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -92,7 +88,6 @@ def test_the_noise_of_a_sensor(seed, down, roll):
 
 
 def test_the_level_of_many_beats_a_ramp_of_more():
-    """A ramp at 8 degrees has more normals than the floor, but no wall stands upright to it."""
     rng = np.random.default_rng(2)
     ramp = rotation_from_vector([np.radians(8), 0, 0]) @ [0, 0, 1.0]
     parts = [(200, [0, 0, 1.0]), (300, ramp), (400, [1.0, 0, 0]), (400, [0, 1.0, 0])]

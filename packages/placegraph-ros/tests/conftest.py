@@ -34,8 +34,6 @@ def mode(pose, probability, covariance, evidence=()):
 
 @pytest.fixture
 def estimate(scene, rng):
-    """What makes an estimate of two modes, of a status."""
-
     def made(status=Status.OK):
         spread = [r @ r.T * 1e-3 for r in rng.normal(size=(2, 6, 6))]
         modes = (
@@ -49,5 +47,4 @@ def estimate(scene, rng):
 
 @pytest.fixture(scope="session")
 def room(tmp_path_factory, study):
-    """A room, its map, and a walk through it (`world.made`)."""
     return made(tmp_path_factory.mktemp("room"), study)

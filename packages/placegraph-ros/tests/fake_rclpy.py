@@ -1,8 +1,3 @@
-"""As much of rclpy as the node uses, with its signatures; topics lead from one node to itself.
-
-Messages are made and read by `rosbags`, whose classes have the fields of ROS's own.
-"""
-
 import inspect
 import sys
 from functools import partial
@@ -110,21 +105,17 @@ class Node:
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.now))
 
     def call(self, name, **request):
-        """Response of a service."""
         response = SimpleNamespace(result=None)
         return self.services[name].callback(SimpleNamespace(**request), response)
 
 
 class World:
-    """A ROS of one node: who publishes what, parameters, the clock. `installed` names packages."""
-
     def __init__(self, parameters, topics, lacks=()):
         self.parameters, self.topics, self.lacks = parameters, topics, lacks
         self.logger, self.node, self.now, self.running = Logger(), None, 0, False
         self.spin = lambda: None
 
     def send(self, packet):
-        """A message comes, to those who have subscribed."""
         self.now = round(packet.time * 1e9)
         for subscription in list(self.node.subscriptions):
             if subscription.topic != packet.topic:
@@ -136,7 +127,6 @@ class World:
             subscription.callback(decoded)
 
     def tick(self):
-        """The timers go off."""
         for timer in self.node.timers:
             timer()
 
@@ -167,7 +157,6 @@ class World:
         self.running = False
 
     def install(self, monkeypatch):
-        """Put it where `import rclpy` finds it."""
         world = self
 
         class MultiThreadedExecutor:

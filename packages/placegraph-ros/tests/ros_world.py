@@ -1,5 +1,3 @@
-"""A drawn room, its map, and a walk through it: a folder, and a bag with odometry at 25 Hz."""
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +14,6 @@ FRAMES = 12
 
 
 def made(folder, study):
-    """Map, folder and bag; the true poses (T, 4, 4) of the frames."""
     rng = np.random.default_rng(3)
     interior = study.furnish(rng)
     scene = build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
@@ -35,7 +32,6 @@ def made(folder, study):
 
 
 def write_bag(path, clip, between=5):
-    """A bag of a capture, with odometry `between` images as well."""
     folder = path.with_suffix("")
     with BagWriter(folder) as writer:
         camera_from_base = np.linalg.inv(BASE_FROM_CAMERA)
@@ -53,6 +49,5 @@ def write_bag(path, clip, between=5):
 
 
 def off(pose, truth):
-    """Distance [m] and angle [rad] between two poses (4, 4)."""
     turn = np.clip((np.trace(pose[:3, :3].T @ truth[:3, :3]) - 1) / 2, -1, 1)
     return float(np.linalg.norm(pose[:3, 3] - truth[:3, 3])), float(np.arccos(turn))

@@ -22,7 +22,6 @@ EMPTY = Message("empty", "std_msgs/msg/Header", 3.0, HEAD["header"])
 
 @pytest.fixture
 def everything(estimate, scene):
-    """Every message that is ever written."""
     camera = Camera(8, 6, 8.0, 8.0, 4.0, 3.0, (0.1, 0.0, 0.0, 0.0))
     frame = Frame.from_arrays(np.full((6, 8, 3), 90, np.uint8), camera, stamp=0.0)
     said = estimate_messages(estimate(), 2.5, map_from_odom=np.eye(4))
@@ -31,7 +30,6 @@ def everything(estimate, scene):
 
 
 def agrees(read, fields):
-    """Whether a decoded message says what fields say, and nothing where these are silent."""
     for name in read.__slots__ if hasattr(read, "__slots__") else vars(read):
         if name.startswith("_") or name.isupper():  # a constant
             continue

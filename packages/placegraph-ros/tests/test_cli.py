@@ -1,5 +1,3 @@
-"""`placegraph bag localize` and `placegraph live`: files, what is said, exit codes."""
-
 import json
 import os
 import signal
@@ -20,7 +18,6 @@ from ros_world import FRAMES, START
 
 
 def test_a_bag_of_poses(run, room, tmp_path):
-    """It is written, opens, holds a pose an image that was known; the summary says how many."""
     out = tmp_path / "out.mcap"
     words = ("bag", "localize", room.bag, room.map, "-o", out)
     result = run(*words, "--json")
@@ -51,7 +48,6 @@ def test_a_recording_of_rerun_beside_it(run, room, tmp_path):
 
 
 def test_follow_a_folder_and_a_pipe(run, room, tmp_path, monkeypatch, capsys):
-    """Lines of JSON, the last of which is the summary; a bag is written of a pipe."""
     result = run("live", room.map, room.walk, "--speed", "inf", "--wait", 0, "--json")
     assert result.code == 0, result.err
     *poses, summary = map(json.loads, result.out.splitlines())
@@ -131,7 +127,6 @@ def test_keys_of_a_terminal(monkeypatch):
 
 
 def test_ctrl_c_ends_it_between_two_messages():
-    """As `q` does, and what is being written goes on; the second is raised, wherever it falls."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     pace, policy = PlaybackClock(), WaitPolicy(0.0)
     try:

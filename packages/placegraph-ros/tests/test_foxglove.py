@@ -1,5 +1,3 @@
-"""Foxglove's server, seen by a client of its protocol."""
-
 import json
 import struct
 from types import SimpleNamespace
@@ -21,7 +19,6 @@ KIND = "std_msgs/msg/String"
 
 
 def told(client, wanted):
-    """Messages (topic, bytes) of all channels, as many as are wanted."""
     channels, out = {}, []
     while len(out) < wanted:
         said = client.recv(timeout=20)

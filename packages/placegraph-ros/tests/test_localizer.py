@@ -1,5 +1,3 @@
-"""The localizer without ROS: recorded messages in, messages about the pose out."""
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +20,6 @@ ONE_BY_ONE = LiveOptions(background=False)
 
 
 class Heard:
-    """A sink that keeps what it is given."""
-
     def __init__(self):
         self.messages = []
 
@@ -35,7 +31,6 @@ class Heard:
 
 
 def matrix(pose):
-    """(4, 4) of the fields of a `geometry_msgs/Pose`."""
     out = np.eye(4)
     out[:3, 3] = [pose["position"][a] for a in "xyz"]
     out[:3, :3] = rotation_from_quaternion([pose["orientation"][a] for a in "xyzw"])
@@ -43,14 +38,12 @@ def matrix(pose):
 
 
 def followed(source, room, options=ONE_BY_ONE, **given):
-    """Summary and messages of a source."""
     heard = Heard()
     localizer = Localizer(room.scene, options, plan=source.plan, **given)
     return run(source.events, localizer, [heard]), heard
 
 
 def test_a_bag(room):
-    """Poses of the base are right, at odometry's rate, and the transform map -> odom leads to them."""
     summary, heard = followed(bag_source(room.bag), room)
     assert summary.frames == FRAMES
     assert summary.to_dict()["share_ok"] > 0.7, summary
@@ -72,12 +65,10 @@ def test_a_bag(room):
 
 
 def truth_at(room, message):
-    """True pose of the camera (4, 4) when the image of a message was taken."""
     return room.truth[int(np.argmin(np.abs(room.clip.stamps + START - message.stamp)))]
 
 
 def test_a_folder_and_a_pipe_say_the_same(room):
-    """The same frames: of a folder, whose images alone tell odometry, and of a bag through a pipe."""
     heard = {}
     for name in ("walk", "bag"):
         with room.bag.open("rb") as pipe:
@@ -95,7 +86,6 @@ def test_a_folder_and_a_pipe_say_the_same(room):
 
 
 def test_a_folder_that_fills(room, tmp_path):
-    """Images and rows come while it is followed; a row before its image is waited for."""
     walk = tmp_path / "walk"
     shutil.copytree(room.walk, walk)
     rows = (walk / "odometry.tum").read_text().splitlines()
@@ -107,7 +97,6 @@ def test_a_folder_that_fills(room, tmp_path):
     waits = []
 
     def pause(_seconds):
-        """Somebody writes while nothing comes: first a row, then the images."""
         waits.append(None)
         if len(waits) == 1:
             (walk / "odometry.tum").write_text("\n".join(rows))
@@ -130,7 +119,6 @@ def test_a_folder_that_fills(room, tmp_path):
 
 
 def test_a_bag_that_is_being_recorded(room, tmp_path):
-    """It is read as it grows; one that is whole is read by its index."""
     data, path = room.bag.read_bytes(), tmp_path / "walk.mcap"
     path.write_bytes(data[: len(data) // 2])
 
@@ -146,7 +134,6 @@ def test_a_bag_that_is_being_recorded(room, tmp_path):
 
 
 def halves(room):
-    """Messages of the first frames of the bag, and of the others."""
     source = bag_source(room.bag)
     packets = list(source.events)
     half = START + room.clip.stamps[FRAMES // 2]
@@ -155,7 +142,6 @@ def halves(room):
 
 
 def taken(localizer, packets):
-    """Messages of packets."""
     return [m for packet in packets for m in localizer.take(packet)]
 
 
@@ -164,7 +150,6 @@ def statuses(messages):
 
 
 def test_once(room):
-    """Images are looked at until the pose is known, and again when somebody asks."""
     plan, first, second = halves(room)
     localizer = Localizer(room.scene, replace(ONE_BY_ONE, mode="once"), plan=plan)
     taken(localizer, first)
@@ -179,7 +164,6 @@ def test_once(room):
 
 
 def test_a_pose_that_was_told(room):
-    """It counts from the beginning, with what it does not say left open; what is no pose is refused."""
     plan, first, second = halves(room)
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=plan)
     here = room.truth[0] @ np.linalg.inv(BASE_FROM_CAMERA)
@@ -210,7 +194,6 @@ def test_another_map(room, scene):
 
 
 def test_what_is_broken_is_counted_and_the_rest_goes_on(room):
-    """Images cut short, of another size, transforms that are none, messages that cannot be read."""
     plan, first, second = halves(room)
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=plan)
     image = next(p for p in first if p.type.endswith("/Image") and "aligned" not in p.topic)
@@ -250,7 +233,6 @@ def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
 
 
 def test_odometry_that_falls_silent_is_the_status(room):
-    """Images alone do not tell a robot with odometry where it is; nor do those of another clock."""
     source = bag_source(room.bag)
     packets = list(source.events)
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
@@ -268,7 +250,6 @@ def test_odometry_that_falls_silent_is_the_status(room):
 
 @pytest.mark.parametrize("variance", [0.0, 9.0, np.nan, -1.0])
 def test_what_odometry_says_of_its_errors(variance, room):
-    """Frames are followed all the same; what is no covariance is not used, and that is said."""
     source, store = bag_source(room.bag), typestore("cdr")
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
     for packet in source.events:
@@ -286,14 +267,12 @@ def test_what_odometry_says_of_its_errors(variance, room):
 
 
 def shifted(data):
-    """Bytes of a message whose stamp is an hour earlier."""
     (seconds,) = unpack_from("<i", data, 4)
     return data[:4] + pack("<i", seconds - 3600) + data[8:]
 
 
 @pytest.mark.parametrize("seconds", [-5, 2**31 - 1])
 def test_stamps_that_ros_cannot_say(seconds, room):
-    """Before 1970, or beyond 2038: the frames are left out or told without a time, and nothing ends it."""
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=bag_source(room.bag).plan)
     packets = [
         p._replace(data=p.data[:4] + pack("<i", seconds) + p.data[8:]) if p.topic != "/tf_static" else p
@@ -306,7 +285,6 @@ def test_stamps_that_ros_cannot_say(seconds, room):
 
 
 def test_images_that_come_too_fast_are_dropped(room):
-    """In the background; the last one is looked at, and what it has told is said in the end."""
     source = bag_source(room.bag)
     options = replace(ONE_BY_ONE, background=True)
     summary, heard = followed(source, room, options)

@@ -12,7 +12,6 @@ NUMBERS = st.floats(allow_nan=False)
 
 
 def both(message):
-    """A message as `rosbags` and `mcap-ros2-support` read it, the latter by the definition alone."""
     data = cdr(message)
     other = generate_dynamic(message.type, definition(message.type))[message.type](data)
     return decode(data, "", message.type, "cdr"), other

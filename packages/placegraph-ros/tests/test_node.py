@@ -1,5 +1,3 @@
-"""The node of ROS 2, on a fake rclpy: what it subscribes to, tells, is asked, and does where it cannot."""
-
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +22,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ament"
 
 @pytest.fixture
 def recorded(room):
-    """Messages of the bag, and topics of a robot that has others as well."""
     source = bag_source(room.bag)
     topics = {t.name: (t.type,) for t in source.plan.bag.topics.values()}
     packets = list(bag_packets(source.plan.bag, topics))
@@ -33,7 +30,6 @@ def recorded(room):
 
 @pytest.fixture
 def robot(room, recorded, monkeypatch):
-    """Makes a world with a node in it; it is closed in the end."""
     nodes = []
 
     def started(lacks=(), **parameters):
@@ -50,7 +46,6 @@ def robot(room, recorded, monkeypatch):
 
 
 def settled(shell):
-    """Wait until the worker has taken everything that was sent."""
     done = threading.Event()
 
     def asked(localizer):
@@ -67,7 +62,6 @@ def settled(shell):
 
 
 def sent(world, shell, packets):
-    """Send messages one by one, as a robot does that is not faster than the node."""
     world.tick()
     for packet in packets:
         world.send(packet)
@@ -76,7 +70,6 @@ def sent(world, shell, packets):
 
 
 def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
-    """As the bag: topics by type; then those alone that are needed; bytes in, bytes out."""
     packets, _ = recorded
     world, shell = robot()
     world.tick()
@@ -109,7 +102,6 @@ def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
 
 
 def test_what_it_is_asked(robot, recorded, room, scene, tmp_path):
-    """Services answer at once; another map is opened; what is no map is said in nav2's numbers."""
     packets, _ = recorded
     world, shell = robot(publish_tf=False, transform_tolerance=1)
     sent(world, shell, packets[: len(packets) // 2])
@@ -164,7 +156,6 @@ def test_initial_poses(robot, recorded):
 
 
 def test_without_nav2(robot, recorded):
-    """The pose is told; what needs nav2's messages is passed over, and that is said once."""
     packets, _ = recorded
     world, shell = robot(lacks=("nav2_msgs", "foxglove_msgs"))
     sent(world, shell, packets)
@@ -188,7 +179,6 @@ def test_what_is_missing_is_the_status(robot, recorded):
 
 
 def test_images_wait_in_no_queue():
-    """Of each topic the newest are kept; transforms are not lost for them."""
     inbox, kind = Inbox(), "sensor_msgs/msg/CompressedImage"
     for i in range(3 * NEWEST):
         inbox.put(Packet("/a", kind, float(i), b""))
@@ -205,7 +195,6 @@ def test_images_wait_in_no_queue():
 
 
 def test_main(room, recorded, monkeypatch, capsys):
-    """Ctrl-C ends it with 0, an error with its number; without rclpy it says what to install."""
     assert main() == 8
     assert "source /opt/ros/jazzy/setup.bash" in capsys.readouterr().err
 
@@ -242,7 +231,6 @@ def test_a_worker_that_dies_ends_the_node(robot):
 
 
 def test_ctrl_c_in_the_middle(robot, recorded):
-    """ROS is shut down before the node hears of it: what it says then has nowhere to go."""
     world, shell = robot()
     sent(world, shell, recorded[0][: len(recorded[0]) // 2])
     told = len(world.node.told["/localization/status"])
@@ -255,7 +243,6 @@ def test_ctrl_c_in_the_middle(robot, recorded):
 
 
 def test_the_package():
-    """Its entry, its parameters and its files are those of the node."""
     described = ET.parse(PACKAGE / "package.xml").getroot()  # noqa: S314  # our own
     assert described.findtext("name") == "placegraph_ros"
     assert "rclpy" in {e.text for e in described.findall("exec_depend")}

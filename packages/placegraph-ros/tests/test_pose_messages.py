@@ -1,5 +1,3 @@
-"""Poses, modes and status as messages."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,7 +32,6 @@ def rigid(turn, move):
 
 
 def moved(matrix, delta):
-    """A pose (4, 4), shifted by delta[:3] and turned about the map's axes by delta[3:]."""
     out = matrix.copy()
     out[:3, 3] += delta[:3]
     out[:3, :3] = rotation_from_vector(delta[3:]) @ matrix[:3, :3]
@@ -55,7 +52,6 @@ def test_the_covariance_is_that_of_the_base(turn, move, mount_turn, mount_move, 
 
 
 def test_ros_order_of_a_robot_that_looks_along_y():
-    """Only the yaw is unknown; the camera sits 0.5 m ahead, so the base swings across, along x."""
     map_from_camera = pose_matrix([1.0, 2.0, 1.6, np.pi / 2], level_from_camera([0, 1, 0]))
     mount = UPRIGHT_BASE.copy()
     mount[0, 3] = 0.5
@@ -83,7 +79,6 @@ def test_ros_order_of_a_robot_that_looks_along_y():
 
 @given(VECTORS, VECTORS)
 def test_the_tree_leads_from_the_map_to_the_camera(turn, move):
-    """Map -> odom -> base -> camera by the messages alone is where the camera is."""
     map_from_camera, odom_from_camera = rigid(turn, move), rigid(move, turn)
     names = FrameIds(camera="optical")
     map_from_odom = map_from_camera @ np.linalg.inv(odom_from_camera)

@@ -13,7 +13,6 @@ pytest.importorskip("rerun", reason="needs the extra rerun, 163 MB")
 
 
 def columns(path):
-    """Rows of every column of a recording, by entity and component."""
     from rerun.chunk import RrdReader
 
     found = {}

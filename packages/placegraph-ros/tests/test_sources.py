@@ -1,5 +1,3 @@
-"""Recordings at their pace, paused, faster; no test waits."""
-
 import itertools
 
 import pytest
@@ -10,12 +8,10 @@ from placegraph_ros.sources import PlaybackClock, WaitPolicy
 
 
 def clock(step):
-    """A clock that goes on by so much each time it is read."""
     return itertools.count(0.0, step).__next__
 
 
 def waits(pace, times):
-    """How often news may be looked for before each event."""
     out, count = [], 0
     for event in pace.play(times, lambda time: time):
         if event is None:

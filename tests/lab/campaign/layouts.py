@@ -22,7 +22,6 @@ EXPECTED = re.compile(r" => .*| @\d+.*")  # what the tests expect of a sentence 
 
 
 def writer(name):
-    """Import a module of the tests: of placegraph-io where its name begins there, else of the core."""
     for folder in (ROOT / "packages/placegraph-io/tests", ROOT):
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))
@@ -37,13 +36,11 @@ def save(path, array, **options):
 
 @cache
 def film(*, large=False):
-    """Three frames of a room with depth, of 96 x 72 pixels or, for videos, of 192 x 144."""
     options = {"camera": LARGE, "shrink": 4} if large else {}
     return writer("io.conftest").Recorded(Flat.load("study"), frames=3, **options)
 
 
 def read_sentences():
-    """Sentences of all languages that the tests hold."""
     found = []
     for path in sorted((ROOT / "tests/outdoor/language/hand").glob("*.txt")):
         lines = path.read_text("utf-8").splitlines()
@@ -169,7 +166,6 @@ def osm(path, world, *, text=None):
 
 
 def areas(path, world):
-    """Multipolygons, which osmium assembles."""
     osm(path, world, text=writer("io.osm.test_osm").WORLD)
 
 
@@ -182,7 +178,6 @@ def rooms(*, osmag):
 
 
 def recorded(name):
-    """What a service answered, as the tests have it."""
     return lambda path, _: shutil.copy(writer("io.osm.test_overpass").DATA / name, path)
 
 

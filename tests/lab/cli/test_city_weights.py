@@ -1,5 +1,3 @@
-"""Options by which the weights of `placegraph city train` are used."""
-
 import json
 
 import pytest
@@ -20,7 +18,6 @@ def city(tmp_path_factory):
 
 @pytest.fixture
 def weights(tmp_path):
-    """Random weights; training is not what is tested with them."""
     import numpy as np
 
     from placegraph.outdoor.network.network import Shape, round_weights, write_weights

@@ -1,5 +1,3 @@
-"""The lab's command line: its errors end it in one sentence, and steer no terminal."""
-
 import sys
 
 import pytest

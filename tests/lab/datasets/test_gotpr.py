@@ -1,5 +1,3 @@
-"""Released graphs of GOTPR: read as they are, refused with their id where they are not."""
-
 import os
 import pickle
 

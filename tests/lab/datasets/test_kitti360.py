@@ -1,5 +1,3 @@
-"""KITTI-360's frame: as its development kit has it, and there and back."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,6 @@ ORIGIN = (8.4295857, 48.9843445)
 
 
 def as_in_the_kit(lon, lat):
-    """`latlonToMercator` less the origin's, as printed in `convertOxtsToPose.py`."""
     scale, er = np.cos(ORIGIN[1] * np.pi / 180.0), 6378137.0
 
     def mercator(lon, lat):
@@ -36,7 +33,6 @@ def test_there_and_back(found):
 
 
 def test_metres_are_metres_near_the_origin():
-    """Against the ellipsoid: a sphere is a third of a per cent off in this latitude."""
     assert WORLD.to_plane(ORIGIN) == pytest.approx([0.0, 0.0], abs=1e-9)
     true = LocalPlane(*ORIGIN).to_plane(WORLD.to_lonlat((1000.0, 1000.0)))
     assert true == pytest.approx([1000.0, 1000.0], rel=4e-3)

@@ -1,5 +1,3 @@
-"""KITTI360Pose: from the published layout to our own file, and all the ways it may be spoiled."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -38,7 +36,6 @@ def data(out):
 
 
 def test_every_field_is_that_of_the_pickles(folder, data):
-    """Compared with what Python's own unpickler reads of drive 0003, to the grain."""
     first = data.scenes.index("0003") * 8
     cells = read_pickle(folder / "cells" / SYNC.format("0003"), RELEASE)
     c, o = data.cells, data.objects
@@ -96,8 +93,6 @@ def test_poses_and_what_was_said(folder, data):
 
 
 def spoil(where, **changes):
-    """Edit of the first pose, its first description, the first cell, or its first object."""
-
     def edit(module, cells, poses):
         things = {
             "cell": cells[0],
@@ -176,7 +171,6 @@ def test_folders_that_are_none(kitti360pose_world, tmp_path, out):
 
 @pytest.fixture(scope="module")
 def small(kitti360pose_world, tmp_path_factory):
-    """Folder of one cell and two poses, to be damaged, and its sound files."""
     folder = kitti360pose_world.write_set(
         tmp_path_factory.mktemp("small"), drives=["0003"], n_cells=1
     )

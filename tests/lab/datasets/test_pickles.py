@@ -1,5 +1,3 @@
-"""The machine for pickles: what is published is read, whatever else is refused, nothing is run."""
-
 import builtins
 import codecs
 import io
@@ -41,8 +39,6 @@ def read_pickle(path, release=RELEASE):
 
 
 class Anything:
-    """Pickles itself as the call of a function."""
-
     def __init__(self, function, *arguments):
         self.call = function, arguments
 
@@ -72,7 +68,6 @@ def refused(tmp_path, raw, *words):
 
 
 def as_numpy_1(raw):
-    """The same pickle as numpy 1 writes it."""
     for name in ("multiarray", "numeric"):
         new, old = f"numpy._core.{name}".encode(), f"numpy.core.{name}".encode()
         raw = raw.replace(b"c" + new, b"c" + old)
@@ -211,7 +206,6 @@ def test_damage_gives_data_or_a_sentence(tmp_path_factory, sound, data):
 
 
 def test_the_default_unpickler_agrees(tmp_path, sound, kitti360pose_world):
-    """The same bytes, read by Python's own in a world where the module exists."""
     with kitti360pose_world.published():
         (expected,) = pickle.load(io.BytesIO(sound[5]))  # noqa: S301
     (found,) = loaded(tmp_path, sound[5])

@@ -1,5 +1,3 @@
-"""Lexicons made from a package of presets."""
-
 import hashlib
 import json
 import lzma
@@ -14,7 +12,6 @@ from placegraph_lab.make.vocabulary import ENGLISH, WORLD, write_lexicons
 
 @pytest.fixture
 def package(tmp_path):
-    """Write a tiny npm package with the layout of the real one."""
     root = tmp_path / "package"
     translations = root / "dist" / "translations"
     translations.mkdir(parents=True)

@@ -1,5 +1,3 @@
-"""The demo flat: a film through three of its rooms, after something changed, is localized."""
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,6 @@ SMALL = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """Scene, film with an armchair moved and a chair gone, true poses."""
     folder, rng = tmp_path_factory.mktemp("altbau"), np.random.default_rng(0)
     drawing = Flat.load(FLAT)
     interior = drawing.furnish(rng)

@@ -1,5 +1,3 @@
-"""The files that ship for the demo are those that the lab draws."""
-
 import lzma
 import re
 import zipfile
@@ -21,7 +19,6 @@ def drawn(tmp_path_factory):
 
 
 def content(path):
-    """Of a file, whatever the compression's version."""
     if path.name.endswith(".zip"):
         with zipfile.ZipFile(path) as archive:
             return {name: archive.read(name) for name in archive.namelist()}
@@ -29,7 +26,6 @@ def content(path):
 
 
 def alike(ours, theirs):
-    """Equal, but for a few pixels of images: processors round them in other ways."""
     if not isinstance(ours, dict):
         return ours == theirs
     images = [name for name in ours if name.endswith((".jpg", ".png"))]
@@ -47,7 +43,6 @@ def image(data):
 
 
 def text(data):
-    """Its numbers."""
     return [float(x) for x in re.findall(rb"-?\d+\.?\d*(?:e-?\d+)?", data)]
 
 
@@ -60,7 +55,6 @@ def test_the_same_files_ship(drawn):
 
 @pytest.mark.parametrize("number", range(1, HOMES + 1))
 def test_the_same_homes_ship(drawn, number):
-    """Compared as maps, since a map's file is compressed inside."""
     ours, theirs = (SceneMap.open(folder / f"home{number}.scene") for folder in (DATA, drawn))
     assert ours.graph.labels == theirs.graph.labels
     assert np.array_equal(ours.mesh.vertices, theirs.mesh.vertices)

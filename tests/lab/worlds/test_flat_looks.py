@@ -1,5 +1,3 @@
-"""Textures, furniture and sensors of drawn flats, each for itself."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +5,7 @@ from hypothesis import strategies as st
 
 from placegraph_lab.worlds.flat.flat import look
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
-from placegraph_lab.worlds.flat.render import Shot, measured
+from placegraph_lab.worlds.flat.render import GeometryImage, measured
 from placegraph_lab.worlds.flat.textures import PAINTERS, Look, paint
 
 # ------------------------------------------------------------------------------------- textures
@@ -49,7 +47,7 @@ def test_furniture_keeps_to_its_body(name, width, depth, stretch):
 
 def flat_wall(distance, shape=(90, 160)):
     full = np.full(shape, 1.0, np.float32)
-    return Shot(distance * full, np.zeros(shape, np.int32), full)
+    return GeometryImage(distance * full, np.zeros(shape, np.int32), full)
 
 
 @pytest.mark.parametrize("distance", [0.8, 2.0, 5.0])

@@ -1,5 +1,3 @@
-"""The demo town: one sentence is clear in it, one ambiguous, one impossible; a way tells."""
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,6 @@ def city(town, tmp_path_factory):
 
 
 def apart(town, mode, lonlat):
-    """Distance of a mode from a place [m]."""
     there = town.plane.to_plane([(mode.longitude, mode.latitude), lonlat])
     return float(np.hypot(*(there[0] - there[1])))
 

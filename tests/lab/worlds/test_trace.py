@@ -1,5 +1,3 @@
-"""Strokes and blots: every edge once, areas to the cell."""
-
 from itertools import pairwise
 
 from hypothesis import given

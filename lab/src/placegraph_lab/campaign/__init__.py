@@ -1,1 +1,1 @@
-"""What is done to break placegraph, and what became of it: a row each of the table `reliability`."""
+"""Campaign that tries to break placegraph: fuzzing, faults, endurance, properties, platforms."""

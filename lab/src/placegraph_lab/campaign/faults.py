@@ -133,8 +133,9 @@ class TrialFolder:
     inputs: Path
     folder: Path
     room: Path
-    new: dict[str, bytes] = field(default_factory=dict)
-    """Files that the command makes when it is let run."""
+    new: dict[str, bytes] = field(
+        default_factory=dict
+    )  # Files that the command makes when it is let run
     seconds: float = 0.0  # duration of that run
     counts: Counter[str] = field(default_factory=Counter)
     taken: float = 0.0

@@ -37,8 +37,9 @@ class Tally:
     """Outcomes of the inputs of one target."""
 
     counts: Counter[str] = field(default_factory=Counter)
-    found: dict[str, list[int]] = field(default_factory=dict)
-    """Numbers of the faulty inputs, by fault."""
+    found: dict[str, list[int]] = field(
+        default_factory=dict
+    )  # Numbers of the faulty inputs, by fault
     reasons: dict[str, str] = field(default_factory=dict)  # message of the first, by fault
     refused: list[str] = field(default_factory=list)  # why unchanged seeds are refused
     seconds: float = 0.0

@@ -118,8 +118,7 @@ def _make_scene(
 
 _CAMERA = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
 _FRAMES = 5
-_FAR, _TURNED = 0.1, np.deg2rad(2.0)
-"""Allowed difference of two answers [m, rad]."""
+_FAR, _TURNED = 0.1, np.deg2rad(2.0)  # Allowed difference of two answers [m, rad]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ FAULTS = OUTCOMES[2:]
 class Effort:
     """Time, seed and folder of a part."""
 
-    seconds: float
-    """Wall time in which the part should end."""
+    seconds: float  # Wall time in which the part should end
     seed: int
     folder: Path  # empty, the part's own; deleted when it has ended
     data: Path  # recordings, as in `Run.data`; may be missing
@@ -53,8 +52,9 @@ class Row:
     seed: int = 0
     seconds: float = 0.0  # wall time of all trials
     said: str = ""  # other measurements, in a few words
-    mended: int = 0
-    """Faults that were fixed since, each kind with a test and its first input drawn again."""
+    mended: int = (
+        0  # Faults that were fixed since, each kind with a test and its first input drawn again
+    )
 
     @property
     def faults(self) -> int:

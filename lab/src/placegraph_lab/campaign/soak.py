@@ -43,8 +43,9 @@ class LoadReport:
     """Durations, memory and open files of a load."""
 
     count: int
-    milliseconds: tuple[float, float]
-    """Slowest hundredth of the second and of the last quarter, CPU time."""
+    milliseconds: tuple[
+        float, float
+    ]  # Slowest hundredth of the second and of the last quarter, CPU time
     memory: tuple[float, float]  # peak bytes of the second and of the last quarter
     files: tuple[int, int]  # most open files of the second and of the last quarter
     enough: bool  # whether there were enough answers for the slowest hundredth

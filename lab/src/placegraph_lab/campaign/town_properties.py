@@ -162,8 +162,7 @@ class Within:
 
 
 SAME = Within(0.01, 1e-6)
-GRAIN = Within(5.0, 0.15)
-"""Coordinates are rounded again, and viewpoints with them."""
+GRAIN = Within(5.0, 0.15)  # Coordinates are rounded again, and viewpoints with them
 RASTER = Within(25.0, 0.4)
 """The 20 m grid of viewpoints starts at the map's south-west corner, so viewpoints move."""
 MAX_GAIN = 0.1  # of probability beside another town, where words become rarer

@@ -159,8 +159,7 @@ LOADED = (
 )  # fmt: skip
 """Modules that are imported once for all trials."""
 _TICK = 0.0005
-POWERS = (1, 2)
-"""CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH, by which root ignores permissions."""
+POWERS = (1, 2)  # CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH, by which root ignores permissions
 _CAPABILITY, _DROP = 0x20080522, 24  # version of the call, and PR_CAPBSET_DROP
 
 

@@ -1,4 +1,4 @@
-"""How a fuzzed file is used: opened, searched, localized in, drawn, exported and written again."""
+"""Uses of fuzzed files: opened, searched, localized in, drawn, exported and written again."""
 
 from __future__ import annotations
 

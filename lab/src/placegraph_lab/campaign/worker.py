@@ -32,8 +32,7 @@ from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.targets import Target, find_targets
 from placegraph_lab.campaign.uses import Bench
 
-ROOM = 1 << 30
-"""Bytes that an input may allocate; beyond, memory is refused."""
+ROOM = 1 << 30  # Bytes that an input may allocate; beyond, memory is refused
 SECONDS = 10.0  # CPU time of an input
 WARM_UPS = 8  # uses of each seed before the trials, so that all kernels are compiled
 TIMES, FREE = 10, 300 << 20  # an input may take `TIMES` its own bytes, and `FREE` more

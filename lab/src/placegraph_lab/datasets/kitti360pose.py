@@ -42,8 +42,7 @@ SPLITS = {
 }
 """Drives of each split, as published."""
 
-DIRECTIONS = ("north", "south", "east", "west", "on-top")
-"""Directions of a pose from an object."""
+DIRECTIONS = ("north", "south", "east", "west", "on-top")  # Directions of a pose from an object
 
 
 @dataclass(frozen=True, eq=False)

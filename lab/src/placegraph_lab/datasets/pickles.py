@@ -1,8 +1,4 @@
-"""What a published pickle may name: its data set's own classes, and what numpy arrays are made with.
-
-A name means what stands here; nothing is imported, and nothing of Python's or numpy's own is handed
-out to be called.
-"""
+"""Safe reader of published pickles: only the data set's classes and numpy arrays, no imports or calls."""
 
 from __future__ import annotations
 
@@ -33,7 +29,7 @@ _NUMPY: Mapping[tuple[str, str], str] = {
     ("_codecs", "encode"): "encode",  # protocol 2 writes bytes as text
     ("__builtin__", "bytes"): "bytes",  # and no bytes as this
 }
-"""Names that arrays and numbers are made with, and what they mean here."""
+"""Names that make arrays and numbers, and their meanings here."""
 
 _DTYPES = frozenset(["f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b1"])
 _MOST_DIMENSIONS = 4
@@ -49,7 +45,7 @@ class Release:
 
     @cached_property
     def names(self) -> Mapping[tuple[str, str], str]:
-        """Every name that a file may say, and what it means here."""
+        """Every allowed name and its meaning here."""
         return {**_NUMPY, **{(self.module, name): name for name in self.classes}}
 
 
@@ -63,7 +59,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A name that the file said, as it is understood here."""
+    """Meaning of a name in the file."""
 
     meaning: str
 
@@ -77,23 +73,23 @@ class DType:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """As numpy calls it."""
+        """Type in numpy."""
         return np.dtype(("<" if self.order in "=|" else self.order) + self.code)
 
 
 @dataclass(slots=True)
 class Array:
-    """An array on its way: pickles make it empty and fill it afterwards."""
+    """An array under construction: pickles make it empty and fill it afterwards."""
 
     value: NDArray[Any] | None = None
 
 
 class RefusedError(Exception):
-    """What is wrong, as the end of a sentence."""
+    """Reason why a pickle is refused, the end of a sentence."""
 
 
 class Machine(Protocol):
-    """What the calls need to know of the machine that reads the pickle."""
+    """State of the unpickler that calls need."""
 
     encoded: int  # bytes that were written as text, so far
 
@@ -103,7 +99,7 @@ class Machine(Protocol):
 
 
 def array_of(raw: object, dtype: object, shape: object, order: object) -> NDArray[Any]:
-    """View of the numbers, which must be there, all of them and no more."""
+    """Return the array of raw bytes, whose length must fit."""
     if not isinstance(dtype, DType) or not isinstance(raw, bytes | memoryview):
         raise RefusedError("an array does not hold plain numbers")
     if (
@@ -206,7 +202,7 @@ def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa:
 
 
 def finished(value: Any) -> Any:  # noqa: ANN401
-    """The array itself, where `value` stands for one."""
+    """Return the array of an `Array`; other values unchanged."""
     return value.value if isinstance(value, Array) else value
 
 
@@ -228,7 +224,7 @@ def _mapped(path: Path) -> mmap.mmap:
 
 
 class _Reader(_Base):  # type: ignore[misc]  # untyped
-    """Python's own unpickler in Python, with names, calls and states that are only those of `CALLS`."""
+    """Python's unpickler in Python, restricted to the names and calls of `CALLS`."""
 
     def __init__(self, data: mmap.mmap, release: Release) -> None:
         super().__init__(data)
@@ -357,7 +353,7 @@ def read_graphs(path: str | PathLike[str]) -> Graphs:
 
 
 def file_of(folder: str | PathLike[str], pattern: str) -> Path:
-    """The one file of a released folder that fits a pattern; `InputError` where there is not one."""
+    """Return the only file of a folder that fits a pattern; `InputError` where there is none or several."""
     found = sorted(Path(folder).glob(pattern))
     if len(found) != 1:
         what = f"{len(found)} files" if found else "no file"
@@ -430,7 +426,7 @@ def _graph(value: object, where: str, vectors: _Vectors) -> Graph:
 
 
 def _edges(value: object, where: str) -> tuple[list[list[Any]], list[Any]]:
-    """Ends of the edges as the file has them, and what is said of each."""
+    """Return the ends and the features of the edges."""
     ends = _field(value, "SceneGraph", "edge_idx", list, where)
     features = _field(value, "SceneGraph", "edge_features", list, where)
     if len(ends) != 2 or any(type(e) is not list or len(e) != len(features) for e in ends):
@@ -442,7 +438,7 @@ def _edges(value: object, where: str) -> tuple[list[list[Any]], list[Any]]:
 
 
 def _field(value: object, kind: str, name: str, type_: type, where: str) -> Any:  # noqa: ANN401
-    """Field of a record; `InputError` where it is another record, or the field of another type."""
+    """Return a field of a record; `InputError` for another record or type."""
     if not isinstance(value, Record) or value.kind != kind:
         raise InputError(f"{where} is no {kind}; download the file again.")
     if name not in value.fields:

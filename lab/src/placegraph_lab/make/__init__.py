@@ -1,1 +1,1 @@
-"""How files that ship with placegraph are made: lexicons, decoys, what all surfaces share."""
+"""Makers of the files that ship with placegraph: lexicons, decoys, demo, kernels, mean appearance."""

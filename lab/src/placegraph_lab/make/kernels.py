@@ -1,5 +1,5 @@
 # mypy: disable-error-code="attr-defined"
-"""The list of what each command compiles (`placegraph.core.warm`), found by running them on real data."""
+"""List of the kernels that each command compiles (`placegraph.core.warm`), found by running them."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ json.dump([names, calls], open(sys.argv[1], "w"))
 
 
 def list_kernels(data: Path, say: Callable[[str], None]) -> str:
-    """Text of the list, from running all commands on the shared data in folder `data`."""
+    """Return the list, by running all commands on the shared data in folder `data`."""
     names: dict[str, str] = {}
     calls: dict[str, dict[str, int]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -107,7 +107,7 @@ def list_kernels(data: Path, say: Callable[[str], None]) -> str:
 
 
 def apart(calls: list[str]) -> list[str]:
-    """Move calls to the end that share parts with earlier ones, which they would wait for."""
+    """Move calls that share parts with earlier ones to the end."""
     first: list[str] = []
     later: list[str] = []
     used: set[str] = set()
@@ -120,7 +120,7 @@ def apart(calls: list[str]) -> list[str]:
 
 
 def _parts_of(function: FunctionType) -> set[str]:
-    """Names of the kernels that a function calls, however deep, and its own."""
+    """Return the names of the kernels that a function calls, recursively, and its own."""
     called = [function.__globals__.get(name) for name in function.__code__.co_names]
     kernels = [cast("FunctionType", k.py_func) for k in called if isinstance(k, Kernel)]
     return {f"{function.__module__}.{function.__name__}"}.union(*map(_parts_of, kernels))
@@ -154,7 +154,7 @@ def _spell_type(kind: types.Type, names: dict[str, str]) -> str:
 
 
 def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, int]]:
-    """Names of tuples by definition, and bytes of code by call, of one command."""
+    """Run a command; return names of tuples by definition, and bytes of code by call."""
     given = (folder / words[-1]).read_text("utf-8") if "<" in words else None
     words = words[: words.index("<")] if "<" in words else words
     out = folder / "calls.json"
@@ -171,7 +171,7 @@ def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, i
 def _merge(
     theirs: dict[str, str], found: dict[str, int], names: dict[str, str], calls: dict[str, int]
 ) -> None:
-    """Take the calls of one run over; its names of tuples may mean others than those before."""
+    """Merge the calls of one run, whose names of tuples may differ."""
     renamed: dict[str, str] = {}
     for text, name in theirs.items():
         plain = name.rstrip("0123456789")

@@ -1,10 +1,7 @@
-"""Make `_USUAL` of placegraph.indoor.encode.appearance: what all surfaces have in common.
+"""Makers of shipped files: mean appearance, decoys, and the demo's world.
 
-It is the mean over places, each counting alike, of the mean vector of their objects. Places are for
-development alone: a drawn flat that ships with placegraph, furnished some times over, and, if wanted,
-procedural homes of the seeds 0, 1, ... below 1000, from which tables begin. Neither the house nor
-the office is looked at. By default the flat stands alone: homes share a few styles, whose mean is
-further from that of other places.
+The mean appearance is the mean over places of the mean vector of their objects. Places are a drawn
+flat, furnished several times, and procedural homes of seeds below 1000; tables use larger seeds.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ _A_LINE = 11  # numbers
 
 
 def interiors(homes: int, flat: str, times: int) -> Iterator[Interior]:
-    """Homes of the first seeds, then a flat furnished some times."""
+    """Yield homes of the first seeds, then a flat furnished several times."""
     for seed in range(homes):
         rng = np.random.default_rng(seed)
         yield home(rng).furnish(rng)
@@ -40,7 +37,7 @@ def interiors(homes: int, flat: str, times: int) -> Iterator[Interior]:
 
 
 def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -> None:
-    """Say the lines that belong into appearance.py, and how far they are from those there."""
+    """Print the lines for appearance.py, and their difference from the present ones."""
     if not homes + times:
         raise OptionError("homes and times are 0; choose a home or a flat to look at.")
     places = interiors(homes, flat, times)

@@ -71,8 +71,8 @@ def variants(name: str) -> Iterator[str]:
             yield " ".join([part, *tail])
 
 
-def said(texts: dict[str, str], *, longest: int) -> Iterator[tuple[str, str]]:
-    """Normal forms of a preset's name, aliases and terms of a few words, each with its kind."""
+def list_forms(texts: dict[str, str], *, longest: int) -> Iterator[tuple[str, str]]:
+    """Yield the normal forms of a preset's name, aliases and terms, with their kinds."""
     name = texts.get("name", "")
     aliases = (texts.get("aliases") or "").split("\n")
     shorter = list(variants(name))
@@ -89,7 +89,7 @@ def said(texts: dict[str, str], *, longest: int) -> Iterator[tuple[str, str]]:
 
 
 class Maker:
-    """The package's presets and translations, as far as they are worth naming."""
+    """Lexicon maker of the package's presets and translations."""
 
     def __init__(self, package: Path, objects: ObjectTable) -> None:
         self.package, self.objects = package, objects
@@ -155,7 +155,7 @@ class Maker:
             for name in names:
                 preset = number.setdefault(self.labels[name], len(number))
                 first = preset not in known
-                for form, kind in said(texts.get(self.donor[name], {}), longest=longest):
+                for form, kind in list_forms(texts.get(self.donor[name], {}), longest=longest):
                     if form not in known[preset] and not (form.isascii() and len(form) < shortest):
                         known[preset].add(form)
                         entries[form][preset, kind if first else kind.replace("n", "a")].add(letter)

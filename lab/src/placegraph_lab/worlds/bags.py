@@ -27,8 +27,8 @@ class BagWriter(bag.BagWriter):
 
     def send(self, topic: str, kind: str, stamp: float, frame: str, **fields: Any) -> None:  # noqa: ANN401
         """Write a message of a type such as `sensor_msgs/msg/Image` with a header, at its stamp."""
-        told = {"header": header(stamp, frame)} | fields
-        self.write(Message(topic, kind, stamp, told))
+        content = {"header": header(stamp, frame)} | fields
+        self.write(Message(topic, kind, stamp, content))
 
     def image(
         self, topic: str, stamp: float, pixels: NDArray[Any], encoding: str, frame: str = OPTICAL
@@ -41,11 +41,11 @@ class BagWriter(bag.BagWriter):
         )  # fmt: skip
 
     def compressed(
-        self, topic: str, stamp: float, data: bytes, said: str, frame: str = OPTICAL
+        self, topic: str, stamp: float, data: bytes, encoding: str, frame: str = OPTICAL
     ) -> None:
         """Write a `sensor_msgs/CompressedImage`."""
         self.send(topic, "sensor_msgs/msg/CompressedImage", stamp, frame,
-            format=said, data=np.frombuffer(data, np.uint8),
+            format=encoding, data=np.frombuffer(data, np.uint8),
         )  # fmt: skip
 
     def info(
@@ -65,8 +65,8 @@ class BagWriter(bag.BagWriter):
     ) -> None:  # fmt: skip
         """Write a transform parent_from_child (4, 4)."""
         at = stamp if recorded is None else recorded
-        told = {"transforms": [transform(parent, child, pose, stamp)]}
-        self.write(Message(topic, "tf2_msgs/msg/TFMessage", at, told))
+        content = {"transforms": [transform(parent, child, pose, stamp)]}
+        self.write(Message(topic, "tf2_msgs/msg/TFMessage", at, content))
 
     def odometry(
         self, topic: str, stamp: float, matrix: NDArray[np.float64], child: str = "base_link"
@@ -85,7 +85,7 @@ class BagWriter(bag.BagWriter):
 
 @dataclass(frozen=True)
 class Layout:
-    """How a capture is written."""
+    """Layout of a written capture: topics and encodings."""
 
     images: Literal["raw", "packed", "none"] = "raw"
     """`sensor_msgs/Image`, or `CompressedImage` (PNG, compressedDepth), or nothing."""

@@ -177,7 +177,7 @@ def page(lines: list[tuple[int, str]], source: str, head: str) -> tuple[tuple[st
 
 
 class Drawing:
-    """What may be asked of any drawn world: where its glyphs are."""
+    """Base of drawn worlds: positions of glyphs."""
 
     rows: tuple[str, ...]  # the drawing
     source: str  # file that it was read from, for messages
@@ -199,10 +199,10 @@ class Drawing:
 
     @abstractmethod
     def positions(self, glyph: str) -> list[tuple[float, float]]:
-        """Places of what a glyph drew, in reading order."""
+        """Return the positions of a glyph's objects, in reading order."""
 
     def position(self, glyph: str) -> tuple[float, float]:
-        """Place of the one thing that a glyph drew, in the units of `positions`.
+        """Return the position of a glyph's only object, in the units of `positions`.
 
         Raises `OptionError`: the glyph drew nothing, or several things.
         """
@@ -228,7 +228,7 @@ class LegendLine:
     kind_column: int
     values: dict[str, str]
     values_column: int
-    rest: bool  # whether something behind the colon is no ``key=value``
+    has_junk: bool  # whether something behind the colon is no ``key=value``
 
 
 def legend_line(line: str, where: str) -> LegendLine:

@@ -221,8 +221,7 @@ except Exception:
     pass
 """
 """Program that reads all statistics of a footer."""
-_BUFFER = 1 << 20
-"""Bytes of a column that are read at once."""
+_BUFFER = 1 << 20  # Bytes of a column that are read at once
 
 
 @dataclass(frozen=True)
@@ -435,10 +434,8 @@ def _inside(bbox: Any, box: Box) -> Any:  # noqa: ANN401
 
 
 SUFFIXES = (".parquet", ".geoparquet")
-CONFIDENCE = 0.5
-"""Least of a place."""
-BATCH = 4096
-"""Rows read at a time."""
+CONFIDENCE = 0.5  # Least of a place
+BATCH = 4096  # Rows read at a time
 _POINTS, _LINES, _AREAS = (0, 4), (1, 2, 5), (3, 6)  # shapely's numbers of geometries
 _HEX = re.compile(r"[0-9a-f]{16,}")
 
@@ -492,10 +489,8 @@ class Overture:
 
     paths: tuple[str, ...]
     """Files, folders of such, or URLs of either (``s3://...``, or any that fsspec knows)."""
-    box: Box | None = None
-    """Only features that touch it are read; None: all."""
-    confidence: float = CONFIDENCE
-    """Places of a smaller confidence are left out."""
+    box: Box | None = None  # Only features that touch it are read; None: all
+    confidence: float = CONFIDENCE  # Places of a smaller confidence are left out
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -520,20 +515,10 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
     Places are points, segments lines, buildings areas. Ids are negative, since they are none of
     OpenStreetMap: their digits are the last 15 hexadecimal ones of Overture's id.
 
-    Parameters
-    ----------
-    source
-        Files, box and least confidence.
-    left_out
-        Is told what was left out, and why.
+    `source`: files, box and least confidence; `left_out`: is told what was left out, and why.
 
-    Raises
-    ------
-    MissingExtraError
-        PyArrow or Shapely is not installed.
-    InputError
-        A file is missing, no Parquet, of another schema, or damaged; nothing lies in the box.
-
+    Raises `MissingExtraError`: pyArrow or Shapely is not installed; `InputError`: a file is missing, no
+    Parquet, of another schema, or damaged; nothing lies in the box.
     """
     try:
         import pyarrow.parquet  # noqa: F401

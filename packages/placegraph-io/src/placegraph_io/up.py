@@ -29,13 +29,8 @@ def estimated_up(
     up of the images. Of the directions near it, the one to which most surfaces are parallel or
     perpendicular is taken, if there are enough.
 
-    Parameters
-    ----------
-    rotations
-        (T, 3, 3) model_from_camera, OpenCV's camera axes.
-    normals
-        (N, 3) of surfaces in the model, of either sign; rows with NaN are ignored.
-
+    `rotations`: (T, 3, 3) model_from_camera, OpenCV's camera axes; `normals`: (N, 3) of surfaces in the
+    model, of either sign; rows with NaN are ignored.
     """
     up = -rotations[:, :, 1].mean(axis=0)
     if np.linalg.norm(up) < 1e-6:

@@ -1,5 +1,3 @@
-"""ARKitScenes: z up, camera_from_world as axis times angle."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""COLMAP models in any unit and any direction, with depth in millimetres or of COLMAP's own."""
-
 import re
 import struct
 
@@ -24,8 +22,6 @@ EVEN = Camera(96, 72, 80.0, 80.0, 49.5, 35.0)
 
 
 class Model:
-    """A model's content, to be written in either form."""
-
     def __init__(self, world, *, camera="PINHOLE", parameters=None, names="img{}.jpg"):
         rng = np.random.default_rng(5)
         c = world.cameras[0]
@@ -95,7 +91,6 @@ def images(path, world, model, save, *, depth="depth/{}.png"):
 
 
 def own_depth(path, world, model):
-    """`stereo/depth_maps`, in the model's unit."""
     folder = path / "stereo" / "depth_maps"
     for i, name in enumerate(model.names):
         depth = np.where(world.metres[i] > 0, world.metres[i] / UNIT, 0.0).astype("<f4")
@@ -106,7 +101,6 @@ def own_depth(path, world, model):
 
 
 def check(world, capture, **options):
-    """The property of all captures, up to where the model's origin is and how it is turned."""
     map_from_world = world.poses[0] @ np.linalg.inv(capture[0].odometry)
     tilt = np.degrees(np.arccos(min(1.0, map_from_world[2, 2])))
     assert tilt < 0.6, capture.notes

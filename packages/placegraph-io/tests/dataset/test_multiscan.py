@@ -1,5 +1,3 @@
-"""MultiScan's Scanner App: one stream of all depth images, poses by columns."""
-
 import contextlib
 import json
 import os

@@ -1,5 +1,3 @@
-"""RTAB-Map's databases, written as its sources write them: schema, matrices, calibrations, images."""
-
 import contextlib
 import copy
 import io
@@ -32,14 +30,12 @@ CREATE TABLE Admin (version TEXT, preview_image BLOB, opt_cloud BLOB, opt_ids BL
 
 
 def packed(array):
-    """`compressData`."""
     kinds = {"uint8": 0, "int32": 4, "float32": 5}
     rows = np.atleast_2d(array)
     return zlib.compress(rows.tobytes()) + struct.pack("<3i", *rows.shape, kinds[rows.dtype.name])
 
 
 def serialized(camera, *, kind=0, rectified=True, local=OPTICAL):
-    """`CameraModel::serialize`; RTAB-Map's pixel centres are whole."""
     k = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1.0]])
     raw = k * np.array([[1.1, 1, 1], [1, 1.1, 1], [1, 1, 1]]) if rectified else k
     p = np.column_stack([k, np.zeros(3)]) if rectified else np.zeros(0)
@@ -52,7 +48,6 @@ def serialized(camera, *, kind=0, rectified=True, local=OPTICAL):
 
 
 def floats(camera, size):
-    """Calibrations before 0.18, with the size before 0.11.2 not yet."""
     head = [camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5]
     return (
         np.array([*head, *((camera.width, camera.height) if size else ())], "<f4").tobytes()

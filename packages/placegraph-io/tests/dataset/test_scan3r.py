@@ -1,5 +1,3 @@
-"""3RScan scans with 3DSSG, tiny and in their layouts: labels, texture, relations, alignment."""
-
 import io
 import json
 
@@ -31,7 +29,6 @@ ALIGN = np.array([[0, 1, 0, -1.5], [-1, 0, 0, 3.25], [0, 0, 1, 0.125], [0, 0, 0,
 
 
 def columns(matrix):
-    """A matrix as 3RScan.json has it."""
     return np.asarray(matrix, float).T.ravel().tolist()
 
 
@@ -48,8 +45,6 @@ def rooms_content():
 
 
 class ScanFolder:
-    """data/<scan>/ beside data/3RScan.json and data/3DSSG/; tests spoil what they like."""
-
     def __init__(self, root, scan=RESCAN):
         self.root = root
         self.path = root / scan
@@ -83,7 +78,6 @@ class ScanFolder:
         return self.path
 
     def annotate(self, name, *parts):
-        """3DSSG's file of this name: this scan's parts after another scan."""
         other = {"scan": "someone else", "objects": [], "relationships": []}
         scans = [other, *({name: part, "scan": self.scan} for part in parts)]
         self.write_json(self.root / "3DSSG" / f"{name}.json", {"scans": scans})
@@ -144,7 +138,6 @@ def test_labels_texture_attributes_relations(scan):
 
 
 def test_another_order_takes_the_nearest_labels(scan):
-    """Also labels of twice as many vertices, as of the first version of 3RScan."""
     order = np.random.default_rng(0).permutation(12)
     scan.write_labels(order=[*order, *order])
     model = read_scan3r(scan.path)
@@ -153,7 +146,6 @@ def test_another_order_takes_the_nearest_labels(scan):
 
 
 def test_the_same_order_tells_coincident_vertices_apart(scan):
-    """A box of no height on the floor: corners of two objects lie in one place."""
     scan.points[4:8] = scan.points[0:4]
     scan.write()
     assert labels_of(read_scan3r(scan.path))[:4] == ["floor"] * 2 + ["box"] * 2
@@ -206,7 +198,6 @@ def test_names_of_objects_from_either_file(scan):
 
 
 def test_braces_in_names_mislead_nobody(scan):
-    """A scan's part is cut out of 3DSSG's files by their braces; odd ones cost time alone."""
     path = scan.root / "3DSSG" / "objects.json"
     content = json.loads(path.read_text())
     content["scans"][1]["objects"][1]["affordances"] = ["}}{", "{"]
@@ -240,7 +231,6 @@ def test_the_first_version(tmp_path):
 
 
 def test_moves_undone(scan):
-    """What was moved stands where the reference has it, shared vertices stay with the others."""
     scan.faces[0][0] = scan.faces[1][0] = 4  # a corner of the box is one of the floor, too
     scan.write()
     model = read_scan3r(

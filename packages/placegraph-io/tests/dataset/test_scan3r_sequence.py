@@ -1,5 +1,3 @@
-"""3RScan's recordings: lying images stood upright with all that belongs to them, folders and ZIPs."""
-
 import io
 import zipfile
 
@@ -50,8 +48,6 @@ def pgm(units):
 
 
 class Recording:
-    """Frames that see a red block at `POINT`, written as 3RScan does."""
-
     POINT = np.array([3.0, 0.4, 1.7])
     POSES = (pose_at(0, 0, 1.5), pose_at(0.3, -0.1, 1.4, 0.1), pose_at(0.5, 0.2, 1.6, -0.05))
 
@@ -95,7 +91,6 @@ def recording():
 
 
 def sees_the_block(frame):
-    """Whether colour, depth, intrinsics and pose agree on where the block is."""
     point = np.linalg.inv(frame.odometry) @ (*Recording.POINT, 1.0)
     u, v = np.floor(frame.camera.project(point[:3])).astype(int)
     r, g, b = frame.rgb()[v, u].astype(int)
@@ -123,7 +118,6 @@ def test_by_reprojection(recording, tmp_path, rotate):
 @given(yaw=st.floats(-3.1, 3.1), quarter=st.integers(0, 3))
 @DAMAGE
 def test_any_quarter_is_stood_upright(recording, tmp_path, yaw, quarter):
-    """The mean of gravity points down in the images, whichever way the telephone was held."""
     roll = np.eye(4)
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
     roll[:2, :2] = [[c, -s], [s, c]]

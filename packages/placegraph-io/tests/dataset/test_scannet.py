@@ -1,5 +1,3 @@
-"""ScanNet's annotated meshes: objects of segments, classes of vertices, and files that do not fit."""
-
 import json
 
 import numpy as np
@@ -26,7 +24,6 @@ def scan(scannet_world, tmp_path):
 
 
 def letters(model, scan):
-    """Label of the thing of each triangle, and the letter drawn there."""
     drawn = [scan.mesh.letters[a] for a in scan.mesh.triangles[:, 0]]
     return [(model.things[i].label, d) for i, d in zip(model.thing_of, drawn, strict=True)]
 
@@ -211,7 +208,6 @@ ffffffffffff
 
 @pytest.fixture
 def wide(scannet_world, tmp_path):
-    """Two tables, each a patch of more than 20 vertices, and two chairs of fewer."""
     scan = scannet_world.Scan(tmp_path / scannet_world.NAME, scannet_world.Mesh(WIDE))
     scan.file(".aggregation.json").unlink()
     scan.write_labels()

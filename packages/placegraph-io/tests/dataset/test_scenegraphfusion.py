@@ -1,5 +1,3 @@
-"""Graphs of SceneGraphFusion, tiny and in its layout: segments merged, relations, squares, meshes."""
-
 import json
 import math
 
@@ -21,7 +19,6 @@ AFTER |= dict.fromkeys(("quality", "radius"), "float")
 
 
 def patch(x, y, z, normal=(0, 0, 1), side=1.0, step=0.02):
-    """Surfels of a level or upright square."""
     across = np.arange(0, side, step) + step / 2
     a, b = (v.ravel() for v in np.meshgrid(across, across))
     zero = np.zeros_like(a)
@@ -39,7 +36,6 @@ SEGMENTS = {
 
 
 def logs(**shares):
-    """Log-probabilities as the program writes them: 0 for a probability of 0."""
     return {k: math.log(p) if p else 0 for k, p in shares.items()}
 
 
@@ -63,8 +59,6 @@ def graph():
 
 
 class Output:
-    """<scan>/scene_graph_fusion/ as SceneGraphFusion writes it."""
-
     def __init__(self, root, every=1):
         self.path = root / "scene0000_00" / "scene_graph_fusion"
         self.path.mkdir(parents=True, exist_ok=True)
@@ -150,7 +144,6 @@ def test_labels_on_a_mesh(output, tmp_path):
 
 
 def test_names_alone(output):
-    """What the program writes without full_prop."""
     output.write_graph({
         "nodes": {"3": "floor", "7": "floor", "8": "chair"},
         "edges": {"3_7": ["same part"], "8_3": ["standing on"]},
@@ -170,7 +163,6 @@ def test_colours_of_labels_are_none(output):
 
 
 def test_a_likelihood_that_cannot_be_told(output):
-    """Several zeros, and the others leave most of 1: one of the zeros is the label, nobody knows."""
     content = graph()
     content["nodes"]["8"] = {"floor": -9.0, "wall": 0, "chair": 0}
     output.write_graph(content)

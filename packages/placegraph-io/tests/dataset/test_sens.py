@@ -1,5 +1,3 @@
-"""ScanNet's recordings: .sens files and exported frames as captures, read a frame at a time."""
-
 import struct
 import tracemalloc
 import zlib
@@ -37,7 +35,6 @@ def folder(scannet_world, tmp_path):
 
 @pytest.fixture
 def sens(recording, folder):
-    """Write the recording: `sens(colour=2)`."""
     return lambda **options: recording.write_sens(folder / f"{folder.name}.sens", **options)
 
 
@@ -311,7 +308,6 @@ def test_missing_intrinsics_and_images_are_named(recording, folder):
 
 @pytest.fixture
 def labelled(scannet_world, recording, folder):
-    """A scan with its recording, exported, and what ScanNet projects into it."""
     scan = scannet_world.Scan(folder)
     recording.write_sens(folder / f"{folder.name}.sens")
     recording.export(folder)

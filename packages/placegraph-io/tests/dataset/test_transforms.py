@@ -1,5 +1,3 @@
-"""`transforms.json` as NeRFCapture, Spectacular AI and nerfstudio write it."""
-
 import contextlib
 import json
 
@@ -23,7 +21,6 @@ def of_camera(c, *, size=True):
 
 
 def nerfcapture(path, world, save):
-    """By `scripts/nerfcapture_dataset.py`: images without ending, steps of 1 / 65535 of depth_scale."""
     step, frames = 10.0 / 65535, []
     for i in range(len(world)):
         save(path / "images" / f"{i}.png", world.rgb[i])
@@ -35,7 +32,6 @@ def nerfcapture(path, world, save):
 
 
 def frames_of(path, world, save, *, rgb, depth, poses):
-    """Entries of frames with depth in millimetres, and their files."""
     frames = []
     for i in range(len(world)):
         save(path / rgb.format(i), world.rgb[i], **({"quality": 97} if rgb.endswith("jpg") else {}))
@@ -48,7 +44,6 @@ def frames_of(path, world, save, *, rgb, depth, poses):
 
 
 def polycam(path, world, save):
-    """By nerfstudio's `polycam_to_json`: z up, millimetres."""
     poses = [Z_UP @ world.arkit(i) for i in range(len(world))]
     names = {"rgb": "images/frame_{:05d}.jpg", "depth": "depth/frame_{:05d}.png"}
     frames = frames_of(path, world, save, **names, poses=poses)
@@ -58,14 +53,12 @@ def polycam(path, world, save):
 
 
 def spectacular(path, world, save):
-    """By `replay_to_nerf.py`: z up, undistorted, one camera."""
     said = {"k1": 0, "k2": 0, "p1": 0, "p2": 0, "aabb_scale": 16} | of_camera(world.cameras[0])
     names = {"rgb": "images/frame_{:05}.png", "depth": "images/depth_{:05}.png"}
     return said | {"frames": frames_of(path, world, save, **names, poses=world.poses @ OPENGL)}
 
 
 def record3d(path, world, save):
-    """By nerfstudio's `record3d_to_json`: ARKit's world, no depth."""
     poses = [world.arkit(i) for i in range(len(world))]
     frames = frames_of(path, world, save, rgb="images/frame_{:05d}.png", depth=None, poses=poses)
     return of_camera(world.cameras[0]) | {"camera_model": "OPENCV", "frames": frames}
@@ -95,7 +88,6 @@ def test_points_and_colours(writer, turns, recorded, save, tmp_path):
 
 
 def stored(frame, turns):
-    """Pose of a frame's image as it is stored."""
     turn = np.linalg.matrix_power(np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]), turns)
     pose = frame.odometry.copy()
     pose[:3, :3] = pose[:3, :3] @ turn

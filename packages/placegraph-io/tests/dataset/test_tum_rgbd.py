@@ -1,5 +1,3 @@
-"""TUM RGB-D: lists of images with stamps, poses of a motion capture."""
-
 import json
 
 import numpy as np
@@ -48,7 +46,6 @@ def test_points_and_colours(recorded, save, tmp_path):
 
 @pytest.mark.parametrize("number", [1, *(pytest.param(n, marks=pytest.mark.all) for n in (2, 3))])
 def test_cameras_of_the_benchmark(number, recorded, save, tmp_path):
-    """Intrinsics and distortion by the folder's name; depth of the colour images' size."""
     world = recorded(frames=1, camera=CAMERAS[number], shrink=1)
     folder = write(tmp_path / f"rgbd_dataset_freiburg{number}_desk", world, save, camera=False)
     capture = open_capture(folder)

@@ -1,5 +1,3 @@
-"""Graphs of ConceptGraphs, as save_obj_json and save_edge_json write them."""
-
 import contextlib
 import json
 from collections import Counter
@@ -27,7 +25,6 @@ PLACES = {
 
 
 def grid(size, step=0.1):
-    """Vertices and triangles of a box's six sides, cut fine, about its middle."""
     vertices, triangles = [], []
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
@@ -48,7 +45,6 @@ def grid(size, step=0.1):
 
 
 def write(folder, *, turned=True, mesh=True):
-    """A run's folder, and a mesh of the place: things on a floor, and which is whose triangle."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(0)
     objects, parts, of = {}, [], []

@@ -1,5 +1,3 @@
-"""Scene graphs of Spark-DSG: files as its versions save them, written by hand; and our own."""
-
 import json
 from contextlib import suppress
 from dataclasses import replace
@@ -41,7 +39,6 @@ def box(centre, lengths, kind="AABB", turn=IDENTITY):
 
 
 def thing(row, label, name="", bounds=NO_BOX, **more):
-    """Node of the objects' layer as 1.1.3 saves it."""
     attributes = {
         "type": "ObjectNodeAttributes", "position": [0.0] * 3, "last_update_time_ns": 0,
         "is_active": False, "is_predicted": False, "metadata": {}, "name": name,
@@ -186,7 +183,6 @@ def test_agents_and_dynamic_layers_are_no_objects(read):
 
 
 def test_version_1_0_as_hydra_saved_it(read):
-    """No header, layers as numbers, boxes from low to high, a mesh of x, y, z, r, g, b."""
     old = thing(0, 3, "chair")
     old["attributes"]["bounding_box"] = {
         "type": "AABB", "min": [0, 0, 0], "max": [2, 2, 2], "world_P_center": [0, 0, 0],
@@ -263,7 +259,6 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
 
 
 def drawn(things=3):
-    """A model of tetrahedra that share a vertex, so that owners must be told apart."""
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
     vertices = np.concatenate([points[:1], *(points[1:] + k for k in range(things))])
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
@@ -369,7 +364,6 @@ def test_any_json_ends_in_a_model_or_an_input_error(tmp_path_factory, value):
 
 
 def test_the_folder_that_hydra_logged_to(tmp_path):
-    """`backend/` has the graph twice; the one with the mesh counts."""
     nodes = [thing(0, 3, mesh_connections=[3, 4, 5], bounds=box([0, 0, 0], [1, 1, 1]))]
     (tmp_path / "backend").mkdir()
     (tmp_path / "backend/dsg.json").write_text(json.dumps(graph(nodes)))

@@ -9,7 +9,6 @@ from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 @pytest.fixture
 def clip(recorded):
-    """Frames in memory of the room's walk, all of whose depth is true."""
     world = recorded()
     return Capture.from_frames(
         Frame.from_arrays(
@@ -22,8 +21,6 @@ def clip(recorded):
 
 @pytest.fixture
 def bag(tmp_path, clip):
-    """Writes a bag of the walk; `more` adds to it, before or after what it holds already."""
-
     def write(container="mcap", layout=None, *, packed=False, before=None, more=None, name="walk"):
         path = tmp_path / (f"{name}.bag" if container == "rosbag1" else name)
         with BagWriter(path, container, packed=packed) as writer:

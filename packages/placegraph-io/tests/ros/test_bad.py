@@ -1,5 +1,3 @@
-"""Bags that are cut, lack something, or hold nonsense: named, with the mend."""
-
 import os
 import pickle
 import sqlite3
@@ -26,7 +24,6 @@ COLOUR, DEPTH = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image
 
 
 def fails(path, match, **options):
-    """The bag is refused; the sentence names it, and more."""
     with pytest.raises(InputError, match=match) as caught:
         read(path, **options)
     assert str(path) in str(caught.value)
@@ -40,7 +37,6 @@ def read(path, **options):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_an_mcap_that_was_cut_is_read_as_far_as_it_goes(packed, bag, clip, tmp_path):
-    """Without its end, its index is made anew; the frames that are whole are the same."""
     (file,) = bag(packed=packed).glob("*.mcap")
     data = file.read_bytes()
     for name, part in (("no_end", data[:-40]), ("half", data[: len(data) * 3 // 5])):
@@ -58,7 +54,6 @@ def test_an_mcap_that_was_cut_is_read_as_far_as_it_goes(packed, bag, clip, tmp_p
 
 
 def test_messages_outside_of_chunks(bag, clip, tmp_path):
-    """MCAP allows them, without any index."""
     (file,) = bag().glob("*.mcap")
     data = file.read_bytes()
     at = 8
@@ -109,7 +104,6 @@ def test_a_folder_that_is_not_whole(bag):
 
 
 def test_a_database_without_definitions_or_with_a_lost_row(bag, clip):
-    """Old rosbag2 has no definitions; a row that is gone is named."""
     path = bag("sqlite3")
     (file,) = path.glob("*.db3")
     with sqlite3.connect(file) as rows:
@@ -152,7 +146,6 @@ def _small(folder, container):
 
 
 def test_gaps_and_two_parents(bag, clip):
-    """Frames in a gap of the transforms are counted; of two parents the shorter way is taken."""
     stamps = START + clip.stamps
 
     def two(writer):
@@ -171,8 +164,6 @@ def test_gaps_and_two_parents(bag, clip):
 
 
 def test_a_joint_is_no_odometry(bag, clip):
-    """A camera that is turned on its robot is told of in the frame in which the robot moves, too."""
-
     def joint(writer):
         for frame in clip:
             stamp = START + frame.stamp
@@ -220,7 +211,6 @@ def test_depth_that_nothing_joins(bag, clip):
 
 
 def test_clocks_that_jump(bag, clip, tmp_path):
-    """Back: the longest run counts. Images and transforms of two clocks: the recording's stands."""
     with BagWriter(tmp_path / "back") as writer:
         write_capture(writer, clip[1:])
         late = Layout(start=START + 1000.0)
@@ -269,7 +259,6 @@ def test_intrinsics_that_cannot_be(fields, match, bag, clip):
 
 
 def test_intrinsics_of_another_resolution_and_of_rectified_images(tmp_path, clip):
-    """Of the same view they are brought to the images' size; P is that of rectified images."""
     twice = clip.camera.resized(192, 144)
     bent = replace(clip.camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0), fx=70.0)
     p = np.array([80.0, 0, 49.0, 0, 0, 81.0, 34.5, 0, 0, 0, 1, 0])
@@ -295,7 +284,6 @@ def test_intrinsics_of_another_resolution_and_of_rectified_images(tmp_path, clip
     ],
 )
 def test_images_that_are_not_what_they_say(fields, match, tmp_path, clip):
-    """All but the first, by which the topic was chosen."""
     with BagWriter(tmp_path / "walk") as writer:
         write_capture(writer, clip[:2])
         given = {"height": 72, "width": 96, "step": 288, "encoding": "rgb8",
@@ -309,8 +297,6 @@ def test_images_that_are_not_what_they_say(fields, match, tmp_path, clip):
 
 
 def test_topics_of_another_type(bag):
-    """A name that two types share, topics that are none, and messages that are no such thing."""
-
     def more(writer):
         writer.imu(COLOUR, START + 101.0, np.array([0, 0, 1.0]))
         writer.write_bytes(
@@ -335,8 +321,6 @@ def test_a_bag_without_images(tmp_path):
 
 
 def test_poses_that_are_no_numbers(bag, clip):
-    """NaN and quaternions of no length are left out, and counted; zero covariances mean nothing."""
-
     def broken(writer):
         nowhere = np.full((4, 4), np.nan)
         nowhere[:3, :3] = np.eye(3)

@@ -1,5 +1,3 @@
-"""Bags of ROS as captures: containers, topics, transforms, registration of depth."""
-
 import json
 import pickle
 import shutil
@@ -28,7 +26,6 @@ CONTAINERS = ("mcap", "sqlite3", "rosbag1")
 
 
 def same(capture, clip):
-    """Whether a capture of a bag is the one that was written."""
     assert len(capture) == len(clip)
     assert (capture.camera, capture.depth_camera) == (clip.camera, clip.depth_camera)
     np.testing.assert_allclose(capture.stamps - START, clip.stamps, atol=1e-6)
@@ -42,14 +39,12 @@ def same(capture, clip):
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_containers(container, packed, bag, clip):
-    """Every container, its chunks packed or not, images raw or packed, poses by TF or odometry."""
     same(pg.open_capture(bag(container, packed=packed)), clip)
     layout = Layout(images="packed", poses="odometry")
     same(pg.open_capture(bag(container, layout, packed=packed, name="other")), clip)
 
 
 def test_a_file_alone_and_what_was_chosen(bag, clip, recorded, tmp_path):
-    """Files need no folder about them; notes say what was chosen; points lie where they should."""
     for container, ending in (("mcap", "mcap"), ("sqlite3", "db3")):
         folder = bag(container, name=f"in_{ending}")
         file = tmp_path / f"walk.{ending}"
@@ -67,7 +62,6 @@ def test_a_file_alone_and_what_was_chosen(bag, clip, recorded, tmp_path):
 @pytest.mark.parametrize("packing", ["NONE", "LZ4", "ZSTD"])
 @pytest.mark.parametrize("container", ["mcap", "rosbag1"])
 def test_what_the_library_mcap_writes(container, packing, bag, clip, tmp_path):
-    """Another writer's chunks, of messages of ROS 2, or, as `mcap convert` leaves them, of ROS 1."""
     ros1 = container == "rosbag1"
     with (
         AnyReader([bag(container)]) as reader,
@@ -94,7 +88,6 @@ def test_frames_are_read_elsewhere(bag, clip):
 
 
 def test_splits_are_one_bag(tmp_path, clip):
-    """A folder of several files, as rosbag2 splits them, and one without metadata."""
     (tmp_path / "walk").mkdir()
     for i, part in enumerate((clip[:2], clip[2:])):
         with BagWriter(tmp_path / f"part{i}") as writer:
@@ -107,7 +100,6 @@ def test_splits_are_one_bag(tmp_path, clip):
 
 
 def test_depth_of_another_camera(tmp_path, clip, recorded):
-    """It is brought to the colour camera by the transform between them, and by both intrinsics."""
     world = recorded()
     aside = np.eye(4)
     aside[:3, :3], aside[:3, 3] = rotation_from_vector([0.01, -0.02, 0.03]), (0.015, 0.002, -0.004)
@@ -148,7 +140,6 @@ def test_the_nearer_surface_hides_the_other():
 
 
 def test_what_the_file_beside_it_says(bag, clip, tmp_path):
-    """Topics, frames, intrinsics, and transforms that were not recorded; Python's word is the last."""
     path = bag(layout=Layout(infos=False))
     with pytest.raises(InputError, match=r'no CameraInfo of /camera/color/image_raw.*"camera"'):
         pg.open_capture(path)
@@ -174,7 +165,6 @@ def test_what_the_file_beside_it_says(bag, clip, tmp_path):
 
 
 def test_poses_of_a_file(bag, clip, tmp_path):
-    """A bag without transforms is a capture by a trajectory of its clock."""
     path = bag(layout=Layout(poses="none"))
     with pytest.raises(InputError, match=r"no transform leads.*Record /tf, /tf_static or nav_msgs"):
         pg.open_capture(path)
@@ -200,7 +190,6 @@ def test_an_imu_stands_a_leaning_odometry_upright(tmp_path, clip):
 
 
 def test_transforms_are_found_between_any_two_frames(rng):
-    """Up, down, through a common ancestor, between samples; not in gaps."""
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, :3] = pose_matrix(rng.normal(size=(4, 4)), np.eye(3))[:, :3]
     turn = pose_matrix([0, 0, 0, 0.2], np.eye(3))

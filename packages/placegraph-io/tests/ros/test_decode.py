@@ -1,5 +1,3 @@
-"""Encodings of images: the same colours and the same depth come out of all of them."""
-
 import struct
 from types import SimpleNamespace
 
@@ -60,7 +58,6 @@ def test_greys():
 
 @pytest.mark.parametrize("order", ["rggb", "grbg", "gbrg", "bggr"])
 def test_bayer(order):
-    """Of a smooth image, the colours come back; what a pixel saw itself is kept."""
     raw = np.empty(SMOOTH.shape[:2], np.uint8)
     for i, letter in enumerate(order):
         y, x = divmod(i, 2)
@@ -87,7 +84,6 @@ def test_yuv(encoding):
 
 
 def test_depths():
-    """Millimetres, metres, other units, both orders of bytes, packed; nothing where there is nothing."""
     units = RNG.integers(200, 9000, (12, 16)).astype(np.uint16)
     units[0, 0] = 0
     metres = np.where(units, units / 1000, np.nan).astype(np.float32)

@@ -1,8 +1,3 @@
-"""A bag of an iPhone: Stray Scanner's recording, by strayscanner-ros1bag-converter.
-
-It has no transform and no CameraInfo, and its odometry is ARKit's, y up; `BAG.json` says the rest.
-"""
-
 import io
 import json
 
@@ -37,7 +32,6 @@ def write(path, world):
 
 
 def said(world):
-    """What the user writes beside the bag."""
     still = {"xyz": [0, 0, 0], "xyzw": [0, 0, 0, 1]}
     half = np.sqrt(0.5)
     return {

@@ -1,5 +1,3 @@
-"""Frames of messages as they come: of a bag, of a pipe, of a robot that is listened to."""
-
 import io
 import itertools
 from pathlib import Path
@@ -31,7 +29,6 @@ START = Layout().start
 
 
 def assembled(assembly, packets):
-    """Frames and moves of the packets."""
     taken = [assembly.take(packet) for packet in packets if not isinstance(packet, Fault)]
     return [*itertools.chain(*taken), *assembly.finish()]
 
@@ -41,13 +38,11 @@ def frames_of(assembly, packets):
 
 
 def of_bag(path):
-    """FrameAssembly of a bag, and its packets."""
     assembly = FrameAssembly(plan_capture(open_bag(path), TopicChoice()))
     return assembly, list(bag_packets(assembly.plan.bag, assembly.topics))
 
 
 def bytes_of(path):
-    """What reads the bytes of a bag's file."""
     return io.BytesIO(next(path.glob("*.mcap")).read_bytes()).read
 
 
@@ -77,7 +72,6 @@ def test_frames_of_a_stream_are_those_of_its_capture(container, layout, bag):
 
 
 def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
-    """What was heard before is not lost."""
     path = bag()
     data = next(path.glob("*.mcap")).read_bytes()
     listening = StreamDiscovery(Path("stdin"), TopicChoice())
@@ -120,7 +114,6 @@ def test_a_damaged_chunk_of_a_pipe_is_named(bag):
     ],
 )
 def test_what_lacks_is_named_until_it_comes(layout, words, bag):
-    """Nothing is chosen while something lacks; when it comes, all is well."""
     lacking = list(mcap_packets(bytes_of(bag("mcap", layout)), "robot"))
     listening = StreamDiscovery(Path("robot"), TopicChoice())
     assert not any(listening.take(p) for p in lacking)
@@ -133,7 +126,6 @@ def test_what_lacks_is_named_until_it_comes(layout, words, bag):
 
 
 def test_odometry_between_images_is_told(tmp_path, clip):
-    """At 50 Hz, in the camera's axes; frames are placed between, as the capture's are."""
     stamps = np.linspace(-0.05, clip.stamps[-1] - clip.stamps[0] + 0.05, 200)
     camera_from_base = np.linalg.inv(BASE_FROM_CAMERA)
 
@@ -160,7 +152,6 @@ def test_odometry_between_images_is_told(tmp_path, clip):
 
 
 def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
-    """Led to the camera, and back to the base by `base_pose`: the same."""
     root = rng.normal(size=(6, 6))
     told = root @ root.T
     poses = [frame.odometry @ np.linalg.inv(BASE_FROM_CAMERA) for frame in clip]
@@ -182,8 +173,6 @@ def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
 
 
 def test_clocks_that_jump_and_gaps(clip, bag):
-    """A jump is told, and what comes after is used; frames without transforms are left out, and counted."""
-
     last = START + clip.stamps[-1]
 
     def alone(writer):
@@ -199,8 +188,6 @@ def test_clocks_that_jump_and_gaps(clip, bag):
 
 
 def test_where_depth_falls_silent_colours_go_on(clip, bag):
-    """A frame without its depth is left out; where none comes any more, frames come without."""
-
     def more(writer):
         for i in range(1, 31):
             stamp = START + clip.stamps[-1] + 0.1 * i
@@ -217,7 +204,6 @@ def test_where_depth_falls_silent_colours_go_on(clip, bag):
 
 
 def test_transforms_of_a_stream_are_those_of_all_their_samples(rng):
-    """One by one, some late, some broken; what is older is forgotten, and a clock set back begins anew."""
     key, count = ("odom", "base_link"), 200
     turns = np.cumsum(rng.normal(size=(count, 3)) * 0.1, axis=0)
     xyzw = np.array([quaternion_from_rotation(rotation_from_vector(t)) for t in turns])

@@ -68,25 +68,12 @@ _ENDINGS: dict[str, Container] = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "r
 class BagWriter:
     """Writer of messages, a context manager; the bag appears when the context ends without an error.
 
-    Parameters
-    ----------
-    path
-        A file NAME.mcap, NAME.db3 (rosbag2's SQLite) or NAME.bag (ROS 1); any other name becomes a
-        folder of rosbag2. It must not exist.
-    container
-        Format of a folder; ignored where the path has an ending.
-    packed
-        Whether chunks (of SQLite: messages) are compressed, by zstd or bz2.
+    `path`: a file NAME.mcap, NAME.db3 (rosbag2's SQLite) or NAME.bag (ROS 1); any other name becomes a
+    folder of rosbag2. It must not exist; `container`: format of a folder; ignored where the path has an
+    ending; `packed`: whether chunks (of SQLite: messages) are compressed, by zstd or bz2.
 
-    Raises
-    ------
-    OptionError
-        `path` exists.
-    MapError
-        Nothing can be written there.
-    MissingExtraError
-        `rosbags` is not installed.
-
+    Raises `OptionError`: `path` exists; `MapError`: nothing can be written there; `MissingExtraError`:
+    `rosbags` is not installed.
     """
 
     def __init__(

@@ -53,24 +53,12 @@ _ADDRESS = re.compile(r"ws://(\[[0-9a-fA-F:]+\]|[^:/\[\]]+)(?::(\d{1,5}))?/?")
 class FoxgloveServer:
     """Server of messages for Foxglove, a context manager.
 
-    Parameters
-    ----------
-    address
-        URL for viewers, as ``ws://127.0.0.1:8765``; port 0: any free port.
-    pace
-        Clock that the viewer's buttons for pause and speed control.
-    span
-        First and last time of the recording [s]; without it there are no such buttons.
+    `address`: URL for viewers, as ``ws://127.0.0.1:8765``; port 0: any free port; `pace`: clock that the
+    viewer's buttons for pause and speed control; `span`: first and last time of the recording [s];
+    without it there are no such buttons.
 
-    Raises
-    ------
-    OptionError
-        The address is invalid.
-    ServiceError
-        The address cannot be bound.
-    MissingExtraError
-        `foxglove-sdk` is not installed.
-
+    Raises `OptionError`: the address is invalid; `ServiceError`: the address cannot be bound;
+    `MissingExtraError`: `foxglove-sdk` is not installed.
     """
 
     def __init__(

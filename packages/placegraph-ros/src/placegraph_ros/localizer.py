@@ -40,24 +40,11 @@ _REASONS = 20  # counted separately; all further ones as one
 class Localizer:
     """Localizer that takes sensor messages and returns messages about the pose; bad input is counted.
 
-    Parameters
-    ----------
-    maps
-        A scene map, or a library of several.
-    options
-        `LiveOptions`.
-    plan
-        Topics that make frames, if known; else they are chosen after a second.
-    name, choice
-        Name of the stream in messages, and the user's topics.
-    **known
-        options, encoder and device of `SceneMap.localize`.
+    `maps`: a scene map, or a library of several; `options`: `LiveOptions`; `plan`: topics that make
+    frames, if known; else they are chosen after a second; `name`, `choice`: name of the stream in
+    messages, and the user's topics; `**known`: options, encoder and device of `SceneMap.localize`.
 
-    Raises
-    ------
-    OptionError
-        An option of `LiveTracker` is invalid.
-
+    Raises `OptionError`: an option of `LiveTracker` is invalid.
     """
 
     def __init__(

@@ -27,16 +27,11 @@ _SECONDS = float(1 << 31)
 class Message:
     """One message, for a bag, Foxglove or a node."""
 
-    topic: str
-    """Without a slash before it: ``localization/pose``."""
-    type: str
-    """As ROS 2 names it: ``geometry_msgs/msg/PoseWithCovarianceStamped``."""
-    stamp: float
-    """Time of sending [s]."""
-    fields: Fields
-    """Plain numbers, strings, lists and dicts, NumPy arrays of numbers."""
-    latched: bool = False
-    """Whether later subscribers receive it (transient local)."""
+    topic: str  # Without a slash before it: ``localization/pose``
+    type: str  # As ROS 2 names it: ``geometry_msgs/msg/PoseWithCovarianceStamped``
+    stamp: float  # Time of sending [s]
+    fields: Fields  # Plain numbers, strings, lists and dicts, NumPy arrays of numbers
+    latched: bool = False  # Whether later subscribers receive it (transient local)
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,7 @@ from placegraph_ros.message import Message, cdr
 from placegraph_ros.options import PARAMETERS, LiveOptions, choice_of_parameters, stream_name
 from placegraph_ros.pose_messages import STATUS
 
-NEWEST = 4
-"""Most waiting images of a topic; then the oldest is dropped."""
+NEWEST = 4  # Most waiting images of a topic; then the oldest is dropped
 _MAX_OTHERS = 5000  # other messages
 _TICK = 0.02  # seconds after which None is handed out
 
@@ -193,8 +192,7 @@ class RosModules:
     qos: Any
     executors: Any
     groups: Any
-    message: Any
-    """Class of a message by its name."""
+    message: Any  # Class of a message by its name
     service: Any
 
     @classmethod
@@ -216,13 +214,8 @@ class RosModules:
 class LocalizerNode:
     """Subscribes to what frames are made of, tells the pose, and offers the services of a localizer.
 
-    Raises
-    ------
-    OptionError
-        A parameter is out of its range.
-    InputError, MapError
-        The map cannot be opened.
-
+    Raises `OptionError`: a parameter is out of its range; `InputError`, `MapError`: the map cannot be
+    opened.
     """
 
     def __init__(self, ros: RosModules) -> None:

@@ -35,17 +35,18 @@ PARAMETERS: dict[str, Any] = {
 class LiveOptions:
     """Options of a `Localizer`."""
 
-    mode: Mode = "continuous"
-    """`once`: use images until the pose is known, and again on request."""
+    mode: Mode = "continuous"  # `once`: use images until the pose is known, and again on request
     map_frame: str = "map"
-    base_frame: str = ""
-    """Base frame; base_link, base_footprint or odometry's child if empty."""
-    tolerance: float = 0.1
-    """Time by which the stamp of map -> odom is ahead, for lookups until then [s]."""
-    with_inputs: bool = True
-    """Also write what a robot knows already: images, the camera's mount, odometry."""
-    background: bool = True
-    """Use images in a thread and drop those that arrive too fast; else one by one."""
+    base_frame: str = ""  # Base frame; base_link, base_footprint or odometry's child if empty
+    tolerance: float = (
+        0.1  # Time by which the stamp of map -> odom is ahead, for lookups until then [s]
+    )
+    with_inputs: bool = (
+        True  # Also write what a robot knows already: images, the camera's mount, odometry
+    )
+    background: bool = (
+        True  # Use images in a thread and drop those that arrive too fast; else one by one
+    )
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -90,18 +91,14 @@ def choice_of_parameters(given: Mapping[str, Any], name: str) -> TopicChoice:
 class Summary:
     """Counts of a stream's frames, what is missing, and notes."""
 
-    frames: int = 0
-    """Usable images."""
-    told: Counter[str] = field(default_factory=Counter)
-    """Used images by the status after each."""
-    dropped: int = 0
-    """Images that arrived too fast."""
-    left_out: Counter[str] = field(default_factory=Counter)
-    """Unusable images and messages by reason."""
-    lacks: tuple[str, ...] = ()
-    """Sentences about what is missing for any frame."""
-    notes: tuple[str, ...] = ()
-    """Sentences about choices and problems."""
+    frames: int = 0  # Usable images
+    told: Counter[str] = field(default_factory=Counter)  # Used images by the status after each
+    dropped: int = 0  # Images that arrived too fast
+    left_out: Counter[str] = field(
+        default_factory=Counter
+    )  # Unusable images and messages by reason
+    lacks: tuple[str, ...] = ()  # Sentences about what is missing for any frame
+    notes: tuple[str, ...] = ()  # Sentences about choices and problems
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain numbers and strings."""

@@ -42,8 +42,7 @@ UPRIGHT_BASE = np.array(
 )
 """base_from_camera of a base that is the camera itself with a body's axes (REP-103): x where it
 looks, y to the left, z up."""
-_UNKNOWN = 1e6
-"""Variance of an unknown velocity [m^2/s^2, rad^2/s^2]."""
+_UNKNOWN = 1e6  # Variance of an unknown velocity [m^2/s^2, rad^2/s^2]
 
 
 def base_pose(
@@ -71,22 +70,12 @@ def pose_messages(
 ) -> list[Message]:
     """`PoseWithCovarianceStamped`, `Odometry`, and where it is known the transform map -> odom.
 
-    Parameters
-    ----------
-    map_from_camera, covariance
-        (4, 4), and (6, 6) of x, y, z [m] and a turn about the map's axes [rad], which is ROS's order.
-    stamp
-        When the camera was there [s].
-    map_from_odom
-        (4, 4), map_from_camera @ inv(odom_from_camera) of one moment.
-    base_from_camera
-        (4, 4) where the camera sits on the robot; `UPRIGHT_BASE` if not given.
+    `map_from_camera`, `covariance`: (4, 4), and (6, 6) of x, y, z [m] and a turn about the map's axes
+    [rad], which is ROS's order; `stamp`: when the camera was there [s]; `map_from_odom`: (4, 4),
+    map_from_camera @ inv(odom_from_camera) of one moment; `base_from_camera`: (4, 4) where the camera
+    sits on the robot; `UPRIGHT_BASE` if not given.
 
-    Raises
-    ------
-    OptionError
-        The stamp is out of ROS's range.
-
+    Raises `OptionError`: the stamp is out of ROS's range.
     """
     frames = frames or FrameIds()
     mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
@@ -141,15 +130,9 @@ def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
 class PoseReporter:
     """Makes messages of poses, each status and map once.
 
-    Parameters
-    ----------
-    maps
-        The map, or the library of which each scene is shown when the camera is in it.
-    tolerance
-        Time by which the stamp of map -> odom is ahead [s].
-    with_inputs
-        Also send what the robot knows already: the camera's mount and odometry.
-
+    `maps`: the map, or the library of which each scene is shown when the camera is in it; `tolerance`:
+    time by which the stamp of map -> odom is ahead [s]; `with_inputs`: also send what the robot knows
+    already: the camera's mount and odometry.
     """
 
     def __init__(
@@ -253,10 +236,8 @@ class PoseReporter:
         return messages
 
 
-DIAGNOSTIC = "placegraph: localization"
-"""Name of the diagnostic."""
-_AROUND = 12
-"""Particles for a mode: two for each of its six directions."""
+DIAGNOSTIC = "placegraph: localization"  # Name of the diagnostic
+_AROUND = 12  # Particles for a mode: two for each of its six directions
 _LEVELS = {Status.OK: 0, Status.AMBIGUOUS: 1, Status.LOST: 2}  # OK, WARN, ERROR
 
 
@@ -275,11 +256,7 @@ def estimate_messages(
     status, reason and evidence, and, where the estimate knows its map, a `MarkerArray` of the
     objects that agreed and disagreed.
 
-    Raises
-    ------
-    OptionError
-        The stamp is out of ROS's range.
-
+    Raises `OptionError`: the stamp is out of ROS's range.
     """
     frames = frames or FrameIds()
     mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera

@@ -17,8 +17,7 @@ from placegraph_ros.message import Fields, Message
 from placegraph_ros.scene_messages import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 
 _LEVELS = ("INFO", "WARN", "ERROR")
-_GAP = 1.0
-"""Longest gap in the drawn path [s]."""
+_GAP = 1.0  # Longest gap in the drawn path [s]
 _CAMERA, _BASE = "map/base/camera", "map/base"
 
 
@@ -29,20 +28,10 @@ class RerunWriter:
     ``camera`` (the pose, where it is known), ``map/path``, ``map/particle_cloud``, ``map/modes``,
     ``camera/image``, ``status`` and ``evidence``. Other types are ignored.
 
-    Parameters
-    ----------
-    path
-        A file NAME.rrd, which must not exist.
+    `path`: a file NAME.rrd, which must not exist.
 
-    Raises
-    ------
-    OptionError
-        `path` exists.
-    MapError
-        Nothing can be written there.
-    MissingExtraError
-        `rerun-sdk` is not installed.
-
+    Raises `OptionError`: `path` exists; `MapError`: nothing can be written there; `MissingExtraError`:
+    `rerun-sdk` is not installed.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:

@@ -24,10 +24,8 @@ from placegraph_ros.message import (
 )
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
-CUBE, LINES, TEXT, TRIANGLES = 1, 5, 9, 11
-"""Types of markers."""
-CLEAR = 3
-"""Action that deletes all markers."""
+CUBE, LINES, TEXT, TRIANGLES = 1, 5, 9, 11  # Types of markers
+CLEAR = 3  # Action that deletes all markers
 COLOURS = {"for": (0.1, 0.75, 0.2), "against": (0.9, 0.1, 0.1)}
 _ALPHA = 0.35
 _TALL, _THICK = 0.12, 0.01  # of letters and lines [m]

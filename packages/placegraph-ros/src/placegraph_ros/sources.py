@@ -19,8 +19,7 @@ from placegraph_io.ros.stream import Fault, Packet, bag_packets, mcap_packets
 from placegraph_io.ros.topics import CapturePlan, TopicChoice, plan_capture, read_topic_choice
 
 T = TypeVar("T")
-TICK = 0.02
-"""Longest wait before control returns to the caller [s]."""
+TICK = 0.02  # Longest wait before control returns to the caller [s]
 _GAP = 5.0  # longer gaps of a recording are skipped [s]
 
 
@@ -92,8 +91,7 @@ class PlaybackClock:
 StreamEvent = Packet | Fault | Frame | None
 
 
-STDIN = Path("stdin")
-"""Name of standard input in messages, and of its file `stdin.json`."""
+STDIN = Path("stdin")  # Name of standard input in messages, and of its file `stdin.json`
 _POLL = 0.2  # interval of polling [s]
 
 
@@ -103,13 +101,10 @@ class Source:
 
     path: Path
     events: Iterator[StreamEvent]
-    plan: CapturePlan | None = None
-    """Topics that make frames, if known."""
+    plan: CapturePlan | None = None  # Topics that make frames, if known
     choice: TopicChoice | None = None
-    frames: int | None = None
-    """Number of frames, if known."""
-    span: tuple[float, float] | None = None
-    """First and last time [s], if known."""
+    frames: int | None = None  # Number of frames, if known
+    span: tuple[float, float] | None = None  # First and last time [s], if known
 
 
 class WaitPolicy:

@@ -1,5 +1,3 @@
-"""Flats drawn in ASCII: what the text means, and what is said of texts that mean nothing."""
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

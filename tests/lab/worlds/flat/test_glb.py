@@ -1,5 +1,3 @@
-"""Drawn flats as binary glTF: sound by the standard, and the same flat when read back."""
-
 import numpy as np
 import pytest
 

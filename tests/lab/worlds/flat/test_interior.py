@@ -1,5 +1,3 @@
-"""Furnished flats: where things stand, which way they look, and that no ray slips out."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -81,7 +79,6 @@ def test_moved_and_taken_away(altbau):
 
 
 def inside(flat, n, rng):
-    """Points (n, 3) within the rooms."""
     room = np.argwhere(flat.room_of >= 0)
     cells = room[rng.integers(len(room), size=n)]
     at = (cells[:, ::-1] + rng.random((n, 2))) * flat.metres
@@ -108,7 +105,6 @@ def test_rays_leave_through_an_open_door_only(rng):
     st.integers(0, 2**32 - 1),
 )
 def test_any_plan_is_watertight_and_as_drawn(rows, seed):
-    """Along the axes, a ray from a cell's middle runs as far as the drawing says."""
     drawing = ["########", *(f"#{row}#" for row in rows), "########"]
     if not any(" " in row for row in rows):
         return
@@ -130,7 +126,6 @@ def test_any_plan_is_watertight_and_as_drawn(rows, seed):
 
 
 def _run(drawing, row, column, dr, dc):
-    """Free cells from here to the wall."""
     n = 0
     while drawing[row + (n + 1) * dr][column + (n + 1) * dc] == " ":
         n += 1

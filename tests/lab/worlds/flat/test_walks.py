@@ -1,5 +1,3 @@
-"""Walks through drawn flats: where they lead, and whether captures tell the truth they should."""
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -97,9 +95,8 @@ def test_a_walk_keeps_away_from_walls_and_furniture(seed):
 
 
 def test_depth_is_what_the_drawing_says(stage, interior):
-    """The left room is 2 x 2 m from (0.5, 1.5) to (2.5, 3.5), its walls in the way of every pixel."""
     pose = level(1.5, 1.75, 1.25, np.pi)  # looks left, along -x
-    shot = stage.shot(SMALL, pose)
+    shot = stage.geometry(SMALL, pose)
     names = np.array([thing.label for thing in interior.things])
     middle = shot.depth[27, 48]
     assert middle == pytest.approx(1.0, abs=1e-4)
@@ -131,7 +128,7 @@ def test_a_capture_opens_with_all_it_has(folder, walk):
 def test_depth_and_instances_are_those_of_the_truth(folder, stage, walk):
     capture = open_capture(folder)
     for frame, pose in zip(capture, walk.map_from_camera, strict=True):
-        shot = stage.shot(capture.depth_camera, pose)
+        shot = stage.geometry(capture.depth_camera, pose)
         assert np.array_equal(frame.labels(), shot.ids)
         depth = frame.depth()
         holes = np.isnan(depth)

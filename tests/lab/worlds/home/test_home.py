@@ -1,5 +1,3 @@
-"""Procedural homes: sound, alike and yet each its own."""
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

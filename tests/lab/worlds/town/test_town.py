@@ -1,5 +1,3 @@
-"""Towns drawn in ASCII become OpenStreetMap files that osmium reads."""
-
 import osmium
 import pytest
 
@@ -8,7 +6,6 @@ from placegraph_lab.worlds.town.town import Town, shipped
 
 
 def osm(text, tmp_path):
-    """Ways (tags, [(lon, lat)]), tagged nodes and relations of a town."""
     path = Town.parse(text).write_osm(tmp_path / "town.osm")
     nodes, ways, relations = [], [], []
     for thing in osmium.FileProcessor(path).with_locations():

@@ -239,7 +239,7 @@ class Flat(Drawing):
         return mask
 
     def host(self, blot: Blot) -> Blot | None:
-        """What a thing stands on or in."""
+        """Return the thing that carries another."""
         return next((b for b in self.things if self._carries(b, blot)), None)
 
     def base(self, blot: Blot) -> float:
@@ -380,9 +380,9 @@ def symbol(line: str, where: str) -> tuple[str, Symbol]:
     place = f"{where}, column {read.values_column}"
     allowed = _KEYS[read.kind]
     unknown = sorted(set(read.values) - allowed)
-    if read.rest or unknown:
+    if read.has_junk or unknown:
         raise InputError(
-            f"{place}: {'no key=value' if read.rest else unknown[0]} after a {read.kind}; "
+            f"{place}: {'no key=value' if read.has_junk else unknown[0]} after a {read.kind}; "
             + (f"its keys are {', '.join(sorted(allowed))}." if allowed else "nothing may follow.")
         )
     given = _defaults(read.kind) | read.values

@@ -151,7 +151,7 @@ def joined(parts: Iterable[Part]) -> list[Part]:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What a model is built from: extents [m] and looks."""
+    """Extents [m] and materials of a model."""
 
     width: float
     depth: float

@@ -73,7 +73,7 @@ class Thing:
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """Where light comes from: a lamp in the evening, a window by day."""
+    """Source of light: a lamp in the evening, a window by day."""
 
     position: tuple[float, float, float]  # x, y, z [m]
     is_window: bool = False

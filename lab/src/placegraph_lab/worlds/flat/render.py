@@ -29,7 +29,7 @@ FAINT = 0.02  # light of one lamp below this is left out
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class GeometryImage:
     """Geometry in a camera's pixels.
 
     `depth`: (h, w) float32 [m] along the optical axis, NaN where nothing is hit; `ids`: (h, w)
@@ -41,7 +41,7 @@ class Shot:
     facing: Floats
 
 
-class _Seen(NamedTuple):
+class _Hits(NamedTuple):
     """Hits of the pixels that see something: rows of pixels, and what is there."""
 
     pixel: NDArray[np.intp]
@@ -102,11 +102,11 @@ class Stage:
                           for lamp in interior.lamps])  # fmt: skip
         self._colours = (strength[:, None] * tints).astype(np.float32)
 
-    def shot(self, camera: Camera, map_from_camera: NDArray[np.float64]) -> Shot:
+    def geometry(self, camera: Camera, map_from_camera: NDArray[np.float64]) -> GeometryImage:
         """Geometry that a camera sees from a pose (4, 4)."""
         hits = self._cast(camera, map_from_camera)
         shape = camera.height, camera.width
-        return Shot(
+        return GeometryImage(
             _spread(hits.distance, hits.pixel, shape, np.nan),  # rays have z = 1
             _spread(self.mesh.object_of[hits.triangle], hits.pixel, shape, -1),
             _spread(hits.facing, hits.pixel, shape, 0.0),
@@ -123,7 +123,7 @@ class Stage:
         light *= self._albedo(hits.triangle, hits.u, hits.v)
         return _spread(light, hits.pixel, (camera.height, camera.width), 0.0)
 
-    def _cast(self, camera: Camera, map_from_camera: NDArray[np.float64]) -> _Seen:
+    def _cast(self, camera: Camera, map_from_camera: NDArray[np.float64]) -> _Hits:
         v, u = np.mgrid[: camera.height, : camera.width] + 0.5
         rays = camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
         directions = (rays @ map_from_camera[:3, :3].T).astype(np.float32)
@@ -137,7 +137,7 @@ class Stage:
         normals = np.where(cosine[:, None] > 0, -normals, normals)
         facing = np.abs(cosine / np.sqrt(_dot(directions, directions))).astype(np.float32)
         points = origin + directions * distance[:, None]
-        return _Seen(
+        return _Hits(
             pixel, triangle, distance, hits.u[pixel], hits.v[pixel], points, normals, facing
         )
 
@@ -216,7 +216,7 @@ def develop(
     return np.rint(encoded * 255.0).astype(np.uint8)
 
 
-def measured(shot: Shot, rng: np.random.Generator) -> NDArray[np.uint16]:
+def measured(shot: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16]:
     """Depth image (h, w) uint16 [mm], 0 = no reading.
 
     The error grows with the square of the distance and is partly common to neighbours; holes are

@@ -21,7 +21,7 @@ LARGEST = 320  # most pixels along an edge of a texture
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a surface is made of, and its sRGB colour."""
+    """Material and sRGB colour of a surface."""
 
     kind: str
     colour: tuple[int, int, int]

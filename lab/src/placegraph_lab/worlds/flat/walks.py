@@ -166,7 +166,7 @@ CAMERA = Camera(320, 180, 230.0, 230.0, 160.0, 90.0)  # 70 degrees wide
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Where a camera was when.
+    """Trajectory of a camera.
 
     `stamps`: (T,) [s]; `map_from_camera`: (T, 4, 4).
     """
@@ -311,7 +311,7 @@ def write_walk(
     for i, (pose, exposure) in enumerate(zip(walk.map_from_camera, factors, strict=True)):
         picture = develop(stage.radiance(camera, pose), float(exposure), sensor)
         Image.fromarray(picture).save(folder / f"rgb/{i:06d}.jpg", quality=92)
-        shot = stage.shot(half, pose)
+        shot = stage.geometry(half, pose)
         if depth:
             Image.fromarray(measured(shot, sensor)).save(folder / f"depth/{i:06d}.png")
         if labels:

@@ -27,7 +27,7 @@ Range = tuple[float, float]
 
 
 class Some(NamedTuple):
-    """How many of a kind there may be."""
+    """Number of things of a kind."""
 
     what: str
     chance: float  # probability of the first one
@@ -438,8 +438,8 @@ def changed(
     return later
 
 
-def on(things: Iterable[Thing], host: Thing) -> list[Thing]:
-    """What stands on a thing, and on what stands on it."""
+def find_cargo(things: Iterable[Thing], host: Thing) -> list[Thing]:
+    """Return the things that stand on a thing, directly or not."""
     low, high = host.bounds
     found = []
     for thing in things:
@@ -452,7 +452,7 @@ def on(things: Iterable[Thing], host: Thing) -> list[Thing]:
 
 
 def _without(interior: Interior, thing: Thing) -> Interior:
-    gone = {thing.id, *(t.id for t in on(interior.things, thing))}
+    gone = {thing.id, *(t.id for t in find_cargo(interior.things, thing))}
     lamps = tuple(
         lamp
         for lamp in interior.lamps
@@ -466,7 +466,7 @@ def _moved(interior: Interior, thing: Thing, rng: np.random.Generator) -> Interi
     floor = _floor(interior, thing.room)
     if floor is None or thing.bounds[0, 2] > STANDS:  # hangs, or stands on something
         return interior
-    cargo = on(interior.things, thing)
+    cargo = find_cargo(interior.things, thing)
     away = {thing.id, *(t.id for t in cargo)}
     others = [t for t in interior.things if t.id not in away]
     middle = thing.bounds.mean(axis=0)

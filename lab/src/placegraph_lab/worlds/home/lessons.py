@@ -24,19 +24,10 @@ def homes(
 ) -> list[World]:
     """Draw procedural homes, each from its own seed.
 
-    Parameters
-    ----------
-    count
-        Number of homes.
-    seed
-        The same seed, the same homes.
-    frames
-        Images of each of the walks: one to know the objects by, one whose patches are learned.
-    changes
-        Whether a home is known as it was months before, too, when things stood elsewhere.
-    camera
-        Of the images; `record.CAMERA` if not given.
-
+    `count`: number of homes; `seed`: the same seed, the same homes; `frames`: images of each of the
+    walks: one to know the objects by, one whose patches are learned; `changes`: whether a home is known
+    as it was months before, too, when things stood elsewhere; `camera`: of the images; `record.CAMERA`
+    if not given.
     """
     if count < 1 or frames < 1:
         raise OptionError(f"homes: {count}, frames: {frames}; choose at least one of each.")

@@ -32,12 +32,12 @@ class Box(NamedTuple):
 
     @property
     def rows(self) -> slice:
-        """Of the page."""
+        """Rows on the page."""
         return slice(self.top, self.bottom)
 
     @property
     def columns(self) -> slice:
-        """Of the page."""
+        """Columns on the page."""
         return slice(self.left, self.right)
 
     def span(self, side: str) -> tuple[int, int]:
@@ -95,7 +95,7 @@ class Area:
 
     @property
     def of(self) -> RoomKind:
-        """What is known of rooms of this kind."""
+        """Properties of rooms of this kind."""
         return ROOMS[self.kind]
 
 
@@ -160,7 +160,7 @@ def _sized(kind: str, rng: np.random.Generator) -> Box:
 
 
 def _beside(floors: list[Box], fresh: Box, rng: np.random.Generator) -> tuple[Box, tuple[int, str]]:
-    """Where a floor can go, flush with an earlier one; and which, on which of its sides."""
+    """Return a position of a floor beside an earlier one, and which one and side."""
     while True:  # the outermost side of the outermost room is always free
         which, side = int(rng.integers(len(floors))), str(rng.choice(SIDES))
         first, last = floors[which].span(side)
@@ -407,7 +407,7 @@ class Furnisher:
     # --------------------------------------------------------------------------------- small
 
     def _drawn(self, some: Iterable[Some]) -> list[tuple[str, int]]:
-        """How many of each kind."""
+        """Draw the number of things of each kind."""
         found = []
         for what, chance, most in some:
             count = int(self._rng.random() < chance)

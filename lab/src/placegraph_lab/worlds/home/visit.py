@@ -56,7 +56,7 @@ def record(
     for thing in interior.things:
         value[thing.id] = names.index(said[thing.label]) if labels == "labels" else thing.id
     half = camera.resized(camera.width // 2, camera.height // 2)
-    shared = _Set(interior, light, daylight, camera, half, value if labels else None)
+    shared = _SharedScene(interior, light, daylight, camera, half, value if labels else None)
     odometry = drifted(walk.map_from_camera, motion)
     down = gravity(walk.map_from_camera, motion)
     factors = exposures(len(walk), sensor)
@@ -80,8 +80,8 @@ def record(
     return Capture.from_frames(frames)
 
 
-class _Set:
-    """What all frames of a capture share; the stage is lit when the first image is wanted."""
+class _SharedScene:
+    """Scene of all frames of a capture, lit when the first image is rendered."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class _Rendered:
 
     def __init__(
         self,
-        shared: _Set,
+        shared: _SharedScene,
         map_from_camera: NDArray[np.float64],
         exposure: float,
         rng: np.random.Generator,
@@ -117,15 +117,15 @@ class _Rendered:
         self._has_depth = depth
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
+        """Return the colours (H, W, 3)."""
         return self._rgb
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
+        """Return the depth (h, w) [m], or None."""
         return self._depth if self._has_depth else None
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
+        """Return the labels (h, w), or None."""
         return self._labels
 
     @cached_property
@@ -136,7 +136,7 @@ class _Rendered:
 
     @cached_property
     def _depth(self) -> NDArray[np.float32]:
-        shot = self._shared.stage.shot(self._shared.half, self._pose)
+        shot = self._shared.stage.geometry(self._shared.half, self._pose)
         millimetres = measured(shot, self._depth_noise)
         return np.where(millimetres > 0, millimetres / np.float32(1000.0), np.nan).astype("f4")
 
@@ -144,7 +144,7 @@ class _Rendered:
     def _labels(self) -> NDArray[np.int32] | None:
         if self._shared.value is None:
             return None
-        shot = self._shared.stage.shot(self._shared.half, self._pose)
+        shot = self._shared.stage.geometry(self._shared.half, self._pose)
         values: NDArray[np.int32] = self._shared.value[shot.ids]
         return values
 
@@ -176,14 +176,14 @@ def visit(
     now = _Refurnished(**{f.name: getattr(flat, f.name) for f in fields(flat)}, boxes=tuple(boxes))
     walk = stroll(now, rng, frames=frames, rate=rate, tilt=0.0)
     poses, _ = split_pose(walk.map_from_camera)
-    poses[:, 3], down = _looks(poses, interior, rate, rng)
+    poses[:, 3], down = _aim(poses, interior, rate, rng)
     down += tilt * rng.uniform(0.5, 1.0) * np.sin(2 * np.pi * (walk.stamps / 4.1 + rng.random()))
     roll = 0.4 * tilt * np.sin(2 * np.pi * (walk.stamps / 3.7 + rng.random()))
     felt = np.stack([np.sin(roll), np.cos(roll) * np.cos(down), np.cos(roll) * np.sin(down)], -1)
     return Walk(walk.stamps, pose_matrix(poses, level_from_camera(felt)))
 
 
-def _looks(
+def _aim(
     poses: NDArray[np.float64], interior: Interior, rate: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Yaw and angle downwards (T,) [rad] on a way of poses (T, 4) that head along it."""

@@ -75,7 +75,7 @@ METRES = 10.0  # side of a character of a town that says nothing of its own [m]
 
 
 class Kind(StrEnum):
-    """What a glyph of the drawing is."""
+    """Kind of a glyph."""
 
     POINT = "point"
     AREA = "area"
@@ -276,7 +276,7 @@ def _symbol(line: str, where: str) -> tuple[str, Symbol]:
             f"{where}, column {read.kind_column}: {kind!r} is no kind; "
             f"write one of {', '.join(Kind)}."
         )
-    if read.rest or bool(read.values) == (kind == Kind.SPOT):
+    if read.has_junk or bool(read.values) == (kind == Kind.SPOT):
         raise InputError(
             f"{where}, column {read.values_column}: expected "
             f"{'nothing after a spot' if kind == Kind.SPOT else 'tags as key=value key=value'}."

@@ -63,16 +63,11 @@ _TRACK = 8  # bytes of an element of a point's track
 class Picture:
     """An image of a model."""
 
-    name: str
-    """Path below the folder of images."""
-    camera_from_model: NDArray[np.float64]
-    """(4, 4), lengths in the model's unit."""
-    camera: int
-    """Number of its camera."""
-    uv: NDArray[np.float64]
-    """(n, 2) where it sees points [px]."""
-    points: NDArray[np.uint64]
-    """(n,) ids of those points."""
+    name: str  # Path below the folder of images
+    camera_from_model: NDArray[np.float64]  # (4, 4), lengths in the model's unit
+    camera: int  # Number of its camera
+    uv: NDArray[np.float64]  # (n, 2) where it sees points [px]
+    points: NDArray[np.uint64]  # (n,) ids of those points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +76,7 @@ class ColmapModel:
 
     cameras: dict[int, Camera]
     pictures: tuple[Picture, ...]
-    points: dict[int, NDArray[np.float64]]
-    """(3,) in the model's unit, by id."""
+    points: dict[int, NDArray[np.float64]]  # (3,) in the model's unit, by id
 
 
 def model_folder(path: Path) -> Path | None:
@@ -324,23 +318,12 @@ def is_colmap(path: Path) -> bool:
 def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None = None) -> Capture:
     """Read a model and its depth; `notes` of the capture say which scale and direction were found.
 
-    Parameters
-    ----------
-    path
-        Folder with the model, `images/` and depth.
-    scale
-        Metres in a unit of the model; estimated if not given.
-    up
-        (3,) direction of up in the model; estimated if not given.
+    `path`: folder with the model, `images/` and depth; `scale`: metres in a unit of the model; estimated
+    if not given; `up`: (3,) direction of up in the model; estimated if not given.
 
-    Raises
-    ------
-    InputError
-        There is no depth, or too little at sparse points; a file is missing, truncated or broken;
-        a camera's model is none that `Camera` can express.
-    OptionError
-        `scale` is not greater than 0, or `up` no direction.
-
+    Raises `InputError`: there is no depth, or too little at sparse points; a file is missing, truncated
+    or broken; a camera's model is none that `Camera` can express; `OptionError`: `scale` is not greater
+    than 0, or `up` no direction.
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"scale is {scale}; it must be greater than 0.")

@@ -39,8 +39,10 @@ from placegraph.io.capture.posed import (
 )
 from placegraph.io.capture.video import Video
 
-_UNITS = {"m": ("<f2", 1.0), "mm": ("<u2", 1000.0)}
-"""Numbers of the depth stream, and units in a metre."""
+_UNITS = {
+    "m": ("<f2", 1.0),
+    "mm": ("<u2", 1000.0),
+}  # Numbers of the depth stream, and units in a metre
 _MOST_PIXELS = 1 << 24  # pixels of a frame
 
 
@@ -87,8 +89,7 @@ class _StreamSizes(NamedTuple):
     """Sizes and unit of the streams, of `X.json`."""
 
     path: Path
-    colour: tuple[int, int] | None
-    """Width and height of the images of the intrinsics [px]."""
+    colour: tuple[int, int] | None  # Width and height of the images of the intrinsics [px]
     depth: tuple[int, int] | None
     unit: str
 
@@ -187,10 +188,8 @@ _CHECKPOINT_INTERVAL = 100  # frames; each checkpoint takes some 50 kB
 class _Checkpoint(NamedTuple):
     """State of the decompressor at the beginning of a frame."""
 
-    unpacker: Any
-    """Decompressor with its unread input."""
-    offset: int
-    """Offset of the following input in the file."""
+    unpacker: Any  # Decompressor with its unread input
+    offset: int  # Offset of the following input in the file
 
 
 class DeflateStream:

@@ -40,8 +40,7 @@ from placegraph.io.capture.posed import (
 )
 from placegraph_io.storage import Database, rvl_image
 
-_TYPES = {0: "u1", 4: "<i4", 5: "<f4"}
-"""OpenCV's types of one channel, of those that are read."""
+_TYPES = {0: "u1", 4: "<i4", 5: "<f4"}  # OpenCV's types of one channel, of those that are read
 _MOST = 1 << 24  # numbers of a matrix
 _RVL, _INVERSE = b"DEPTHRVL", b"DEPTHINV"
 _SERIALIZED, _SIZED, _OLDEST = (0, 18), (0, 11, 2), (0, 10)
@@ -51,14 +50,12 @@ _SERIALIZED, _SIZED, _OLDEST = (0, 18), (0, 11, 2), (0, 10)
 class Calibration(NamedTuple):
     """Calibration of the first camera of a node."""
 
-    size: tuple[int, int]
-    """Width and height of the images [px]; 0, 0 if unknown."""
-    intrinsics: tuple[float, float, float, float]
-    """fx, fy, cx, cy; the centre of the first pixel is (0, 0)."""
-    base_from_camera: NDArray[np.float64]
-    """(4, 4)"""
-    cameras: int
-    """Number of cameras, whose images stand side by side."""
+    size: tuple[int, int]  # Width and height of the images [px]; 0, 0 if unknown
+    intrinsics: tuple[
+        float, float, float, float
+    ]  # fx, fy, cx, cy; the centre of the first pixel is (0, 0)
+    base_from_camera: NDArray[np.float64]  # (4, 4)
+    cameras: int  # Number of cameras, whose images stand side by side
 
     def camera(self, size: tuple[int, int], name: str) -> Camera:
         """Return the camera; `size` is used where the calibration has none."""
@@ -234,8 +231,7 @@ class _Node(NamedTuple):
     session: Any
     stamp: Any
     pose: Any
-    image: Any
-    """Bytes of the image."""
+    image: Any  # Bytes of the image
     depth: Any
     calibration: Any
     confidence: Any

@@ -48,10 +48,8 @@ _NO_RELATION = "none"
 class Annotation:
     """Objects of a scan and their relations."""
 
-    objects: dict[str, LabelEntry]
-    """By the object's id."""
-    relations: tuple[tuple[str, str, str], ...]
-    """(id, 3DSSG's name of the relation, id), sorted."""
+    objects: dict[str, LabelEntry]  # By the object's id
+    relations: tuple[tuple[str, str, str], ...]  # (id, 3DSSG's name of the relation, id), sorted
 
 
 def find_first(folder: Path, names: tuple[str, ...]) -> Path | None:
@@ -214,22 +212,18 @@ def _read_objects_list(path: Path, entry: dict[str, Any], key: str) -> list[dict
 
 NAME = "3RScan.json"
 _RIGID = 1e-2  # matrices are written with few digits
-_MAX_SHIFT = 100.0
-"""Largest shift between two scans of a room [m]; beyond, units are wrong."""
+_MAX_SHIFT = 100.0  # Largest shift between two scans of a room [m]; beyond, units are wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
     """An object that stands elsewhere in a rescan."""
 
-    reference_id: str
-    """Its id in the reference."""
-    scan_id: str
-    """Its id in the rescan."""
+    reference_id: str  # Its id in the reference
+    scan_id: str  # Its id in the rescan
     scan_from_reference: NDArray[np.float64]
     """(4, 4) of the object's points [m], from the reference's axes to the rescan's."""
-    symmetry: int
-    """0: none; else 3RScan's code of the rotations that look alike."""
+    symmetry: int  # 0: none; else 3RScan's code of the rotations that look alike
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,10 +234,8 @@ class Scan:
     reference_from_scan: NDArray[np.float64] | None
     """(4, 4) [m]; None where the file keeps it back, as of the hidden test scans."""
     moves: tuple[Move, ...] = ()
-    nonrigid: tuple[str, ...] = ()
-    """Ids, in the reference, of objects that changed their form."""
-    removed: tuple[str, ...] = ()
-    """Ids, in the reference, of objects that are gone."""
+    nonrigid: tuple[str, ...] = ()  # Ids, in the reference, of objects that changed their form
+    removed: tuple[str, ...] = ()  # Ids, in the reference, of objects that are gone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,8 +243,7 @@ class Room:
     """Scans of the same room at different times, the reference first."""
 
     reference: str
-    kind: str
-    """3RScan's `type`: train, validation or test."""
+    kind: str  # 3RScan's `type`: train, validation or test
     scans: tuple[Scan, ...]
 
 
@@ -390,10 +381,8 @@ def _read_scan_id(path: Path, entry: object, key: str) -> str:
     return value
 
 
-REACH = 0.05
-"""A vertex has the label of the annotated mesh's nearest one within this [m]."""
-_SAME = 1e-3
-"""Vertices in one order differ by less [m]: by the digits they are written with."""
+REACH = 0.05  # A vertex has the label of the annotated mesh's nearest one within this [m]
+_SAME = 1e-3  # Vertices in one order differ by less [m]: by the digits they are written with
 
 
 def is_scan3r(path: Path) -> bool:
@@ -420,25 +409,14 @@ def read_scan3r(
     vertices, as the second version of 3RScan has; else of its nearest vertex within `REACH`.
     Faces of no object, or of one that no file names, are one thing "unknown".
 
-    Parameters
-    ----------
-    reference_frame
-        Bring a rescan into the axes of its room's reference, by `3RScan.json`.
-    undo_moves
-        Bring back, too, each object that `3RScan.json` says was moved to where the reference has it.
-    rooms
-        `3RScan.json`, or what `read_rooms` read of it; looked for around the folder if not given.
-    annotations
-        Folder of 3DSSG's files; looked for around the folder if not given.
+    `reference_frame`: bring a rescan into the axes of its room's reference, by `3RScan.json`;
+    `undo_moves`: bring back, too, each object that `3RScan.json` says was moved to where the reference
+    has it; `rooms`: `3RScan.json`, or what `read_rooms` read of it; looked for around the folder if not
+    given; `annotations`: folder of 3DSSG's files; looked for around the folder if not given.
 
-    Raises
-    ------
-    InputError
-        A file is missing or damaged: no mesh, no labels, no names of objects; most of the mesh has
-        no label near it; or `3RScan.json` does not know the scan.
-    OptionError
-        `undo_moves` without `reference_frame`.
-
+    Raises `InputError`: a file is missing or damaged: no mesh, no labels, no names of objects; most of
+    the mesh has no label near it; or `3RScan.json` does not know the scan; `OptionError`: `undo_moves`
+    without `reference_frame`.
     """
     folder = Path(path)
     if undo_moves and not reference_frame:

@@ -61,19 +61,11 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
     counted. A frame's `index` and stamp are its number. Its odometry is 3RScan's own pose, in the
     axes of the scan's meshes: the truth, which an evaluation has to spoil before it localizes.
 
-    Parameters
-    ----------
-    path
-        Folder of the scan, `sequence/` or `sequence.zip`.
-    rotate
-        Stand the images upright by quarter turns (one number for all of them, by gravity), and
-        colour, depth, intrinsics and poses with them.
+    `path`: folder of the scan, `sequence/` or `sequence.zip`; `rotate`: stand the images upright by
+    quarter turns (one number for all of them, by gravity), and colour, depth, intrinsics and poses with
+    them.
 
-    Raises
-    ------
-    InputError
-        The recording or its `_info.txt` is missing or damaged, or no frame can be used.
-
+    Raises `InputError`: the recording or its `_info.txt` is missing or damaged, or no frame can be used.
     """
     files = _files(Path(path))
     info = _Info.read(files)

@@ -31,8 +31,10 @@ FILES = (
     "_vh_clean.segs.json", ".aggregation.json", "_vh_clean_2.ply", "_vh_clean.ply",
 )  # fmt: skip
 """How files of a scan are called after its name; the longer of two that fit comes first."""
-TABLES = ("scannetv2-labels.combined.tsv", "scannet-labels.combined.tsv")
-"""Names of ScanNet's label table."""
+TABLES = (
+    "scannetv2-labels.combined.tsv",
+    "scannet-labels.combined.tsv",
+)  # Names of ScanNet's label table
 _RIGID = 1e-3
 
 
@@ -76,11 +78,7 @@ def axis_alignment(path: str | PathLike[str]) -> NDArray[np.float64]:
     come without it. The identity where there is no such file, or no such line: ScanNet's test scans
     have none.
 
-    Raises
-    ------
-    InputError
-        The line is not a rigid 4 x 4 matrix.
-
+    Raises `InputError`: the line is not a rigid 4 x 4 matrix.
     """
     return alignment_of(find_scan(Path(path)))
 
@@ -156,10 +154,10 @@ class LabelMap:
     """ScanNet's table of labels, in one of its columns."""
 
     path: Path
-    of_raw: Mapping[str, str]
-    """Label of a raw category; those without one are left out."""
-    of_id: Mapping[int, str]
-    """Label of a ScanNet label id, the raw category where the column is empty."""
+    of_raw: Mapping[str, str]  # Label of a raw category; those without one are left out
+    of_id: Mapping[
+        int, str
+    ]  # Label of a ScanNet label id, the raw category where the column is empty
 
 
 def find_label_table(folder: Path) -> Path | None:
@@ -171,13 +169,8 @@ def find_label_table(folder: Path) -> Path | None:
 def read_label_map(path: str | PathLike[str], column: str = "raw_category") -> LabelMap:
     """Read `scannetv2-labels.combined.tsv`; labels are those of `column`, such as `nyu40class`.
 
-    Raises
-    ------
-    InputError
-        The file is missing, lacks the columns `id` and `raw_category`, or an id is no number.
-    OptionError
-        It has no such column.
-
+    Raises `InputError`: the file is missing, lacks the columns `id` and `raw_category`, or an id is no
+    number; `OptionError`: it has no such column.
     """
     path = Path(path)
     rows = list(csv.reader(read_text(path).splitlines(), delimiter="\t", quoting=csv.QUOTE_NONE))
@@ -270,8 +263,7 @@ class LabelImages:
     kind: LabelKind = "labels"
     names: dict[int, str] = field(default_factory=dict)
     known: LabelTable | None = None
-    notes: tuple[str, ...] = ()
-    """Why label images are not used."""
+    notes: tuple[str, ...] = ()  # Why label images are not used
 
     def reader(self, index: int) -> Callable[[], NDArray[np.int32]] | None:
         """Return the function that reads a frame's label image; None where it has none."""
@@ -293,13 +285,8 @@ def find_labels(
     They show what the colour images show, whose camera is given. Names of labels are those of a
     column of ScanNet's table, the raw categories if none is given.
 
-    Raises
-    ------
-    InputError
-        What is wanted is not there or cannot be read; labels lack ScanNet's table.
-    OptionError
-        `wanted` is none of its values; the table has no such column.
-
+    Raises `InputError`: what is wanted is not there or cannot be read; labels lack ScanNet's table;
+    `OptionError`: `wanted` is none of its values; the table has no such column.
     """
     if wanted not in {"auto", "labels", "instances", None}:
         raise OptionError(f"labels is {wanted!r}; it is 'auto', 'labels', 'instances' or None.")
@@ -383,8 +370,7 @@ NYU40 = (
     "bathtub", "bag", "otherstructure", "otherfurniture", "otherprop",
 )  # fmt: skip
 """NYU's 40 classes, of which the first is 1; 0 is unannotated."""
-MIN_PATCH = 20
-"""Vertices of a patch of one class that is an object: ScanNet's own smallest segment."""
+MIN_PATCH = 20  # Vertices of a patch of one class that is an object: ScanNet's own smallest segment
 
 
 def is_scannet(path: Path) -> bool:
@@ -415,25 +401,14 @@ def read_scannet(
     annotation, `_vh_clean_2.labels.ply` tells classes (NYU40): connected patches of a class become
     objects.
 
-    Parameters
-    ----------
-    path
-        Folder of the scan, or its mesh.
-    label_table
-        `scannetv2-labels.combined.tsv`; looked for in the folder and the two above it if not given.
-    label_column
-        Column of that table whose label an object gets, such as `category` or `nyu40class`; what the
-        table does not map keeps ScanNet's raw label. Raw labels if not given.
-    align
-        Whether the axis alignment of `<scan>.txt` is applied (`scannet_files.axis_alignment`).
+    `path`: folder of the scan, or its mesh; `label_table`: `scannetv2-labels.combined.tsv`; looked for
+    in the folder and the two above it if not given; `label_column`: column of that table whose label an
+    object gets, such as `category` or `nyu40class`; what the table does not map keeps ScanNet's raw
+    label. Raw labels if not given; `align`: whether the axis alignment of `<scan>.txt` is applied
+    (`scannet_files.axis_alignment`).
 
-    Raises
-    ------
-    InputError
-        A file is missing or not what it should be, or files do not belong together.
-    OptionError
-        The table has no such column.
-
+    Raises `InputError`: a file is missing or not what it should be, or files do not belong together;
+    `OptionError`: the table has no such column.
     """
     path = Path(path)
     scan = find_scan(path) if path.is_dir() else _scan_of_mesh(path)

@@ -52,19 +52,12 @@ def read_scenegraphfusion(
     relations are the likeliest of each edge, without *none*. Surfels of segments of which nothing
     was predicted, for they were small, are one thing "unknown".
 
-    Parameters
-    ----------
-    path
-        Folder, or its `predictions.json`.
-    mesh
-        Mesh (PLY or OBJ, z up) in the axes of the recording's poses, such as ScanNet's
-        `_vh_clean_2.ply`: its surface and colours are used, with the surfels' labels.
+    `path`: folder, or its `predictions.json`; `mesh`: mesh (PLY or OBJ, z up) in the axes of the
+    recording's poses, such as ScanNet's `_vh_clean_2.ply`: its surface and colours are used, with the
+    surfels' labels.
 
-    Raises
-    ------
-    InputError
-        A file is missing or damaged; graph and surfels share no segment; the mesh lies elsewhere.
-
+    Raises `InputError`: a file is missing or damaged; graph and surfels share no segment; the mesh lies
+    elsewhere.
     """
     folder = Path(path)
     folder = folder.parent if folder.name in PREDICTIONS else folder
@@ -109,12 +102,9 @@ def _find_file(folder: Path, names: tuple[str, ...]) -> Path:
 @dataclass(frozen=True, slots=True)
 class _Graph:
     path: Path
-    labels: dict[int, tuple[str, float]]
-    """Likeliest class of a segment, and how likely it is."""
-    edges: dict[tuple[int, int], str]
-    """Likeliest relation."""
-    owner: dict[int, int]
-    """Smallest segment of the thing that a segment is part of."""
+    labels: dict[int, tuple[str, float]]  # Likeliest class of a segment, and how likely it is
+    edges: dict[tuple[int, int], str]  # Likeliest relation
+    owner: dict[int, int]  # Smallest segment of the thing that a segment is part of
 
     def thing_of(self, segments: Rows) -> Rows:
         """Return the number of the thing of each segment, -1: nothing was predicted of it."""
@@ -240,10 +230,8 @@ def _merge_parts(
 
 SURFELS = ("inseg.ply", "node_semantic.ply")
 """The first has the colours of the place, the second those of labels."""
-REACH = 0.1
-"""A vertex of a mesh has the label of the nearest surfel within this [m]."""
-GRID = 0.04
-"""Surfels of a thing are brought together in cubes of this side [m]."""
+REACH = 0.1  # A vertex of a mesh has the label of the nearest surfel within this [m]
+GRID = 0.04  # Surfels of a thing are brought together in cubes of this side [m]
 _OVERLAP = 1.2
 _NUMBERS = ("x", "y", "z", "nx", "ny", "nz")
 
@@ -253,14 +241,10 @@ class Surfels:
     """Points with the numbers of their segments."""
 
     path: Path
-    points: Floats
-    """(S, 3) [m]"""
-    normals: Floats
-    """(S, 3)"""
-    colours: NDArray[np.uint8]
-    """(S, 3) sRGB"""
-    segments: Rows
-    """(S,)"""
+    points: Floats  # (S, 3) [m]
+    normals: Floats  # (S, 3)
+    colours: NDArray[np.uint8]  # (S, 3) sRGB
+    segments: Rows  # (S,)
 
 
 def read_surfels(path: Path, left_out: Counter[str]) -> Surfels:

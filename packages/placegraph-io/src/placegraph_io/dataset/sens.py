@@ -69,48 +69,35 @@ class SensHeader:
 
     path: Path
     sensor: str
-    colour_intrinsic: NDArray[np.float64]
-    """(4, 4) [px], the first pixel's centre at (0, 0)."""
+    colour_intrinsic: NDArray[np.float64]  # (4, 4) [px], the first pixel's centre at (0, 0)
     depth_intrinsic: NDArray[np.float64]
-    extrinsics: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """(4, 4) of colour and of depth."""
+    extrinsics: tuple[NDArray[np.float64], NDArray[np.float64]]  # (4, 4) of colour and of depth
     colour_coding: int
     depth_coding: int
-    colour_size: tuple[int, int]
-    """Width and height [px]."""
+    colour_size: tuple[int, int]  # Width and height [px]
     depth_size: tuple[int, int]
     depth_per_metre: float
-    count: int
-    """Frames, as the file says."""
-    first_frame: int
-    """Where the first one begins."""
-    size: int
-    """Bytes of the whole file."""
+    count: int  # Frames, as the file says
+    first_frame: int  # Where the first one begins
+    size: int  # Bytes of the whole file
 
 
 class SensFrame(NamedTuple):
     """Pose, stamp and offsets of the images of a frame."""
 
     number: int
-    world_from_camera: NDArray[np.float64]
-    """(4, 4) [m]; infinite where the frame was not tracked."""
-    stamp: int
-    """Of the colour image [us]."""
+    world_from_camera: NDArray[np.float64]  # (4, 4) [m]; infinite where the frame was not tracked
+    stamp: int  # Of the colour image [us]
     colour_at: int
     colour_bytes: int
-    depth_bytes: int
-    """Of the depth image, which follows the colour image."""
+    depth_bytes: int  # Of the depth image, which follows the colour image
 
 
 def read_header(path: Path) -> SensHeader:
     """Return the header of a `.sens` file.
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty, of another kind or version, truncated, or codes its images in a
-        way that is not read.
-
+    Raises `InputError`: the file is missing, empty, of another kind or version, truncated, or codes its
+    images in a way that is not read.
     """
     with _open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -172,12 +159,8 @@ def _check(header: SensHeader) -> None:
 def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]:
     """Return the table of a file's frames; 96 bytes of each are read.
 
-    Raises
-    ------
-    InputError
-        The file ends before its last frame does, and `partial` does not allow that; or it has not
-        one whole frame.
-
+    Raises `InputError`: the file ends before its last frame does, and `partial` does not allow that; or
+    it has not one whole frame.
     """
     found: list[SensFrame] = []
     with _open_file(header.path) as file:
@@ -271,10 +254,8 @@ def _open_file(path: Path) -> BinaryIO:
         raise InputError(f"{path} cannot be read: {why}.") from error
 
 
-DEPTH_PER_METRE = 1000.0
-"""Units of depth in a metre of exported images."""
-_RIGID = 1e-2
-"""Poses are single precision, and rounded where they are exported."""
+DEPTH_PER_METRE = 1000.0  # Units of depth in a metre of exported images
+_RIGID = 1e-2  # Poses are single precision, and rounded where they are exported
 _INTRINSICS = ("intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt")
 """Of SensReader, and of ScanNet's own selection of 25,000 frames."""
 
@@ -321,24 +302,13 @@ def read_sens(
     Colour and depth are taken as of one viewpoint, as ScanNet says they are; extrinsics are not
     applied.
 
-    Parameters
-    ----------
-    path
-        File, or the folder of the scan that it lies in.
-    labels
-        Which label images beside it to use: `instance-filt/`, `label-filt/`, either, or none.
-    label_column
-        Column of ScanNet's label table that names labels; `raw_category` if not given.
-    partial
-        Whether a truncated file is used as far as its frames are whole.
+    `path`: file, or the folder of the scan that it lies in; `labels`: which label images beside it to
+    use: `instance-filt/`, `label-filt/`, either, or none; `label_column`: column of ScanNet's label
+    table that names labels; `raw_category` if not given; `partial`: whether a truncated file is used as
+    far as its frames are whole.
 
-    Raises
-    ------
-    InputError
-        The file is missing, of another version, or truncated, or no frame of it can be used.
-    OptionError
-        `labels` is none of its values; the table has no such column.
-
+    Raises `InputError`: the file is missing, of another version, or truncated, or no frame of it can be
+    used; `OptionError`: `labels` is none of its values; the table has no such column.
     """
     file = _find_sens(Path(path))
     if file is None:
@@ -427,13 +397,8 @@ def read_scannet_export(
     smaller need `<scan>.txt` beside, which says what size the intrinsics are of. Depth is in
     millimetres. Stamps are the frames' numbers. Everything else is as in `read_sens`.
 
-    Raises
-    ------
-    InputError
-        A file is missing, unreadable, or not what it should be, or no frame can be used.
-    OptionError
-        `labels` is none of its values; the table has no such column.
-
+    Raises `InputError`: a file is missing, unreadable, or not what it should be, or no frame can be
+    used; `OptionError`: `labels` is none of its values; the table has no such column.
     """
     path = Path(path)
     colours = list_numbered(path / "color", ENDINGS)

@@ -39,8 +39,10 @@ _LENSES = {"OPENCV": "opencv", "PINHOLE": "opencv", "OPENCV_FISHEYE": "fisheye"}
 _MIN_DIFFERENCE = (
     0.15  # by how much y or z must be more nearly one direction of the images than the other
 )
-_UNSCALED = {"colmap_im_id", "sharpness"}
-"""Keys of frames whose poses COLMAP found, which knows no metres."""
+_UNSCALED = {
+    "colmap_im_id",
+    "sharpness",
+}  # Keys of frames whose poses COLMAP found, which knows no metres
 
 
 def is_transforms(path: Path) -> bool:

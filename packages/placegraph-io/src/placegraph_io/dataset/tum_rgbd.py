@@ -26,8 +26,7 @@ from placegraph.io.capture.posed import (
 )
 from placegraph.io.capture.tum import read_tum
 
-PER_METRE = 5000.0
-"""Units of depth in a metre."""
+PER_METRE = 5000.0  # Units of depth in a metre
 _DISTORTION = {
     1: (0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
     2: (0.231222, -0.784899, -0.003257, -0.000105, 0.917205),

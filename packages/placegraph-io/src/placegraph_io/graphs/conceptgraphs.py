@@ -33,18 +33,15 @@ Up = Literal["y", "z"]
 
 UNKNOWN = "unknown"
 _OBJECTS, _EDGES, _PICKLES = "obj_json_*.json", "edge_json_*.json", "pcd_*.pkl.gz"
-_TURNED = ("overlap", "accurate")
-"""Words of `spatial_sim_type` whose boxes are rotated."""
+_TURNED = ("overlap", "accurate")  # Words of `spatial_sim_type` whose boxes are rotated
 _HEADINGS = 12  # of a box, within half a turn
 _MIN_VERTICES = 20  # near an object, that determine how its box is rotated
 
 
 class _Object(NamedTuple):
     thing: ModelObject
-    centre: Floats
-    """(3,) [m]"""
-    extent: Floats
-    """(3,) full lengths [m]"""
+    centre: Floats  # (3,) [m]
+    extent: Floats  # (3,) full lengths [m]
 
 
 def is_conceptgraphs(path: str | PathLike[str]) -> bool:
@@ -63,22 +60,13 @@ def read_conceptgraphs(
 ) -> Model:
     """Read the objects of a run with relations and shapes.
 
-    Parameters
-    ----------
-    path
-        Folder of the run, or its `obj_json_RUN.json`.
-    up
-        Up axis of the poses that ConceptGraphs was given: "z", or "y" as in ARKit.
-    mesh
-        Mesh of the place (PLY or OBJ) in those axes. Triangles in an object's box belong to it, the others
-        to one object "unknown". Without a mesh, objects are boxes.
+    `path`: folder of the run, or its `obj_json_RUN.json`; `up`: up axis of the poses that ConceptGraphs
+    was given: "z", or "y" as in ARKit; `mesh`: mesh of the place (PLY or OBJ) in those axes. Triangles
+    in an object's box belong to it, the others to one object "unknown". Without a mesh, objects are
+    boxes.
 
-    Raises
-    ------
-    InputError
-        The folder holds only pickles; a file is missing, damaged, or holds no object; no object lies
-        where the mesh does.
-
+    Raises `InputError`: the folder holds only pickles; a file is missing, damaged, or holds no object;
+    no object lies where the mesh does.
     """
     path = Path(path)
     file = path if path.is_file() else _find_objects_file(path)

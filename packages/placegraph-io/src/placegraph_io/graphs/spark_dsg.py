@@ -25,8 +25,7 @@ from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 Floats = NDArray[np.float64]
-Box = tuple[Floats, Floats, Floats]
-"""Centre and lengths (3,) [m], and world_from_box (3, 3)."""
+Box = tuple[Floats, Floats, Floats]  # Centre and lengths (3,) [m], and world_from_box (3, 3)
 
 
 MARGIN = 0.05
@@ -39,14 +38,10 @@ _QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), 
 class DsgMesh:
     """Mesh of a scene graph file."""
 
-    points: Floats
-    """(V, 3) [m]"""
-    faces: NDArray[np.int64]
-    """(T, 3)"""
-    colours: NDArray[np.uint8]
-    """(V, 3)"""
-    labels: NDArray[np.int64]
-    """(V,) semantic labels, -1 where there are none."""
+    points: Floats  # (V, 3) [m]
+    faces: NDArray[np.int64]  # (T, 3)
+    colours: NDArray[np.uint8]  # (V, 3)
+    labels: NDArray[np.int64]  # (V,) semantic labels, -1 where there are none
 
 
 @dataclass(slots=True, eq=False)
@@ -196,8 +191,7 @@ def join_pieces(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
 
 
 Json = dict[str, Any]
-_LOGGED = ("dsg_with_mesh.json", "dsg.json")
-"""Files in `backend/` of Hydra's log folder."""
+_LOGGED = ("dsg_with_mesh.json", "dsg.json")  # Files in `backend/` of Hydra's log folder
 
 
 def find_graph_file(path: Path) -> Path:
@@ -252,14 +246,11 @@ def text_attributes(attributes: Json) -> dict[str, str]:
 
 
 HEADER = "SPARK_DSG_header"
-OWN = "placegraph"
-"""Key of the metadata with values that the format has no field for."""
-OBJECTS, PLACES, ROOMS, BUILDINGS = 2, 3, 4, 5
-"""Default numbers of the layers."""
+OWN = "placegraph"  # Key of the metadata with values that the format has no field for
+OBJECTS, PLACES, ROOMS, BUILDINGS = 2, 3, 4, 5  # Default numbers of the layers
 NO_LABEL = (1 << 32) - 1
 UNKNOWN = "unknown"
-LARGEST = 512 << 20
-"""Bytes of the largest file that is read: JSON needs five times as much memory."""
+LARGEST = 512 << 20  # Bytes of the largest file that is read: JSON needs five times as much memory
 
 _SIGNS = (HEADER.encode(), b'"layer_keys"', b'"layer_ids"', b'"EdgeAttributes"')
 _SYMBOL = re.compile(r"[A-Za-z]\(?\d+\)?")  # O3, O(3): a node's number, no name
@@ -313,13 +304,11 @@ class _Node:
     """One object of the graph."""
 
     id: int
-    label: int
-    """Semantic label, or -1."""
+    label: int  # Semantic label, or -1
     thing: ModelObject
     box: Box | None
     connections: NDArray[np.int64]
-    mesh: DsgMesh | None
-    """Mesh of a Khronos object, in the frame of its box."""
+    mesh: DsgMesh | None  # Mesh of a Khronos object, in the frame of its box
 
 
 @dataclass(slots=True)

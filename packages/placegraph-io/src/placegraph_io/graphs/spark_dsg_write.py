@@ -25,10 +25,8 @@ from placegraph_io.graphs.spark_dsg import (
 Json = dict[str, Any]
 
 
-VERSION = (1, 1, 3)
-"""Of the layout that is written; Spark-DSG 1.1.1, 1.1.2 and 1.1.3 load it."""
-AGENT = ord("a")
-"""Partition and prefix of the first camera path; the next are b, c, ..."""
+VERSION = (1, 1, 3)  # Of the layout that is written; Spark-DSG 1.1.1, 1.1.2 and 1.1.3 load it
+AGENT = ord("a")  # Partition and prefix of the first camera path; the next are b, c,
 MOST_PATHS = ord("z") - AGENT + 1
 _DECIMALS = 6  # of coordinates: a micrometre
 
@@ -46,17 +44,9 @@ def encode_spark_dsg(
     label's number in the layer's label space; its id, name and attributes stand in its metadata.
     Relations become edges, whose metadata name them. Colours are those of the vertices.
 
-    Parameters
-    ----------
-    model
-        Things with triangles, and relations between them.
-    rooms
-        (N,) name of the room of each thing; things of one name share a room.
-    camera_paths
-        Names and (T, 4, 4) map_from_camera: each becomes a chain of agents.
-    note
-        More metadata of the graph, under ``placegraph``.
-
+    `model`: things with triangles, and relations between them; `rooms`: (N,) name of the room of each
+    thing; things of one name share a room; `camera_paths`: names and (T, 4, 4) map_from_camera: each
+    becomes a chain of agents; `note`: more metadata of the graph, under ``placegraph``.
     """
     corners, triangles, vertex_thing, vertex = _owned(model)
     labels = sorted({t.label for t in model.things})

@@ -106,8 +106,7 @@ class Chunk:
 
     file: File
     start: int
-    size: int
-    """Bytes in the file."""
+    size: int  # Bytes in the file
     compression: str = ""
     rosbag1: bool = False
 
@@ -188,17 +187,12 @@ class Topic:
     """Messages of one name and type, in the order of their recording."""
 
     name: str
-    type: str
-    """As ROS 2 names it: `sensor_msgs/msg/Image`."""
-    encoding: str
-    """`cdr` (ROS 2) or `ros1`; others are not read."""
-    times: NDArray[np.int64]
-    """(N,) ascending [ns]."""
+    type: str  # As ROS 2 names it: `sensor_msgs/msg/Image`
+    encoding: str  # `cdr` (ROS 2) or `ros1`; others are not read
+    times: NDArray[np.int64]  # (N,) ascending [ns]
     places: tuple[MessageStore, ...]
-    which: NDArray[np.int64]
-    """(N,) row of `places`."""
-    offsets: NDArray[np.int64]
-    """(N,) offsets in the places."""
+    which: NDArray[np.int64]  # (N,) row of `places`
+    offsets: NDArray[np.int64]  # (N,) offsets in the places
 
     def __len__(self) -> int:
         return len(self.times)
@@ -469,10 +463,8 @@ class Bag:
     """Topics of a bag."""
 
     path: Path
-    topics: dict[str, Topic]
-    """By name, in alphabetical order."""
-    notes: tuple[str, ...]
-    """Sentences about problems of the index."""
+    topics: dict[str, Topic]  # By name, in alphabetical order
+    notes: tuple[str, ...]  # Sentences about problems of the index
 
     def of_type(self, *types: str) -> list[Topic]:
         """Return the topics of some types, such as `sensor_msgs/Imu`, with readable messages."""
@@ -493,13 +485,8 @@ def is_bag(path: Path) -> bool:
 def open_bag(path: Path) -> Bag:
     """Read the index of a bag, not its messages.
 
-    Raises
-    ------
-    InputError
-        It is no bag, is damaged beyond reading, or holds no message.
-    MissingExtraError
-        `rosbags` is not installed.
-
+    Raises `InputError`: it is no bag, is damaged beyond reading, or holds no message;
+    `MissingExtraError`: `rosbags` is not installed.
     """
     try:
         import rosbags  # noqa: F401  # decodes what the index leads to

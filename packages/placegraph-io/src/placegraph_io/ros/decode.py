@@ -90,8 +90,7 @@ def typestore(encoding: str) -> Typestore:
     return store
 
 
-HEAD = 24
-"""Bytes from which a message's stamp is read."""
+HEAD = 24  # Bytes from which a message's stamp is read
 
 
 def decode_message(message: Message, topic: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
@@ -150,8 +149,7 @@ _YUV = {"yuv422": (1, 0, 2), "uyvy": (1, 0, 2), "yuv422_yuy2": (0, 1, 3), "yuyv"
 """Positions of the first luminance, U and V in four bytes of two pixels."""
 _BAYER = {"rggb": (0, 0), "grbg": (0, 1), "gbrg": (1, 0), "bggr": (1, 1)}
 """Row and column of the first red pixel."""
-DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
-"""Number types of depth encodings."""
+DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}  # Number types of depth encodings
 GREYS = ("mono8", "8UC1", "mono16")
 _LARGEST = 1 << 16
 _PACKED_HEAD = 12  # bytes before the image in compressedDepth: format and two numbers

@@ -21,10 +21,10 @@ from placegraph_io.up import upright
 if TYPE_CHECKING:
     from placegraph_io.ros.topics import ImageTopic, TopicChoice
 
-MAX_GAP = 0.5
-"""Longest gap between samples of a transform that is interpolated [s]."""
-EXTRAPOLATION = 0.05
-"""Time before the first and after the last sample for which a transform holds [s]."""
+MAX_GAP = 0.5  # Longest gap between samples of a transform that is interpolated [s]
+EXTRAPOLATION = (
+    0.05  # Time before the first and after the last sample for which a transform holds [s]
+)
 _FIXED_TOLERANCE = 1e-9
 _UNIT_TOLERANCE = 1e-2  # quaternions are written with few digits
 
@@ -41,14 +41,10 @@ def is_static(topic: str) -> bool:
 class Edge:
     """Samples of one transform, parent_from_child."""
 
-    stamps: NDArray[np.float64]
-    """(N,) strictly ascending [s]."""
-    position: NDArray[np.float64]
-    """(N, 3) [m]"""
-    xyzw: NDArray[np.float64]
-    """(N, 4) of unit length."""
-    fixed: bool
-    """Whether it never changes."""
+    stamps: NDArray[np.float64]  # (N,) strictly ascending [s]
+    position: NDArray[np.float64]  # (N, 3) [m]
+    xyzw: NDArray[np.float64]  # (N, 4) of unit length
+    fixed: bool  # Whether it never changes
 
     @classmethod
     def from_samples(
@@ -106,10 +102,8 @@ class Edge:
 class TransformTree:
     """Frames and the edges between them; a child that has two parents keeps both."""
 
-    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
-    """By parent and child."""
-    invalid: int = 0
-    """Number of invalid samples: not finite, or without a unit quaternion."""
+    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)  # By parent and child
+    invalid: int = 0  # Number of invalid samples: not finite, or without a unit quaternion
 
     def add(self, samples: Samples, *, static: bool = False) -> None:
         """Add samples in the order of their recording."""
@@ -272,8 +266,7 @@ class OdometryCovariance(NamedTuple):
 
     covariance: NDArray[np.float64]
     """(6, 6) of x, y, z [m] and a rotation about its frame's axes [rad]; unchecked."""
-    position: NDArray[np.float64]
-    """(3,) [m]"""
+    position: NDArray[np.float64]  # (3,) [m]
 
     @classmethod
     def from_message(cls, message: Any) -> Self:  # noqa: ANN401  # rosbags'
@@ -293,13 +286,11 @@ class OdometryCovariance(NamedTuple):
             return np.asarray(jacobian @ self.covariance @ jacobian.T)
 
 
-CLOCK_JUMP = 0.5
-"""Stamps that go back by more [s] mean that the clock was set back."""
+CLOCK_JUMP = 0.5  # Stamps that go back by more [s] mean that the clock was set back
 _IMU_SAMPLES = 1000  # whose mean is gravity to a tenth of a degree
 _LEVEL_TOLERANCE = np.radians(3.0)  # between an IMU and level odometry
 TRANSFORM_TYPES = "tf2_msgs/TFMessage", "tf/tfMessage"
-MAP_FRAMES = ("map", "world")
-"""Frames of localization, SLAM or motion capture, not of odometry."""
+MAP_FRAMES = ("map", "world")  # Frames of localization, SLAM or motion capture, not of odometry
 
 
 @dataclass(eq=False)
@@ -316,17 +307,14 @@ class PoseReader:
     rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Rows of the colour images that are used."""
     tree: TransformTree = field(default_factory=TransformTree)
-    frame: str = ""
-    """Frame of the poses."""
-    odometry: Topic | None = None
-    """None where transforms hold the poses."""
+    frame: str = ""  # Frame of the poses
+    odometry: Topic | None = None  # None where transforms hold the poses
     imu: Topic | None = None
-    transform_topics: list[Topic] = field(default_factory=list)
-    """Topics of transforms."""
-    recorded: bool = False
-    """Whether times of recording replace stamps, since clocks differ."""
-    upright_from_frame: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
-    """(3, 3), by the IMU."""
+    transform_topics: list[Topic] = field(default_factory=list)  # Topics of transforms
+    recorded: bool = False  # Whether times of recording replace stamps, since clocks differ
+    upright_from_frame: NDArray[np.float64] = field(
+        default_factory=lambda: np.eye(3)
+    )  # (3, 3), by the IMU
     notes: list[str] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
 

@@ -54,13 +54,10 @@ class Packet(NamedTuple):
     """One message with its time of arrival."""
 
     topic: str
-    type: str
-    """As ROS 2 names it: `sensor_msgs/msg/Image`."""
-    time: float
-    """Time of recording or arrival [s]."""
+    type: str  # As ROS 2 names it: `sensor_msgs/msg/Image`
+    time: float  # Time of recording or arrival [s]
     data: bytes
-    encoding: str = "cdr"
-    """`cdr` (ROS 2) or `ros1`."""
+    encoding: str = "cdr"  # `cdr` (ROS 2) or `ros1`
 
     @property
     def stamp(self) -> float:
@@ -83,16 +80,14 @@ class Fault(NamedTuple):
     """A message that cannot be read."""
 
     topic: str
-    reason: str
-    """Reason, a sentence."""
+    reason: str  # Reason, a sentence
 
 
 @dataclass(frozen=True, slots=True)
 class MemoryStore:
     """Messages in memory, a `containers.MessageStore`."""
 
-    path: Path
-    """Name of the stream in error messages."""
+    path: Path  # Name of the stream in error messages
     data: Sequence[bytes]
 
     def read(self, offset: int, most: int | None = None) -> bytes:
@@ -117,8 +112,7 @@ def bag_packets(bag: Bag, topics: Collection[str]) -> Iterator[Packet | Fault]:
         yield Packet(topic.name, topic.type, float(times[i]) * 1e-9, data, topic.encoding)
 
 
-LISTEN = 1.0
-"""Time before the first choice of topics, and between two attempts [s]."""
+LISTEN = 1.0  # Time before the first choice of topics, and between two attempts [s]
 _IMAGES, _OTHERS = 16, 2000  # messages of a topic that are stored until then
 OTHERS = ("sensor_msgs/CameraInfo", "nav_msgs/Odometry", "sensor_msgs/Imu")
 WANTED = frozenset((*IMAGES, *TRANSFORM_TYPES, *OTHERS))
@@ -191,10 +185,8 @@ class StreamDiscovery:
         return Bag(self.path, dict(sorted(topics.items())), ())
 
 
-LONGEST_WAIT = 0.5
-"""Longest time that a frame waits for depth and transforms [s]."""
-SILENT = 1.0
-"""Time without depth after which frames have none [s]."""
+LONGEST_WAIT = 0.5  # Longest time that a frame waits for depth and transforms [s]
+SILENT = 1.0  # Time without depth after which frames have none [s]
 _HISTORY = 5.0  # of transforms [s]
 _WAITING, _DEPTHS = 30, 30
 _BASES = ("base_link", "base_footprint")
@@ -204,8 +196,7 @@ class OdometryPose(NamedTuple):
     """Pose of the camera by odometry."""
 
     stamp: float
-    odometry_from_camera: NDArray[np.float64]
-    """(4, 4) [m]"""
+    odometry_from_camera: NDArray[np.float64]  # (4, 4) [m]
     covariance: NDArray[np.float64] | None
     """(6, 6) as odometry reports it, in its frame: x, y, z [m] and rotation about the axes [rad];
     unchecked. None where transforms hold the pose."""

@@ -38,13 +38,10 @@ class ImageTopic(NamedTuple):
     """An image topic, described by its first message."""
 
     topic: Topic
-    kind: str
-    """`colour`, `grey`, `depth`, or empty: not read."""
-    problem: str = ""
-    """Why it cannot be read."""
+    kind: str  # `colour`, `grey`, `depth`, or empty: not read
+    problem: str = ""  # Why it cannot be read
     frame: str = ""
-    size: tuple[int, int] = (0, 0)
-    """Width and height [px]."""
+    size: tuple[int, int] = (0, 0)  # Width and height [px]
     encoding: str = ""
 
     @property
@@ -281,15 +278,11 @@ class TopicChoice:
     depth: str | None = None
     odometry: str | None = None
     imu: str | None = None
-    frame: str | None = None
-    """Frame of the poses."""
-    camera: str | dict[str, Any] | None = None
-    """CameraInfo topic, or intrinsics."""
+    frame: str | None = None  # Frame of the poses
+    camera: str | dict[str, Any] | None = None  # CameraInfo topic, or intrinsics
     depth_camera: str | dict[str, Any] | None = None
-    depth_scale: float | None = None
-    """Units of depth in a metre."""
-    transforms: Samples = field(default_factory=dict)
-    """Fixed transforms that the bag lacks."""
+    depth_scale: float | None = None  # Units of depth in a metre
+    transforms: Samples = field(default_factory=dict)  # Fixed transforms that the bag lacks
     with_depth: bool = True
     with_imu: bool = True
 
@@ -359,11 +352,9 @@ class CapturePlan:
     camera: Camera | None = None
     camera_topic: Topic | None = None
     depth: ImageTopic | None = None
-    depth_camera: Camera | None = None
-    """Camera of the depth images of the capture."""
+    depth_camera: Camera | None = None  # Camera of the depth images of the capture
     depth_camera_topic: Topic | None = None
-    registration: Registration | None = None
-    """Set where depth was measured by another camera."""
+    registration: Registration | None = None  # Set where depth was measured by another camera
     pose_reader: PoseReader | None = None
     missing: dict[str, str] = field(default_factory=dict)
     """By role (colour, camera, poses, depth) the sentence of the error."""
