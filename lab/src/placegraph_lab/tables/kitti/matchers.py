@@ -29,8 +29,9 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE
 from placegraph.outdoor.map.directions_kernels import direction_table
 from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.network.graphs import PlaceGraphs
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordWeights, make_word_fits
 from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
+from placegraph.outdoor.search.edit_distance import rank
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
@@ -314,8 +315,6 @@ class EditDistance:
 
     def scores(self, description: Description) -> Floats:
         """Minus the distance (K,); equals in the order of the first matcher."""
-        from placegraph.outdoor.search.edit_distance import rank
-
         before = self.first.scores(description)
         chosen = np.argsort(-before, kind="stable")[: self.candidates]
         centers = None if self.centers is None else self.centers[chosen]
@@ -349,8 +348,6 @@ class Transformer:
 
     def scores(self, description: Description) -> Floats:
         """Log odds (K,) that a cell is meant."""
-        from placegraph.outdoor.network.graphs import TextGraphs
-
         texts = TextGraphs.of([description])
         rows = np.arange(len(self.graphs))
         if self.candidates is not None and self.candidates < len(rows):
@@ -362,8 +359,6 @@ class Transformer:
         return total
 
     def _match_words(self, texts: Any) -> Any:
-        from placegraph.outdoor.network.graphs import WordWeights, make_word_fits
-
         own = {word: row for row, word in enumerate(self.places.vocabulary)}
         row = np.array([own.get(word, -1) for word in texts.vocabulary], np.int64)
         tokens = row[texts.words]

@@ -17,11 +17,11 @@ import numpy as np
 from placegraph.core.files import check_regular
 from placegraph.errors import DescriptionError, InputError
 from placegraph.io.osm.osm import SUFFIXES
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
 from placegraph_lab.tables.runner import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.options import Matcher
 
 FIELDS = ("id", "text", "longitude", "latitude", "heading_deg", "near")
@@ -236,8 +236,6 @@ def evaluate_folder(
 
 
 def _map(folder: Path, steps: Progress) -> CityMap:
-    from placegraph.outdoor.city import CityMap, build_city
-
     maps = sorted(folder.glob("*.city"))
     if len(maps) > 1:
         raise InputError(

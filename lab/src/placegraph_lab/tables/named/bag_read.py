@@ -21,6 +21,7 @@ import numpy as np
 from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Capture, Frame
+from placegraph_io.ros.decode import decode_message
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, option, render, table
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
@@ -133,8 +134,6 @@ def time_opening(frames: int, folder: Path, rounds: int) -> float:
 
 def read_messages(path: Path) -> int:
     """Open a bag as a capture, and decode the messages of its images; their bytes."""
-    from placegraph_io.ros.decode import decode_message
-
     total = 0
     for frame in open_capture(path):
         images: Any = frame.images

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -277,7 +277,7 @@ def outdoor_ablation(
         {
             "name": name,
             "recall": [recall(r) for r in runs],
-            "options": asdict(every.get(name, base)),
+            "options": every.get(name, base),
         }
         for name, runs in found.items()
     ]

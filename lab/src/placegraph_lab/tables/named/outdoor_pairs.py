@@ -20,7 +20,15 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import score_views
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordFits
+from placegraph.outdoor.network.graphs import (
+    PlaceGraphs,
+    TextGraphs,
+    WordFits,
+    find_word_weights,
+    make_place_batch,
+    make_text_batch,
+    make_word_fits,
+)
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.posterior import PRIOR_COHERENT
@@ -139,7 +147,6 @@ class Pairs:
         """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
         import torch
 
-        from placegraph.outdoor.network.graphs import make_place_batch, make_text_batch
         from placegraph_learn.city.batches import Batch, forward, pair_batch
         from placegraph_learn.city.network import Network
 
@@ -175,13 +182,6 @@ class Pairs:
         return work
 
     def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
-        from placegraph.outdoor.network.graphs import (
-            PlaceGraphs,
-            TextGraphs,
-            find_word_weights,
-            make_word_fits,
-        )
-
         texts = TextGraphs.of(self.descriptions)
         fits = find_word_weights(texts, [compile_query(d, self.city) for d in self.descriptions])
         words = make_word_fits(fits, *self.city.word_counts)
@@ -207,8 +207,6 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
         return pairs.by_edits(plain=kind != "edits", texts=texts, cells=cells, timeout=0.1)
     if kind == "relations":
         return pairs.by_relations()
-    from placegraph.outdoor.network.network import GraphTransformer
-
     network = GraphTransformer.default()
     if kind in ("network", "encoded"):
         return pairs.by_network(network, encoded=kind == "encoded")

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import placegraph as pg
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import measure, score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
@@ -23,8 +24,6 @@ from placegraph_lab.tables.statistics import apart, peak
 
 def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
     """Build a map, after a small one has loaded and compiled what is needed."""
-    import placegraph as pg
-
     pg.build_city(small, city)
     start = time.perf_counter()
     made = pg.build_city(osm, city)
@@ -40,8 +39,6 @@ def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
 
 def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
     """Open a map and give it all texts, after every tenth has warmed it."""
-    import placegraph as pg
-
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     pg.CityMap.open(city)  # what is imported once does not count
     start = time.perf_counter()

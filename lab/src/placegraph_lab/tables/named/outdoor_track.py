@@ -17,6 +17,7 @@ from placegraph.core.estimate import CityEstimate
 from placegraph.core.geometry import Floats, bearing
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, measure, score
@@ -144,8 +145,6 @@ def describe_way(way: Floats, rng: Generator) -> str:
 def follow(city: CityMap, walk: Walk, method: Method) -> tuple[CityEstimate, list[float]]:
     """Estimate of the last place, and the seconds that every call took."""
     from time import perf_counter
-
-    from placegraph.outdoor.track.tracker import CityTracker
 
     if method in ("last place alone", "all as one text"):
         start = perf_counter()

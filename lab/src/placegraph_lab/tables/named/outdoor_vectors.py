@@ -16,7 +16,12 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.language import describe
+from placegraph.outdoor.network.graphs import TextGraphs
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.vectors import EmbeddedStore
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
+from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, show, table
 
@@ -56,12 +61,6 @@ def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Float
 
 def of_city(name: str, run: Run, queries: int, seed: int) -> tuple[Floats, Floats]:
     """Cells of a real map, and texts spoken in it, as the shipped network embeds them."""
-    from placegraph.outdoor.language import describe
-    from placegraph.outdoor.network.graphs import TextGraphs
-    from placegraph.outdoor.network.network import GraphTransformer
-    from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
-    from placegraph_lab.tables.outdoor.queries import make_queries
-
     told = make_queries(run.osm / EXTRACTS[name], n=queries, seed=seed)
     texts = [describe(q.text) for q in told]
     asked = GraphTransformer.default().embed_texts(TextGraphs.of(texts))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from typing import Annotated, Any
 
 import numpy as np
@@ -240,6 +239,6 @@ def scene_retrieval(
         "walks_of_a_home": 1 if thin else 2,
         "paper": PAPER,
         "rows": figures(measured),
-        "scale": [asdict(s) for s in large],
+        "scale": large,
     }
     run.save(record, whole=not (encoders or development))

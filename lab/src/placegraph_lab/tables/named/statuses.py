@@ -18,6 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+import placegraph as pg
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
@@ -380,8 +381,6 @@ def render_kind(outcomes: Sequence[SetOutcome], kind: str) -> str:
 
 def maps(run: Run) -> dict[str, CityMap]:
     """Every map, made anew: its making is part of what is outcomes."""
-    import placegraph as pg
-
     run.cache.mkdir(parents=True, exist_ok=True)
     sources = {name: run.osm / file for name, file in MADE.items()}
     sources["pittsburgh"] = run.cache / "pittsburgh.osm"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language import describe
 from placegraph.outdoor.map.objects import of_name
+from placegraph.outdoor.network.graphs import TextGraphs
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.stores import Vectors, load_store
 from placegraph_lab.tables.named.outdoor_vectors import clustered
@@ -46,8 +48,6 @@ def sparse_cells(city: CityMap) -> list[dict[int, float]]:
 
 def sparse_text(city: CityMap, text: str) -> dict[int, float]:
     """The words of a text, as the map's vocabulary understands them."""
-    from placegraph.outdoor.language import describe
-
     own: dict[int, float] = {}
     heavy = _rarity(city)
     rows = {word: i for i, word in enumerate(city.encoded.cells.vocabulary)}
@@ -76,9 +76,6 @@ def _unit(own: dict[int, float]) -> dict[int, float]:
 def hybrid(city: CityMap, queries: Sequence[Query], folder: Path) -> list[dict[str, Any]]:
     """Dense, sparse and both, in Milvus Lite, beside our index: share of places among the first."""
     from pymilvus import AnnSearchRequest, DataType, MilvusClient, RRFRanker
-
-    from placegraph.outdoor.language import describe
-    from placegraph.outdoor.network.graphs import TextGraphs
 
     client = MilvusClient(str(folder / "hybrid.db"))
     schema = client.create_schema(auto_id=False)
@@ -316,7 +313,7 @@ def vector_scale(
                 continue
             rows.append(apart(measured, module, size, queries, seed, run.cache))
             run.say(str(rows[-1]))
-            run.save({"rows": [asdict(r) for r in rows]})  # a server may never answer
+            run.save({"rows": rows})  # a server may never answer
     print(printed(rows))
     words: list[dict[str, Any]] = []
     if city and not find_spec("milvus_lite"):
@@ -332,4 +329,4 @@ def vector_scale(
             for w in words
         ]  # fmt: skip
         print(f"\n{markdown(header, lines)}")
-    run.save({"rows": [asdict(r) for r in rows], "city": city, "words": words})
+    run.save({"rows": rows, "city": city, "words": words})

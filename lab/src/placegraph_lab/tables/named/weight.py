@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean, median
 from time import perf_counter
@@ -241,5 +241,5 @@ def weight(
         figures += install(root)
     header = (Column(title, title) for title in ("", "at 9cf6d59", "now", "aim"))
     print(render(tuple(header), (figure.cells() for figure in figures)))
-    rows = {"parts": [asdict(w) for w in parts], "figures": [asdict(f) for f in figures]}
+    rows = {"parts": parts, "figures": figures}
     run.save({**rows, "prose": words}, whole=starts and installs)

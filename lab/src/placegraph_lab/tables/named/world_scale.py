@@ -13,8 +13,15 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.search.posterior import Posterior
-from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.locate import make_estimate, search_views
+from placegraph.outdoor.search.posterior import (
+    NO_MARGIN,
+    Candidates,
+    Posterior,
+    compute_posterior,
+    score_candidates,
+)
+from placegraph.outdoor.search.request import Hints, Matching, Request, make_request
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, tile
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
@@ -47,8 +54,6 @@ def build(small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:
 
 def ask(path: Path, small: Path, texts: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Open a map and give it all texts; compiled code was loaded by a small map before."""
-    from placegraph.outdoor.city import CityMap
-
     CityMap.open(small).locate("A bench is north of me.")
     before = _resident()
     start = _now()
@@ -64,16 +69,11 @@ def ask(path: Path, small: Path, texts: Mapping[str, Sequence[str]]) -> dict[str
 
 
 def equal(path: Path, texts: Mapping[str, Sequence[str]], most: int) -> dict[str, dict[str, float]]:
-    from placegraph.outdoor.city import CityMap
-
     city = CityMap.open(path)
     return {kind: _compared(city, some[:most]) for kind, some in texts.items()}
 
 
 def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
-    from placegraph.outdoor.search.locate import make_estimate, search_views
-    from placegraph.outdoor.search.request import Hints, Matching, make_request
-
     off: list[float] = []
     missed: list[float] = []
     for text in texts:
@@ -101,13 +101,6 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
 
 
 def exhaustive(request: Request) -> Posterior:
-    from placegraph.outdoor.search.posterior import (
-        NO_MARGIN,
-        Candidates,
-        compute_posterior,
-        score_candidates,
-    )
-
     every = Candidates.of_views(request, np.arange(len(request.city.views)))
     return compute_posterior(request, score_candidates(request, every, NO_MARGIN))
 

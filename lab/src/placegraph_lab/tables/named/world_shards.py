@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+import placegraph as pg
+from placegraph.maps import is_world
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
+from placegraph_scale.shards import WorldFile
 
 if TYPE_CHECKING:
     from placegraph.world.world import World
@@ -47,8 +50,6 @@ def work_rows(timed: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def time_workers(world: Path, texts: list[str]) -> dict[str, Any]:
     """One process, one worker, two, and two of which one is killed; whether all answer alike."""
-    from placegraph_scale.shards import WorldFile
-
     found = {f"{n} workers" if n else ALONE: apart(together, world, texts, n) for n in (0, 1, 2)}
     found["2 workers, one killed"] = apart(_killed, world, texts)
     answers = [one.pop("answers") for one in found.values()]
@@ -70,8 +71,6 @@ def together(
 ) -> dict[str, Any]:
     """Time texts with workers of a cluster, one of which is killed in between; 0: in this process."""
     from distributed import LocalCluster
-
-    import placegraph as pg
 
     if not workers:
         return _timed(pg.open_world(world), world.name, texts)
@@ -136,8 +135,6 @@ def count_touched(reason: str) -> int:
 
 def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
     """One map against its shards, text by text."""
-    import placegraph as pg
-
     whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
     for kind, queries in texts.items():
         whole.locate(queries[0].text)
@@ -166,8 +163,6 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
 
 def time_texts(world: Path, texts: Texts) -> dict[str, Any]:
     """Time and shards of all texts in one process, after a few have opened what they need."""
-    import placegraph as pg
-
     start = time.process_time()
     planet = pg.open_world(world)
     town: Any = planet.planets[world.name]
@@ -242,8 +237,6 @@ def world_shards(
     quick: lab.Quick = False,
 ) -> None:
     """Does a world in shards answer as one map? What texts take as it grows, and with workers."""
-    import placegraph as pg
-
     if quick:
         copies, queries = "1,2", 6
     folder = Path(worlds or run.cache / "worlds")
@@ -285,9 +278,6 @@ def _sources(town: Any) -> int:
 
 def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
     """Folders of a city's shards and of worlds of copies of them; those that are finished stay."""
-    import placegraph as pg
-    from placegraph.maps import is_world
-
     base, large = folder / "base", folder / "large"
     if not is_world(base):
         write_shards(pg.CityMap.open(city), base, zoom)
@@ -302,8 +292,6 @@ def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> 
 
 
 def sizes(folder: Path) -> dict[str, float]:
-    from placegraph_scale.shards import WorldFile
-
     shards = WorldFile.read(folder).shards
     return {
         "shards": len(shards),

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -194,7 +194,7 @@ class Maps:
         if key not in self.journal:
             self.tell(f"{place}: how far {size.name} is from full")
             one, other = (SceneMap.open(self.path(place, s)).mesh for s in (FULL, size))
-            self.journal.put(key, asdict(compare(one, other, np.random.default_rng(0))))
+            self.journal.put(key, compare(one, other, np.random.default_rng(0)))
         return Apart(**self.journal[key])
 
     def command(self, place: str, size: Size, out: Path, more: Sequence[str] = ()) -> list[str]:

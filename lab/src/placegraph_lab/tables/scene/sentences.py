@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -229,7 +229,7 @@ def figures(ranked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
         out.append(
             {"facts": facts, "wrong": wrong, "among": among, "sentences": len(own)}
             | {f"recall_{k}": value for k, value in zip(AT, recall(own), strict=True)}
-            | {"worst": asdict(worst)}
+            | {"worst": worst}
         )
     return out
 
