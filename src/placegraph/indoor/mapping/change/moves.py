@@ -454,7 +454,7 @@ _MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than 
 class _Bid(NamedTuple):
     """Claim of an object to a place."""
 
-    worth: float
+    weight: float
     row: int
     placement: Placement
 
@@ -514,19 +514,19 @@ def _award(scene: Scene, bids: Sequence[_Bid]) -> dict[int, Placement]:
     """Award each place to the object that bids most for it, each object one place."""
     won: dict[int, Placement] = {}
     places: list[tuple[Floats, Floats]] = []
-    for worth, row, placement in sorted(bids, key=lambda bid: -bid.worth):
+    for weight, row, placement in sorted(bids, key=lambda bid: -bid.weight):
         box = measure_box(scene, row, placement.motion)
         if row in won or any(_measure_box_overlap(*box, *other) > _SHARED for other in places):
             continue
         rivals = {
-            other.row: other.worth
+            other.row: other.weight
             for other in reversed(bids)
             if other.row != row
             and other.placement.score > _RIVAL * placement.score
             and _measure_box_overlap(*box, *measure_box(scene, other.row, other.placement.motion))
             > _SHARED
         }
-        share = worth / (worth + sum(rivals.values()))
+        share = weight / (weight + sum(rivals.values()))
         names = tuple(scene.graph.ids[other] for other in rivals)
         won[row] = replace(placement, rivals=names, share=share)
         places.append(box)
