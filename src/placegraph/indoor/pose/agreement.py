@@ -1,4 +1,8 @@
-"""Agreement of a pose with frames, and faults of the input that explain why they do not agree."""
+"""Agreement of a pose with frames, and faults of the input that explain why they do not agree.
+
+Each fault has a row in docs/benchmarks/indoor.md (*Robustness*, *Bad input*), which the function that
+looks for it names.
+"""
 
 from __future__ import annotations
 

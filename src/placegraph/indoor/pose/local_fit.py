@@ -373,7 +373,7 @@ _HOPE = 3.0  # times what paraboloids foresee, which fall too steeply, may be ga
 def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
     """Correct the drift of odometry in fits, if that gains clearly; best first.
 
-    Rows *drift* and *steady drift* of docs/benchmarks/indoor-robustness.md.
+    Rows *drift* and *steady drift* of docs/benchmarks/indoor.md.
     """
     if len(window) < 2:
         return candidates

@@ -1,12 +1,13 @@
-"""Correction of a camera that is not as the capture says.
+"""Correction of a camera that is not as the capture says, by frames with depth.
 
-Asked only of an answer that is not `OK`, whose refinement was refused, or that a cheap test of the
-refinement suspects. Unknown are focal lengths, gravity, and scale, time and place of depth. They are
-found together with the poses by Gauss-Newton: the normal equations of all poses (`fit`) are bordered by
-the unknowns that the frames have in common. Depth tells its scale (it grows along the rays) from its
-focal length (it grows across them); matches of images tell theirs; and both together tell where, and
-when, depth was read. Round by round frames are corrected by what was found before; an unknown that is
-not clearly off is taken for right.
+Used for an answer that is not `OK`, whose refinement was refused, or if `measure_scale_error` suspects the
+camera. Unknowns, with their rows in docs/benchmarks/indoor.md: focal lengths of images and of depth
+(*focal length*), scale (*depth scale*), time (*depth late*) and place (*depth aside*) of depth, and a turn
+of gravity (*tilt*). Gauss-Newton finds them together with the poses: the normal equations of all poses
+(`fit`) are bordered by the unknowns that frames have in common. Depth tells its scale (which grows along
+the rays) from its focal length (across them), matches tell the focal length of images, and both together
+tell where and when depth was read. Frames are corrected round by round; an unknown that is not clearly off
+stays as given.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ TILT = (10, 11, 12)
 """Turn [rad] of gravity, in the axes of the camera: an accelerometer that is mounted aslant."""
 COUNT = 13
 BEFORE = np.array([0.15, 0.15, 0.15, np.nan, *(0.1,) * 9])
-"""Standard deviations of the unknowns before anything is seen; of lags `lag.lag_deviation`."""
+"""Prior standard deviations of the unknowns; of lags `fit.lag_deviation`."""
 WIDTHS = (10.0, 10.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0)
-"""Of the robust kernel in each step [standard deviations]: what is off has to have a say at first."""
+"""Widths of the robust kernel in each step [standard deviations], wide at first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +73,7 @@ class CalibratedPoses:
     values: Floats
     """(COUNT,)"""
     errors: Floats
-    """(COUNT,) standard deviations; 0: it was not asked for."""
+    """(COUNT,) standard deviations; 0: not free."""
     cost: float
     """Mean robust cost of readings and matches, 0 to 1."""
 
@@ -97,10 +98,9 @@ def calibrate_camera(
     free: Sequence[int],
     widths: Sequence[float] = WIDTHS,
 ) -> CalibratedPoses:
-    """Return poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
+    """Fit poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
 
-    Where no step can be told, as of numbers that are not finite, nothing is found: the start, zeros,
-    and an infinite cost.
+    If a step is not finite, return the start, zeros, and an infinite cost.
     """
     poses, values, size = start.copy(), np.zeros(COUNT), 6 * len(start)
     choose_answer = np.array([*free, TIME], int)
@@ -138,7 +138,7 @@ def calibrate_camera(
 
 
 def _inverse(system: Floats) -> Floats:
-    """Return inverse of normal equations; NaN of those that have none."""
+    """Return the inverse of normal equations; NaN: there is none."""
     try:
         return np.asarray(np.linalg.inv(system))
     except np.linalg.LinAlgError:
@@ -146,7 +146,7 @@ def _inverse(system: Floats) -> Floats:
 
 
 def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Floats) -> None:
-    """Add how gravity (`solve._add_gravity`) depends on its own turn, which is none about gravity itself."""
+    """Add the derivatives of the gravity prior (`fit.add_priors`) by a turn of gravity."""
     up, variance = measure_lean(problem, poses)
     turns = poses[:, :3, :3] @ cross_matrix(problem.gravity)
     own = 6 * len(poses) + np.array(TILT)
@@ -393,7 +393,7 @@ class CorrectedImages:
         return self.correct_depth(self.images.depth())
 
     def correct_depth(self, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """Return depth (h, w) [m] as it was read, mended."""
+        """Correct depth readings (h, w) [m]."""
         if depth is None:
             return None
         scaled = (depth * np.float32(self.factor)).astype(np.float32)
@@ -403,14 +403,14 @@ class CorrectedImages:
 
 
 def correct_depth(frame: Frame, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-    """Return depth (h, w) [m] of a mended frame, from what was read."""
+    """Correct depth readings (h, w) [m] of a frame whose images are corrected."""
     return frame.images.correct_depth(depth) if isinstance(frame.images, CorrectedImages) else depth
 
 
 def reproject_depth(
     depth: NDArray[np.float32], camera: Camera, seen_from_camera: Floats
 ) -> NDArray[np.float32]:
-    """Return depth (h, w) [m] as the same camera would read it from elsewhere, NaN where that is not known.
+    """Reproject depth (h, w) [m] into the same camera at another pose; NaN: unknown.
 
     `seen_from_camera`: (4, 4) pose of the camera that read it, in the axes of the one that would.
     """
@@ -427,13 +427,13 @@ def reproject_depth(
 
 
 def scale_focal(camera: Camera, logarithm: float) -> Camera:
-    """Return camera whose focal length is another, by the logarithm of the factor."""
+    """Scale the focal length of a camera by the logarithm of the factor."""
     factor = float(np.exp(logarithm))
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor) if logarithm else camera
 
 
 def share_view(camera: Camera, other: Camera | None) -> bool:
-    """Return whether two cameras are told to see the same, in images of whatever size."""
+    """Return whether two cameras have one view, in images of any size."""
     if other is None:
         return False
     same = camera.resized(other.width, other.height)
@@ -447,33 +447,33 @@ def _percent(logarithm: float) -> str:
 
 
 OFF = 0.04
-"""Logarithm of a factor from which on a camera is wrong: depth of real sensors is off by 1 to 3 %."""
+"""Least logarithm of a factor that is corrected: depth of real sensors is off by 1 to 3 %."""
 TILTED = 0.0175
-"""Turn [rad] from which on gravity is off."""
+"""Least turn [rad] of gravity that is corrected."""
 CLEAR = 4.0
-"""Standard errors that it must be off by, too."""
+"""Least number of standard errors of a corrected unknown."""
 SUSPECT = 0.02
-"""... and from which on one linear step at the refined pose asks for a closer look."""
+"""Least logarithm in one linear step at the refined pose that starts a camera correction."""
 PLAUSIBLE = 0.25
-"""What is off by more is another place."""
+"""Largest logarithm; beyond, the pose is of another place."""
 ENOUGH = 300
-"""Matches below which images tell nothing of their camera."""
+"""Least number of matches that tell the focal length of images."""
 DULL = 0.35
 """Correlation of held-back parts of the images with the map at a pose that depth has fitted, below
 which depth and images may not be of one place: right ones have 0.4 and more (benchmark)."""
 APART = (0.03, 0.012)
 """Way [m] and turn [rad] between depth and images from which on they are not of one view."""
 GAIN = 0.04
-"""Share of the robust cost that a mended camera must save."""
+"""Least share of the robust cost that a correction saves."""
 TRIAL_MODES, TRIAL_FRAMES, TRIAL_READINGS = 4, 5, 500
-"""Modes that are tried, by how many frames, with how many readings each."""
+"""Numbers of modes, frames, and readings a frame in a trial."""
 TRIAL = (10.0, 10.0, 6.0, 6.0, 4.0)
 """Kernels of a trial [standard deviations]."""
 MOST = 12
-"""Frames that a camera is told from."""
+"""Largest number of frames for a correction."""
 ROUNDS = 4
 SETTLED = 0.003
-"""Rounds end where nothing changes by more."""
+"""Largest change in the last round."""
 
 
 def measure_scale_error(refiner: Refiner, trajectory: FittedTrajectory) -> float:
@@ -533,7 +533,7 @@ def _part(window: Window, rows: NDArray[np.int64]) -> Window:
 
 @dataclass(eq=False)
 class _CameraSearch:
-    """Frames whose camera is looked into, and what has been found of it."""
+    """Search of a camera correction for the frames of a window."""
 
     window: Window
     refining: RefineSetup
@@ -552,7 +552,7 @@ class _CameraSearch:
         return Refiner.of(mended, options, None)
 
     def nearest(self, starts: list[Floats]) -> Floats:
-        """Return the start (T, 4, 4) from which frames fit best, were the camera another."""
+        """Return the start (T, 4, 4) from which frames fit best with a free scale and focal length."""
         rows = spread(len(self.window), TRIAL_FRAMES)
         refiner = self.refiner(_part(self.window, rows), TRIAL_READINGS)
         problem, free = refiner.problem(), [SCALE, FOCAL]
@@ -583,7 +583,7 @@ class _CameraSearch:
     def _select_unknowns(
         self, refiner: Refiner, problem: Problem, poses: Floats, free: list[int]
     ) -> tuple[Floats, float]:
-        """Return poses fitted with what is clearly off, which is taken over; and how much that changed."""
+        """Fit poses with the unknowns that are clearly off, apply these, and return their largest change."""
         before, unknowns, least = self.correction.values, list(free), np.full(COUNT, OFF)
         tilt = list(TILT)
         least[tilt] = TILTED
@@ -617,7 +617,7 @@ class _CameraSearch:
     def _offset(
         self, refiner: Refiner, problem: Problem, fit: CalibratedPoses, unknowns: list[int]
     ) -> tuple[CalibratedPoses, list[int]]:
-        """Return the fit with depth of another place than the images, where that is clear."""
+        """Return the fit with depth apart from the images, if that is clear."""
         apart = calibrate_camera(refiner.scene, problem, fit.poses, [*unknowns, *PLACE])
         place, errors = apart.values[list(PLACE)], apart.errors[list(PLACE)]
         away = np.linalg.norm(place[:3]) > APART[0] or np.linalg.norm(place[3:]) > APART[1]

@@ -32,11 +32,11 @@ from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.trace_kernels import Tracer
 from placegraph.indoor.refine.matching import Matcher, Matches
-from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.refine_kernels import plane_distances, read
 from placegraph.indoor.render import Renderer, Rendering, camera_rays
 from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.images import resize_image
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching.matches import Features
@@ -232,7 +232,7 @@ def match_views(
     """
     camera = shrink_camera(frame.camera, size)
     drawn = [renderer.render(pose, camera, samples=1) for pose in poses]
-    shown = resized(query, camera.width, camera.height)
+    shown = resize_image(query, camera.width, camera.height)
     found = matcher.match(shown, [d.colour for d in drawn], masks=[d.mask for d in drawn])
     found = _check_matches(found, matcher, len(drawn), camera)
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
@@ -413,7 +413,7 @@ def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> 
     camera = shrink_camera(frame.camera, LARGEST)
     x, y, _ = frame.gravity
     down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
-    found = sift.described(resized(rgb, camera.width, camera.height), down)
+    found = sift.described(resize_image(rgb, camera.width, camera.height), down)
     scale = np.array([rgb.shape[1] / camera.width, rgb.shape[0] / camera.height])
     return type(found)(found.points * scale, compact(found.vectors))
 

@@ -46,7 +46,6 @@ from placegraph.indoor.refine.correspondences import (
 from placegraph.indoor.refine.fit import odometry_errors
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.matching import matcher as matcher_named
-from placegraph.indoor.refine.matching.guided import lightness, resized
 from placegraph.indoor.refine.refine_kernels import correlations
 from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner
 from placegraph.indoor.render import Renderer
@@ -60,6 +59,7 @@ from placegraph.indoor.status import (
     diagnostics_of,
 )
 from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.images import lightness, resize_image
 
 NEAR = 0.1
 """Largest distance [m] of readings from the map's surface that count."""
@@ -179,7 +179,7 @@ def image_evidence(
                 out.append(np.zeros(0))
             continue
         small = shrink_camera(frame.camera, SMALL)
-        seen = lightness(resized(query, small.width, small.height))
+        seen = lightness(resize_image(query, small.width, small.height))
         at = _windows(small)
         wanted = np.zeros((-(-small.height // TILE), -(-small.width // TILE)), bool)
         for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):

@@ -174,3 +174,19 @@ def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
             f"{path} has {image.width} x {image.height} pixels, but its camera says "
             f"{size[0]} x {size[1]}; give the intrinsics of the images as they are."
         )
+
+
+def resize_image(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Resize an image (H, W, 3) by the mean over areas."""
+    from PIL import Image
+
+    if image.shape[:2] == (height, width):
+        return image
+    small = Image.fromarray(image).resize((width, height), Image.Resampling.BOX)
+    return np.asarray(small)
+
+
+def lightness(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the lightness (H, W) float32, 0 to 1, of (H, W, 3) sRGB by the weights of Rec. 601."""
+    weights = np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255.0)
+    return np.ascontiguousarray(image.astype(np.float32) @ weights)

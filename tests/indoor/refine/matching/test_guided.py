@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import OptionError
-from placegraph.indoor.refine.matching.guided import GuidedMatcher, lightness, resized
+from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refine_kernels import corners, search
+from placegraph.io.capture.images import lightness, resize_image
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +104,8 @@ def test_a_rival_takes_the_lead_away():
     assert len(any_) > 0
     image = np.array([[[255, 255, 255], [0, 0, 0]], [[255, 0, 0], [0, 255, 0]]], np.uint8)
     np.testing.assert_allclose(lightness(image), [[1, 0], [0.299, 0.587]], atol=1e-6)
-    assert resized(image, 2, 2) is image
-    np.testing.assert_array_equal(resized(image, 1, 1)[0, 0], [128, 128, 64])
+    assert resize_image(image, 2, 2) is image
+    np.testing.assert_array_equal(resize_image(image, 1, 1)[0, 0], [128, 128, 64])
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
 from placegraph.indoor.refine.refine_kernels import corners, search
+from placegraph.io.capture.images import lightness, resize_image
 
 _PEAK = 3  # pixels around the best place that are no rivals of it
 
@@ -68,7 +69,7 @@ class GuidedMatcher(ViewByView):
         side = 2 * self.half + 3
         if blank(ours) or blank(view) or min(height, width) < side + 2:
             return Matches.none()
-        sought = lightness(resized(ours, width, height))
+        sought = lightness(resize_image(ours, width, height))
         drawn = lightness(view)
         seen = np.ones(drawn.shape, bool) if mask is None else mask
         at = corners(drawn, seen, self.half + 1, self.cell)
@@ -77,19 +78,3 @@ class GuidedMatcher(ViewByView):
         scale = np.array(ours.shape[1::-1]) / (width, height)
         # rows and columns count from the centre of the first pixel, points from its corner
         return Matches.of((found[good, 1::-1] + 0.5) * scale, at[good, ::-1] + 0.5, found[good, 2])
-
-
-def resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Return image of another size, by the mean over areas."""
-    from PIL import Image
-
-    if image.shape[:2] == (height, width):
-        return image
-    small = Image.fromarray(image).resize((width, height), Image.Resampling.BOX)
-    return np.asarray(small)
-
-
-def lightness(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (H, W) float32, 0 to 1, of (H, W, 3) sRGB by the weights of Rec. 601."""
-    weights = np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255.0)
-    return np.ascontiguousarray(image.astype(np.float32) @ weights)
