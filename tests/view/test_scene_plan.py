@@ -204,7 +204,7 @@ def test_of_merged_scenes_one_is_drawn(scene):
 @given(st.floats(0.5, 7.5), st.floats(2.1, 2.9), st.floats(-np.pi, np.pi))
 def test_sight_ends_at_walls(x, y, angle):
     plan = RoomPlan(scene_of({k: BOXES[k] for k in ("floor", "wall west", "wall east")}))
-    (far,) = plan.sight(np.array([x, y]), np.array([angle]), 3.0)
+    (far,) = plan.view_range(np.array([x, y]), np.array([angle]), 3.0)
     cos, sin = np.cos(angle), np.sin(angle)
     wall = (8.0 - x) / cos if cos > 1e-9 else (x / -cos if cos < -1e-9 else np.inf)
     inside = 0.01 < y + wall * sin < 4.99 if np.isfinite(wall) else False

@@ -12,16 +12,16 @@ from placegraph.demo.world import unpack
 PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
 
 
-def run_demo(out: Path, say: Callable[[str], None]) -> None:
+def run_demo(out: Path, report: Callable[[str], None]) -> None:
     """Locate sentences and a way in the town, a film in the flat, and both in one world.
 
     Leaves maps and pictures in `out`. What is built and localized is copied to `out/world` first:
     ordinary files, as a user's own; at the end it holds a world for `open_world`.
     """
     world = unpack(out / "world")
-    commands = locate_in_town(world, out, say) + locate_in_flat(world, out, say)
-    commands += locate_in_world(world, out, say)
-    say(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
-    say("\nThe same by hand:")
+    commands = locate_in_town(world, out, report) + locate_in_flat(world, out, report)
+    commands += locate_in_world(world, out, report)
+    report(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
+    report("\nThe same by hand:")
     for command in commands:
-        say(f"  placegraph {command}")
+        report(f"  placegraph {command}")

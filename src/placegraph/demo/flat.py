@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROOMS = ("a kitchen with two sinks", "a bedroom with a bookcase, and a plant next to the sofa")
 
 
-def locate_in_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_flat(world: Path, out: Path, report: Callable[[str], None]) -> list[str]:
     """Build the flat, localize a film of a walk through it, say what changed, find it among homes.
 
     Returns the commands that do the same.
@@ -37,13 +37,15 @@ def locate_in_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[s
     glb, file, walk = world / f"{FLAT}.glb", out / f"{FLAT}.scene", world / "walk"
     scene = build_scene(glb, file)
     draw_scene(scene, out / f"{FLAT}.png")
-    say(f"\nBuilt {scene} from a flat drawn in ASCII.")
+    report(f"\nBuilt {scene} from a flat drawn in ASCII.")
     capture = open_capture(walk)
-    say(f"Rendered {capture}; since the map was made, an armchair was moved and a chair is gone.")
+    report(
+        f"Rendered {capture}; since the map was made, an armchair was moved and a chair is gone."
+    )
     truth = read_tum(walk / "trajectory.tum").poses
-    estimate = _film(scene, capture, truth, out, say)
-    newer = _changes(scene, capture, estimate, out, say)
-    _library(world, out, capture, say)
+    estimate = _film(scene, capture, truth, out, report)
+    newer = _changes(scene, capture, estimate, out, report)
+    _library(world, out, capture, report)
     library = out / "homes.library"
     return [
         f"scene build {glb} -o {file}",
@@ -61,7 +63,7 @@ def _film(
     capture: Capture,
     truth: NDArray[np.float64],
     out: Path,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> PoseEstimate:
     """Localize the film, draw it, and say how far off it is; truth: (T, 4, 4)."""
     from placegraph.indoor.options import FilterOptions
@@ -71,8 +73,8 @@ def _film(
     write_plan(scene, estimate, out / "walk.png", truth=truth, camera=capture.camera)
     write_plan_animation(scene, estimate, out / "walk.gif", truth=truth, camera=capture.camera)
     write_overlay(scene, estimate, capture, out / "overlay.png")
-    _say_pose(estimate, say)
-    _say_truth(estimate, truth, say)
+    _say_pose(estimate, report)
+    _say_truth(estimate, truth, report)
     return estimate
 
 
@@ -81,25 +83,25 @@ def _changes(
     capture: Capture,
     estimate: PoseEstimate,
     out: Path,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Path:
     """Say what the film shows to have changed, and write the map that has taken it over."""
     from placegraph.view.scene.change_plans import write_diff
 
     found = scene.diff(capture, estimate)
-    say("What changed since the map was made, as the walk shows it:")
+    report("What changed since the map was made, as the walk shows it:")
     for change in found.changes:
-        say(
+        report(
             f"  {change.kind} {change.name or change.label}, {change.confidence:.0%} sure: {change.reason}"
         )
     write_diff(scene, found, out / "changes.png")
     newer, path = scene.updated(found), out / f"{FLAT}_now.scene"
     newer.save(path)
-    say(f"{path} has taken it over: {len(newer)} objects instead of {len(scene)}.")
+    report(f"{path} has taken it over: {len(newer)} objects instead of {len(scene)}.")
     return path
 
 
-def _library(world: Path, out: Path, capture: Capture, say: Callable[[str], None]) -> None:
+def _library(world: Path, out: Path, capture: Capture, report: Callable[[str], None]) -> None:
     """Find the flat among others, by the film and by a sentence."""
     from placegraph.indoor.library import SceneLibrary
 
@@ -109,35 +111,35 @@ def _library(world: Path, out: Path, capture: Capture, say: Callable[[str], None
         library.add(path.stem, path)
     library.save(out / "homes.library")
     size = (out / "homes.library").stat().st_size
-    say(f"\n{library} in {size / 1000:.0f} kB: which of them was the film taken in?")
+    report(f"\n{library} in {size / 1000:.0f} kB: which of them was the film taken in?")
     found = library.search(capture)
-    say(f"  {found.status.name}: {found.reason}")
+    report(f"  {found.status.name}: {found.reason}")
     for text in ROOMS:
         told = library.search(text)
-        say(f"  “{text}”: {told.status.name}: {told.reason}")
+        report(f"  “{text}”: {told.status.name}: {told.reason}")
 
 
-def _say_pose(estimate: PoseEstimate, say: Callable[[str], None]) -> None:
+def _say_pose(estimate: PoseEstimate, report: Callable[[str], None]) -> None:
     """Print the pose of the last frame, its evidence, and the result of the refinement."""
-    say(f"{estimate.status.name}: {estimate.reason}")
+    report(f"{estimate.status.name}: {estimate.reason}")
     for mode in estimate.modes[:3]:
-        say(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
-    print_evidence(estimate, say)
+        report(f"  {_pose(mode.pose)}  {mode.probability:.0%}")
+    print_evidence(estimate, report)
     if estimate.refinement is not None:
-        say(f"  {estimate.refinement.reason}")
+        report(f"  {estimate.refinement.reason}")
 
 
 def _say_truth(
-    estimate: PoseEstimate, truth: NDArray[np.float64], say: Callable[[str], None]
+    estimate: PoseEstimate, truth: NDArray[np.float64], report: Callable[[str], None]
 ) -> None:
     """Print the errors of all frames before and after the refinement; truth: (T, 4, 4)."""
     refinement = estimate.refinement
     if refinement is None:
-        say(f"  off by {_errors(estimate.trajectory, truth)}")
+        report(f"  off by {_errors(estimate.trajectory, truth)}")
         return
-    say("Errors of all frames, median and largest (the truth is known because we drew it):")
-    say(f"  coarse   {_errors(refinement.coarse_trajectory, truth)}")
-    say(f"  refined  {_errors(estimate.trajectory, truth)}")
+    report("Errors of all frames, median and largest (the truth is known because we drew it):")
+    report(f"  coarse   {_errors(refinement.coarse_trajectory, truth)}")
+    report(f"  refined  {_errors(estimate.trajectory, truth)}")
 
 
 def _errors(poses: NDArray[np.float64], truth: NDArray[np.float64]) -> str:
@@ -181,7 +183,7 @@ QUESTIONS = (
 """Text, and whether three frames are shown."""
 
 
-def locate_in_world(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_world(world: Path, out: Path, report: Callable[[str], None]) -> list[str]:
     """Place rooms in the buildings of two towns, and ask for place, room and pose at once.
 
     Returns the commands that do the same.
@@ -199,10 +201,10 @@ def locate_in_world(world: Path, out: Path, say: Callable[[str], None]) -> list[
         library.add(name, world / f"{name}.scene")
     library.save(world / "homes.library")
     opened = open_world(world)
-    say(f"\n{opened} in {world}: rooms stand in buildings, two flats are the same.")
+    report(f"\n{opened} in {world}: rooms stand in buildings, two flats are the same.")
     frames = open_capture(world / "window")
     for text, shown in QUESTIONS:
-        _ask(opened, text, frames if shown else None, say)
+        _ask(opened, text, frames if shown else None, report)
     return [
         f'locate {world} "{WINDOW}"',
         f'locate {world} "{WINDOW}" --capture {world / "window"}',
@@ -237,14 +239,14 @@ def place_in_building(
 
 
 def _ask(
-    world: World, text: str | None, frames: Capture | None, say: Callable[[str], None]
+    world: World, text: str | None, frames: Capture | None, report: Callable[[str], None]
 ) -> None:
     """Ask with a text, with frames or with both, and say what was found."""
     estimate = world.locate(text, frames)
     asked = [f"“{text}”"] * (text is not None) + ["three frames"] * (frames is not None)
-    say(f"  {' and '.join(asked)}\n    {estimate.status.name}: {estimate.reason}")
+    report(f"  {' and '.join(asked)}\n    {estimate.status.name}: {estimate.reason}")
     if estimate.best is not None and estimate.best.earth is not None:
         earth = estimate.best.earth
-        say(
+        report(
             f"    {earth.latitude:.6f}, {earth.longitude:.6f}, {earth.height:.1f} m, level {earth.level}"
         )

@@ -26,7 +26,7 @@ ON_THE_WAY = (
 """Said one after the other: the way tells the two squares apart."""
 
 
-def locate_in_town(world: Path, out: Path, say: Callable[[str], None]) -> list[str]:
+def locate_in_town(world: Path, out: Path, report: Callable[[str], None]) -> list[str]:
     """Build the town and locate what was said in it; return the commands that do the same."""
     from placegraph.outdoor.city import build_city
     from placegraph.view import draw_city, write_page, write_picture
@@ -34,7 +34,7 @@ def locate_in_town(world: Path, out: Path, say: Callable[[str], None]) -> list[s
     osm, file = world / f"{TOWN}.osm", out / f"{TOWN}.city"
     city = build_city(osm, file)
     draw_city(city, out / f"{TOWN}.png")
-    say(f"Built {city} from a town drawn in ASCII.")
+    report(f"Built {city} from a town drawn in ASCII.")
     for name, text in SENTENCES.items():
         estimate = city.locate(text)
         question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
@@ -46,29 +46,29 @@ def locate_in_town(world: Path, out: Path, say: Callable[[str], None]) -> list[s
             question=question.text if question else None,
         )
         write_picture(city, estimate, out / f"{name}.png")
-        say(f"\n“{text}”\n{estimate.status.name}: {estimate.reason}")
+        report(f"\n“{text}”\n{estimate.status.name}: {estimate.reason}")
         for mode in estimate.modes[:3]:
-            say(f"  {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
-        print_evidence(estimate, say)
+            report(f"  {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
+        print_evidence(estimate, report)
         if question:
-            say(f"  To be sure: {question.text}")
-    _way(city, say)
+            report(f"  To be sure: {question.text}")
+    _way(city, report)
     return [f"city build {osm} -o {file}", f'city locate {file} "{SENTENCES["clear"]}"']
 
 
-def _way(city: CityMap, say: Callable[[str], None]) -> None:
+def _way(city: CityMap, report: Callable[[str], None]) -> None:
     """Follow somebody who could be at either of two places, until their way tells which."""
     tracker = city.track()
-    say("\nSomebody speaks, walks on, and speaks again:")
+    report("\nSomebody speaks, walks on, and speaks again:")
     for text in ON_THE_WAY:
         estimate = tracker.tell(text)
-        say(f"  “{text}”\n    {estimate.status.name}: {estimate.reason}")
+        report(f"  “{text}”\n    {estimate.status.name}: {estimate.reason}")
     for mode in tracker.estimate.modes[:1]:
-        say(f"    {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
+        report(f"    {mode.latitude:.5f}, {mode.longitude:.5f}  {mode.probability:.0%}")
 
 
-def print_evidence(estimate: Estimate[Any], say: Callable[[str], None]) -> None:
+def print_evidence(estimate: Estimate[Any], report: Callable[[str], None]) -> None:
     """Print every statement with the objects that support or contradict it."""
     for e in estimate.evidence:
         things = ", ".join(o.name or o.label for o in e.objects)
-        say(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")
+        report(f"    {e.verdict:7} {e.statement}  [{things or e.note}]")

@@ -27,19 +27,19 @@ MAX_ROWS = 12
 """Rows of a table."""
 
 
-def html(thing: object) -> str:
+def html(shown: object) -> str:
     """Return a map or an estimate as self-contained HTML."""
-    if isinstance(thing, Estimate):
-        return _estimate(thing)
-    if isinstance(thing, City):
-        return _picture(lambda path: draw_city(thing, path, size=(WIDTH, 440))) + _line(thing)  # type: ignore[arg-type]
-    if isinstance(thing, Scene):
-        return _picture(lambda path: draw_scene(thing, path, width=WIDTH)) + _line(thing)  # type: ignore[arg-type]
-    if isinstance(thing, SceneLibrary):
-        graphs = {name: thing.entry(name).signature.graph for name in thing.names[:MAX_ROWS]}
+    if isinstance(shown, Estimate):
+        return _estimate(shown)
+    if isinstance(shown, City):
+        return _picture(lambda path: draw_city(shown, path, size=(WIDTH, 440))) + _line(shown)  # type: ignore[arg-type]
+    if isinstance(shown, Scene):
+        return _picture(lambda path: draw_scene(shown, path, width=WIDTH)) + _line(shown)  # type: ignore[arg-type]
+    if isinstance(shown, SceneLibrary):
+        graphs = {name: shown.entry(name).signature.graph for name in shown.names[:MAX_ROWS]}
         rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
-        return _line(thing) + _table(("scene", "objects", "among them"), rows, len(thing))
-    return _line(thing)
+        return _line(shown) + _table(("scene", "objects", "among them"), rows, len(shown))
+    return _line(shown)
 
 
 def _estimate(estimate: Estimate[Any]) -> str:
@@ -99,5 +99,5 @@ def _words(labels: Sequence[str]) -> str:
     return ", ".join(list(dict.fromkeys(labels))[:5])
 
 
-def _line(thing: object) -> str:
-    return f"<p>{escape(repr(thing))}</p>"
+def _line(shown: object) -> str:
+    return f"<p>{escape(repr(shown))}</p>"

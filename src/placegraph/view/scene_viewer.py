@@ -52,7 +52,7 @@ class SceneView:
         self.shown = [role != "ceiling" for role in roles]
         """Whether each object is to be seen; ceilings would hide what is below."""
         server.scene.set_up_direction("+z")
-        self._look()
+        self._set_initial_camera()
         self.objects = self._objects()
         self.labels = self._labels(roles)
         self.relations = self._relations()
@@ -131,10 +131,8 @@ class SceneView:
                 )
         return "\n".join(lines)
 
-    # ------------------------------------------------------------------------------- what is drawn
-
-    def _look(self) -> None:
-        """Begin above the south edge, looking down into the map."""
+    def _set_initial_camera(self) -> None:
+        """Place the initial camera above the south edge, looking down into the map."""
         low, high = self.scene.bounds
         middle, reach = (low + high) / 2, float(np.linalg.norm((high - low)[:2]))
         camera = self.server.initial_camera
@@ -197,8 +195,6 @@ class SceneView:
         edges: NDArray[np.float32] = corners[_EDGES].astype(np.float32)
         return edges
 
-    # ---------------------------------------------------------------------------------- controls
-
     def _controls(self) -> None:
         gui = self.server.gui
         with gui.add_folder("Object"):
@@ -210,7 +206,7 @@ class SceneView:
             everything = gui.add_button("Show all")
         self.choice.on_update(self._chosen)
         self.visible.on_update(self._switched)
-        alone.on_click(lambda _: self._alone())
+        alone.on_click(lambda _: self._isolate())
         everything.on_click(lambda _: self.show(range(len(self.scene))))
         names = gui.add_checkbox("Names", initial_value=True)
         names.on_update(lambda _: self._update())
@@ -245,7 +241,7 @@ class SceneView:
         if row != self.picked:
             self.pick(row)
 
-    def _alone(self) -> None:
+    def _isolate(self) -> None:
         if self.picked is not None:
             self.show([self.picked], only=True)
 

@@ -167,7 +167,7 @@ class _Gltf:
             raise self.error(f"{key!r} is not an object; export it again")
         return found
 
-    def whole(self, entry: Json, key: str) -> int:
+    def integer(self, entry: Json, key: str) -> int:
         """Return the whole number from 0 under `key`, 0 where there is none."""
         value = entry.get(key, 0)
         if isinstance(value, float) and value.is_integer():
@@ -194,15 +194,15 @@ class _Gltf:
         accessor = self.item("accessors", row)
         if "sparse" in accessor or "bufferView" not in accessor:
             raise self.error(f"accessors[{row}] is sparse; export it without sparse accessors")
-        dtype = _DTYPES.get(self.whole(accessor, "componentType"))
+        dtype = _DTYPES.get(self.integer(accessor, "componentType"))
         width = _WIDTHS.get(str(accessor.get("type")))
         if dtype is None or width is None:
             raise self.error(f"accessors[{row}] is of no known type; export it again")
         kind = np.dtype(dtype)
         view = self.view(accessor["bufferView"])
         entry = self.item("bufferViews", accessor["bufferView"])
-        count, offset = self.whole(accessor, "count"), self.whole(accessor, "byteOffset")
-        stride = self.whole(entry, "byteStride") or kind.itemsize * width
+        count, offset = self.integer(accessor, "count"), self.whole(accessor, "byteOffset")
+        stride = self.integer(entry, "byteStride") or kind.itemsize * width
         end = offset + (count - 1) * stride + kind.itemsize * width
         if count and (end > len(view) or stride < kind.itemsize * width):
             raise self.error(
@@ -222,7 +222,7 @@ class _Gltf:
         entry = self.item("bufferViews", row)
         for name in _REMEDIES.keys() & self.object_of(entry, "extensions").keys():
             raise self.error(f"it needs {name}; {_REMEDIES[name]}")
-        number = self.whole(entry, "buffer")
+        number = self.integer(entry, "buffer")
         buffer = self.item("buffers", number)
         if "uri" in buffer:
             if number not in self.buffers:
@@ -233,7 +233,7 @@ class _Gltf:
             raise self.error(f"buffers[{number}] is not in the file; export it again")
         else:
             data = self.chunk
-        start, length = self.whole(entry, "byteOffset"), self.whole(entry, "byteLength")
+        start, length = self.integer(entry, "byteOffset"), self.whole(entry, "byteLength")
         if start + length > len(data):
             raise self.error(
                 f"bufferViews[{row}] ends beyond the file; it is truncated: copy it again"
@@ -452,12 +452,12 @@ class _ModelReader:
         self.things.append(ModelObject(id_, label, name, attributes))
         return len(self.things) - 1
 
-    def add_primitive(self, primitive: Json, map_from_node: Floats, thing: int) -> None:
+    def add_primitive(self, primitive: Json, map_from_node: Floats, object_row: int) -> None:
         gltf = self.gltf
         for name in _REMEDIES.keys() & gltf.object_of(primitive, "extensions").keys():
             raise gltf.error(f"it needs {name}; {_REMEDIES[name]}")
         attributes = gltf.object_of(primitive, "attributes")
-        mode = gltf.whole(primitive, "mode") if "mode" in primitive else _TRIANGLES
+        mode = gltf.integer(primitive, "mode") if "mode" in primitive else _TRIANGLES
         if mode not in {_TRIANGLES, _STRIP, _FAN} or "POSITION" not in attributes:
             self.left_out["primitives that are no triangles"] += 1
             return
@@ -483,7 +483,7 @@ class _ModelReader:
             placed = points @ map_from_node[:3, :3].T + map_from_node[:3, 3]
         for name, array in (
             ("vertices", placed), ("triangles", corners + self.vertex_count), ("colours", colours),
-            ("uv", uv), ("thing_of", np.full(len(corners), thing)),
+            ("uv", uv), ("thing_of", np.full(len(corners), object_row)),
             ("picture_of", np.full(len(corners), shading.picture)),
         ):  # fmt: skip
             self.columns[name].append(array)
@@ -532,7 +532,7 @@ class _ModelReader:
         wraps = [0, 0]
         if "sampler" in texture:
             sampler = gltf.item("samplers", texture["sampler"])
-            wraps = [gltf.whole(sampler, key) for key in ("wrapS", "wrapT")]
+            wraps = [gltf.integer(sampler, key) for key in ("wrapS", "wrapT")]
         mirrored = (wraps[0] == _MIRROR, wraps[1] == _MIRROR)
         data, name = self.read_image(texture)
         moved = gltf.object_of(gltf.object_of(info, "extensions"), "KHR_texture_transform")
@@ -546,7 +546,7 @@ class _ModelReader:
             affine = np.column_stack([np.array([[c, s], [-s, c]]) * scale, offset])
         return _Shading(
             picture=self.add_picture(Texture(data, (r, g, b), mirrored, name)),
-            texcoord=gltf.whole(moved if "texCoord" in moved else info, "texCoord"),
+            texcoord=gltf.integer(moved if "texCoord" in moved else info, "texCoord"),
             affine=affine,
             clamped=(wraps[0] == _CLAMP, wraps[1] == _CLAMP),
             mirrored=mirrored,
@@ -562,7 +562,7 @@ class _ModelReader:
         if isinstance(webp, dict):
             source = webp.get("source", source)
         entry = self.gltf.item("images", source)
-        row = self.gltf.whole({"source": source}, "source")
+        row = self.gltf.integer({"source": source}, "source")
         if row not in self.images:
             uri = entry.get("uri")
             self.images[row] = (

@@ -466,35 +466,35 @@ def _read_materials(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
     return materials
 
 
-def _parse_colour(path: Path, number: int, rest: str) -> tuple[float, float, float]:
-    words = rest.partition("#")[0].split()
+def _parse_colour(path: Path, number: int, text: str) -> tuple[float, float, float]:
+    words = text.partition("#")[0].split()
     if words[:1] in (["spectral"], ["xyz"]):
         return 1.0, 1.0, 1.0
     try:
         r, g, b = (min(max(float(w), 0.0), 1.0) for w in (words * 3 if len(words) == 1 else words))
     except ValueError as error:
         raise InputError(
-            f"{path}, line {number}: Kd is {rest[:40]!r}; it must be three numbers from 0 to 1."
+            f"{path}, line {number}: Kd is {text[:40]!r}; it must be three numbers from 0 to 1."
         ) from error
     return r, g, b
 
 
-def _skip_options(rest: str) -> str:
+def _skip_options(text: str) -> str:
     """Return `map_Kd` without its options; file names may hold blanks."""
-    while rest:
-        word, _, after = rest.partition(" ")
+    while text:
+        word, _, after = text.partition(" ")
         if word not in _OPTION_VALUES:
             break
-        rest = after.strip()
+        text = after.strip()
         for i in range(_OPTION_VALUES[word]):
-            value, _, after = rest.partition(" ")
+            value, _, after = text.partition(" ")
             if i and word in _MOVING:  # they have one to three numbers
                 try:
                     float(value)
                 except ValueError:
                     break
-            rest = after.strip()
-    return rest
+            text = after.strip()
+    return text
 
 
 def _make_texture(material: _Material, left_out: Counter[str]) -> Texture:

@@ -345,7 +345,7 @@ def nodes_between(first, bounds, words, low, high):
 
 
 @kernel
-def way_points(starts, steps, known):
+def way_points(starts, steps, is_known):
     """Return the points of ways whose nodes have known positions.
 
     Returns starts and points, and which ways lack some. What is whole has no point twice in a row; where
@@ -359,10 +359,10 @@ def way_points(starts, steps, known):
             n = first
             for i in range(starts[way], starts[way + 1]):
                 same = n > first and (points[n - 1] == steps[i]).all()
-                if known[i] and not (whole and same):
+                if is_known[i] and not (whole and same):
                     points[n] = steps[i]
                     n += 1
-                lacks[way] |= not known[i]
+                lacks[way] |= not is_known[i]
             lacks[way] |= n - first < 2
             if not lacks[way]:
                 break

@@ -248,13 +248,13 @@ def _outside(values: Numbers, end: int) -> bool:
 
 
 def encode_pbf(
-    ids: Numbers, starts: Numbers, steps: NDArray[np.int32], known: NDArray[np.bool_],
+    ids: Numbers, starts: Numbers, steps: NDArray[np.int32], is_known: NDArray[np.bool_],
     block: Block, messages: Numbers,
 ) -> bytes:  # fmt: skip
     """Write a file of ways, their known points as nodes of their own, and relations of a block."""
     blobs, numbers = [], 1 + np.arange(len(steps))
     for at in range(0, len(steps), NODES_A_BLOCK):
-        rows = at + np.flatnonzero(known[at : at + NODES_A_BLOCK])
+        rows = at + np.flatnonzero(is_known[at : at + NODES_A_BLOCK])
         lon, lat = (differences(steps[rows, axis].astype(np.int64)) for axis in (0, 1))
         dense = text(1, differences(numbers[rows])) + text(8, lat) + text(9, lon)
         blobs.append(text(1, text(1, b"")) + text(2, text(2, dense)))
@@ -368,7 +368,7 @@ class NodeIndex:
 
     def find(self, ids: Numbers) -> tuple[Steps, NDArray[np.bool_]]:
         """Return the positions (K, 2) of nodes by id in steps of 1e-7 degrees, and which are known."""
-        first, bounds, words = self._ready or self._settled()
+        first, bounds, words = self._ready or self._merge_runs()
         found: tuple[Steps, NDArray[np.bool_]] = kernels.look_up_nodes(first, bounds, words, ids)
         self._looked += 64 * len(ids)
         if self._map is not None and self._looked > TOUCHED:
@@ -398,7 +398,7 @@ class NodeIndex:
         except OSError as error:
             raise write_error(self.index, error) from error
 
-    def _settled(self) -> tuple[Numbers, Numbers, Steps]:
+    def _merge_runs(self) -> tuple[Numbers, Numbers, Steps]:
         self._end_run()
         if any(a >= b for a, b in zip(self.last, self.first[1:], strict=False)):
             self._merge()

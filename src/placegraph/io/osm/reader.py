@@ -232,17 +232,17 @@ class Reader:
             "of it, as by `osmium time-filter`."
         )
 
-    def _count(self, reason: str, many: int) -> None:
-        if many:
-            self.left_out.counts[reason] += many
+    def _count(self, reason: str, amount: int) -> None:
+        if amount:
+            self.left_out.counts[reason] += amount
 
 
-def _find_ids(ids: Numbers, known: Numbers) -> NDArray[np.bool_]:
-    """Return which ids are among those that are known, which ascend."""
-    at = np.searchsorted(known, ids)
-    there = at < len(known)
-    there[there] = known[at[there]] == ids[there]
-    return there
+def _find_ids(ids: Numbers, ascending: Numbers) -> NDArray[np.bool_]:
+    """Return which ids are among known ones, which ascend."""
+    at = np.searchsorted(ascending, ids)
+    is_known = at < len(ascending)
+    is_known[is_known] = ascending[at[is_known]] == ids[is_known]
+    return is_known
 
 
 def _members(rows: Rows, row: int) -> Numbers:

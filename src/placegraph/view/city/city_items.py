@@ -411,26 +411,24 @@ def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
     """Return lines from a mode to the objects of its evidence, and marks on these."""
     at = mode_position(city, mode)
     marks: list[Mark] = []
-    for witness in reversed(evidence_objects(city, mode)):  # the weightiest on top
-        color = VERDICT_COLOR[witness.verdict]
-        dash = (5.0, 4.0) if witness.verdict == "against" else None
-        marks += _draw_outline(city.objects, witness, at, color)
-        if np.hypot(*(witness.at - at)) > 1.0:
-            marks.append(Stroke(np.stack([at, witness.at]), color, 1.8, dash))
-        marks.append(Disc(witness.at, 4.0, color))
+    for obj in reversed(evidence_objects(city, mode)):  # the weightiest on top
+        color = VERDICT_COLOR[obj.verdict]
+        dash = (5.0, 4.0) if obj.verdict == "against" else None
+        marks += _draw_outline(city.objects, obj, at, color)
+        if np.hypot(*(obj.at - at)) > 1.0:
+            marks.append(Stroke(np.stack([at, obj.at]), color, 1.8, dash))
+        marks.append(Disc(obj.at, 4.0, color))
     return marks
 
 
-def _draw_outline(
-    objects: CityObjects, witness: EvidenceObject, at: Floats, color: str
-) -> list[Mark]:
+def _draw_outline(objects: CityObjects, obj: EvidenceObject, at: Floats, color: str) -> list[Mark]:
     """Return the outline, near the mode, of an object that is a line or an area."""
-    if witness.row < 0 or objects.kind[witness.row] not in (LINE, AREA):
+    if obj.row < 0 or objects.kind[obj.row] not in (LINE, AREA):
         return []
-    far = max(SHOWN, float(np.abs(witness.at - at).max()) + 40.0)
+    far = max(SHOWN, float(np.abs(obj.at - at).max()) + 40.0)
     window = (*(at - far).tolist(), *(at + far).tolist())
-    parts = objects.parts(witness.row)
-    if objects.kind[witness.row] == LINE:
+    parts = objects.parts(obj.row)
+    if objects.kind[obj.row] == LINE:
         return [Stroke(piece, color, 3.0) for part in parts for piece in clip_line(part, window)]
     rings = [ring for part in parts if len(ring := clip_ring(part, window)) > 3]
     return [Stroke(ring, color, 2.0, fill=0.0 if k else 0.14) for k, ring in enumerate(rings)]

@@ -119,14 +119,14 @@ def _check_map(size: tuple[int, int]) -> tuple[int, int]:
 def _map(
     city: CityMap,
     frame: Frame,
-    taken: OccupiedPlaces | None = None,
+    occupied: OccupiedPlaces | None = None,
     skip: frozenset[int] = frozenset(),
 ) -> list[Item]:
     """Map and its lettering."""
     items = draw_items(city, frame.bounds, frame.scale)
     face = choose_face(city.objects.name(item.row) for item in items if item.row >= 0)
     names = place_names(
-        city.objects, items, frame.scale, face, taken or OccupiedPlaces(), skip=skip
+        city.objects, items, frame.scale, face, occupied or OccupiedPlaces(), skip=skip
     )
     return [*items, *names]
 
@@ -142,9 +142,9 @@ def _panel(
     left, top, right, bottom = box
     bounds = mode_bounds(city, mode) if mode else city_bounds(city.objects)
     frame = Frame.around(bounds, right - left, bottom - top)
-    marks, taken = _marks(city, estimate, mode, frame)
+    marks, occupied = _marks(city, estimate, mode, frame)
     skip = frozenset(w.row for w in evidence_objects(city, mode)) if mode else frozenset[int]()
-    items = [*_map(city, frame, taken, skip), *marks]
+    items = [*_map(city, frame, occupied, skip), *marks]
     if heat := posterior_layer(city, estimate, frame.bounds, 2.0 / frame.scale):
         items.insert(0, heat)  # marks are laid in order: below the lettering
     sheet.paste(paint_picture(items, frame, reduce=False), (left, top))
@@ -161,7 +161,7 @@ def _marks(
     city: CityMap, estimate: CityEstimate, mode: Place | None, frame: Frame
 ) -> tuple[list[Item], OccupiedPlaces]:
     """Return marks of a mode's evidence and of all modes, and the space they take."""
-    taken = OccupiedPlaces()
+    occupied = OccupiedPlaces()
     marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
     pins: list[Item] = []
     for number, other in enumerate(estimate.modes, 1):
@@ -170,22 +170,28 @@ def _marks(
         pins.append(Stroke(ellipse(city, other), "mode", 2.0 if best else 1.2, (6.0, 4.0)))
         pins.append(Disc(at, 12.0 if best else 9.0, "mode", text=str(number)))
         x, y = at[0] * frame.scale, -at[1] * frame.scale
-        taken.claim([(x, y, 14.0)], force=True)
-    return [*marks, *pins, *(_evidence_names(city, mode, frame, taken) if mode else [])], taken
+        occupied.claim([(x, y, 14.0)], force=True)
+    return [
+        *marks,
+        *pins,
+        *(_evidence_names(city, mode, frame, occupied) if mode else []),
+    ], occupied
 
 
-def _evidence_names(city: CityMap, mode: Place, frame: Frame, taken: OccupiedPlaces) -> list[Text]:
+def _evidence_names(
+    city: CityMap, mode: Place, frame: Frame, occupied: OccupiedPlaces
+) -> list[Text]:
     """Return names beside the objects of the evidence."""
     seen = evidence_objects(city, mode)
     face = choose_face(w.words for w in seen)
     for witness in seen:
         x, y = witness.at[0] * frame.scale, -witness.at[1] * frame.scale
-        taken.claim([(x, y, 5.0)], force=True)
+        occupied.claim([(x, y, 5.0)], force=True)
     here = mode_position(city, mode)
     places = [w.middle if np.hypot(*(w.at - here)) < 1.0 else w.at for w in seen]
     texts = [
         _place_beside(
-            at, face.drawable(w.words) or label_words(w.ref.label), w.verdict, frame, face, taken
+            at, face.drawable(w.words) or label_words(w.ref.label), w.verdict, frame, face, occupied
         )
         for w, at in zip(seen, places, strict=True)
     ]
@@ -198,7 +204,7 @@ def _place_beside(
     ink: str,
     frame: Frame,
     face: Face,
-    taken: OccupiedPlaces,
+    occupied: OccupiedPlaces,
 ) -> Text | None:
     size = 14.0
     width = face.width(words, size)
@@ -208,7 +214,7 @@ def _place_beside(
         sides = [*sides[1:], sides[0]]
     for anchor, shift in sides:
         text = Text(at, words, size, ink, anchor=anchor, shift=shift)
-        if taken.claim(covering_discs(text, width + 4.0, frame.scale)):
+        if occupied.claim(covering_discs(text, width + 4.0, frame.scale)):
             return text
     return None
 

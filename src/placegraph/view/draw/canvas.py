@@ -179,11 +179,6 @@ def sort_by_layer(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:
     return sorted(layers.items(), key=lambda layer: LAYER[layer[0]])
 
 
-def overlap(a: Bounds, b: Bounds) -> bool:
-    """Whether two rectangles have an area in common."""
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
-
-
 def clip_line(points: Points, bounds: Bounds) -> list[Floats]:
     """Clip a line (N, 2) to bounds (Liang and Barsky); return pieces (n, 2)."""
     line = np.asarray(points, np.float64)

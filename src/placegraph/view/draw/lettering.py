@@ -28,7 +28,7 @@ REPEAT = 420.0
 
 
 class OccupiedPlaces:
-    """Space taken by lettering and marks: discs (x, y, radius) [px]."""
+    """Space occupied by lettering and marks: discs (x, y, radius) [px]."""
 
     SIDE = 32.0
     """Discs are kept by squares of this side, no smaller than the sum of two radii [px]."""
@@ -37,7 +37,7 @@ class OccupiedPlaces:
         self._discs: dict[tuple[int, int], list[tuple[float, float, float]]] = {}
 
     def claim(self, discs: Sequence[tuple[float, float, float]], *, force: bool = False) -> bool:
-        """Take a place if it is free (or by force); say whether it was taken."""
+        """Claim space if it is free (or by force); return whether it was claimed."""
         if not force and any(map(self._hit, discs)):
             return False
         for x, y, radius in discs:
@@ -72,12 +72,12 @@ def place_names(
     items: Iterable[MapItem],
     scale: float,
     face: Face,
-    taken: OccupiedPlaces,
+    occupied: OccupiedPlaces,
     *,
     skip: frozenset[int] = frozenset(),
     already: Iterable[Text] = (),
 ) -> list[Text]:
-    """Place names for the items of a map drawn at `scale` [px/m], around `taken` space.
+    """Place names for the items of a map drawn at `scale` [px/m], around `occupied` space.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def place_names(
         Pixels per metre.
     face
         Typeface, for the widths.
-    taken
+    occupied
         Where nothing may stand; what is placed is added.
     skip
         Rows of objects that are lettered otherwise.
@@ -101,7 +101,7 @@ def place_names(
     wanted = _wanted(objects, items, scale, face, skip)
     for item in items:
         if isinstance(item, Dot) and PAINTS[item.paint].rank < 9:
-            taken.claim([(item.at[0] * scale, -item.at[1] * scale, 4.0)], force=True)
+            occupied.claim([(item.at[0] * scale, -item.at[1] * scale, 4.0)], force=True)
     placed: list[Text] = []
     streets: dict[str, list[Points]] = {}
     for text in already:
@@ -115,7 +115,7 @@ def place_names(
             near = (hypot(*(text.at - other)) * scale < REPEAT for other in streets.get(name, []))
             if isinstance(item, Line) and any(near):
                 continue
-            if taken.claim(covering_discs(text, width + 4.0, scale)):
+            if occupied.claim(covering_discs(text, width + 4.0, scale)):
                 placed.append(text)
                 if not isinstance(item, Line):
                     break

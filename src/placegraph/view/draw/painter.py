@@ -112,9 +112,9 @@ class _Painter:
             case Picture():
                 self.picture(item)
             case HeatLayer():
-                self.glow(item)
+                self.paint_heat(item)
             case ParticleMarks():
-                self.swarm(item)
+                self.paint_particles(item)
             case Stroke():
                 self.stroke(item)
             case Disc():
@@ -218,7 +218,7 @@ class _Painter:
         else:
             self.circle(at, radius, color)
 
-    def glow(self, item: HeatLayer) -> None:
+    def paint_heat(self, item: HeatLayer) -> None:
         west, south, east, north = item.bounds
         corners = self.frame.to_px(np.array([(west, north), (east, south)])).round().astype(int)
         size = corners[1] - corners[0]
@@ -238,7 +238,7 @@ class _Painter:
             image = image.resize(tuple(size.tolist()), Image.Resampling.BOX)
         self.image.paste(image, tuple(corners[0].tolist()))
 
-    def swarm(self, item: ParticleMarks) -> None:
+    def paint_particles(self, item: ParticleMarks) -> None:
         """Stamp every mark into a picture of levels, where the highest wins, then colour it."""
         at = self.frame.to_px(item.at)
         radius, tick = item.radius * SUPERSAMPLE, item.tick * SUPERSAMPLE

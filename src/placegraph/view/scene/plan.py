@@ -127,7 +127,7 @@ def view_ring(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH
     """Return the closed ring (A + 2, 2) [m] of the view of a camera at a pose (4,)."""
     at = np.asarray(pose[:2], np.float64)
     angles = pose[3] + np.linspace(-opening / 2, opening / 2, 65)
-    far = plan.sight(at, angles, reach)
+    far = plan.view_range(at, angles, reach)
     rim = at + far[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.concatenate([at[None], rim, at[None]])
 
@@ -142,16 +142,16 @@ def covariance_ring(mode: PoseMode) -> Floats:
 
 
 def trajectory_marks(
-    map_from_camera: Floats, color: str, *, width: float = 2.0, looks: float = 0.0
+    map_from_camera: Floats, color: str, *, width: float = 2.0, heading_length: float = 0.0
 ) -> list[Mark]:
-    """Return a trajectory (T, 4, 4) as a line with a dot, and a heading of `looks` [m], for each frame."""
+    """Return a trajectory (T, 4, 4) as a line, with dots and headings of a length [m]."""
     shown = map_from_camera[spread_evenly(len(map_from_camera), MAX_FRAMES)]
     at = shown[:, :2, 3]
     marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
     for matrix in shown:
         forward = matrix[:2, 2] / max(float(np.hypot(*matrix[:2, 2])), 1e-6)
-        if looks:
-            ends = np.stack([matrix[:2, 3], matrix[:2, 3] + looks * forward])
+        if heading_length:
+            ends = np.stack([matrix[:2, 3], matrix[:2, 3] + heading_length * forward])
             marks.append(Stroke(ends, color, 0.6 * width))
         marks.append(Disc(matrix[:2, 3], 1.1 * width, color))
     return marks
@@ -382,7 +382,7 @@ class Drawing:
 
     def result(self, frame: Frame) -> Image.Image:
         """Draw modes, the objects that support or contradict the best one, and the trajectory."""
-        estimate, taken = self.estimate, OccupiedPlaces()
+        estimate, occupied = self.estimate, OccupiedPlaces()
         color = POSE_COLOR[estimate.status]
         marks: list[Item] = []
         shown = [
@@ -393,7 +393,7 @@ class Drawing:
         for k in reversed(shown):
             marks.append(mode_view(self.plan, estimate, k, self.opening))
             x, y = estimate.modes[k].pose[:2] * frame.scale * (1.0, -1.0)
-            taken.claim([(x, y, 14.0), (x + 28.0, y, 14.0)], force=True)
+            occupied.claim([(x, y, 14.0), (x + 28.0, y, 14.0)], force=True)
         if self.truth is not None:
             marks += trajectory_marks(self.truth, TRUTH, width=2.0)
         marked: dict[int, str] = {}
@@ -404,7 +404,7 @@ class Drawing:
         for k in reversed(shown):
             marks += mode_marks(estimate, k, numbered=len(shown) > 1)
         room = paint_room(self.plan, frame)
-        items = [room, *place_names(self.plan, frame, taken, marked), *marks]
+        items = [room, *place_names(self.plan, frame, occupied, marked), *marks]
         return paint_picture(items, frame, reduce=False)
 
     @property
@@ -483,14 +483,14 @@ class Drawing:
 def place_names(
     plan: RoomPlan,
     frame: Frame,
-    taken: OccupiedPlaces,
+    occupied: OccupiedPlaces,
     marked: dict[int, str] | None = None,
     *,
     small: bool = False,
 ) -> list[Item]:
     """Return names of the larger objects of a plan, or of all, where they fit; `marked` ones first."""
     face = choose_face(plain_words(label) for label in plan.scene.graph.labels)
-    return [*plan.names(frame, face, taken, marked, small=small)]
+    return [*plan.names(frame, face, occupied, marked, small=small)]
 
 
 def draw_measures(sheet: Sheet, frame: Frame) -> float:

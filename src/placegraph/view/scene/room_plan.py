@@ -129,7 +129,7 @@ class RoomPlan:
         return rows
 
     @cached_property
-    def kept(self) -> NDArray[np.int64]:
+    def triangle_rows(self) -> NDArray[np.int64]:
         """Rows of this scene's triangles (T,)."""
         mesh = self.scene.mesh
         return np.flatnonzero(self.scene.scene_of[mesh.object_of] == self.which)
@@ -137,12 +137,12 @@ class RoomPlan:
     @cached_property
     def triangles(self) -> NDArray[np.int32]:
         """(T, 3), rows of the mesh's vertices."""
-        return self.scene.mesh.triangles[self.kept]
+        return self.scene.mesh.triangles[self.triangle_rows]
 
     @cached_property
     def object_of(self) -> NDArray[np.int32]:
         """(T,), row of each triangle's object."""
-        return self.scene.mesh.object_of[self.kept]
+        return self.scene.mesh.object_of[self.triangle_rows]
 
     @cached_property
     def boxes(self) -> Floats:
@@ -196,7 +196,7 @@ class RoomPlan:
         """Return colours (M, 3), 0 to 255, of triangles (rows): mean of texture and corners."""
         mesh = self.scene.mesh
         tints = np.array([texture.reshape(-1, 3).mean(axis=0) for texture in mesh.textures])
-        rows = self.kept[triangles]
+        rows = self.triangle_rows[triangles]
         corners = mesh.colours[mesh.triangles[rows]].astype(np.float32).mean(axis=1)
         colours: NDArray[np.float32] = corners * (tints[mesh.texture_of[rows]] / 255.0)
         return colours.astype(np.float32)
@@ -238,7 +238,7 @@ class RoomPlan:
         lifts[heights.min(axis=1, initial=np.inf) > least[self.object_of]] = -np.inf
         return lifts
 
-    def sight(self, at: Floats, angles: Floats, reach: float) -> Floats:
+    def view_range(self, at: Floats, angles: Floats, reach: float) -> Floats:
         """Return the range of view (A,) [m] from `at` (2,) at angles (A,) [rad]: to a wall, or to `reach`.
 
         Seen on the plan: walls and closed doors stop a view, windows end the map, furniture is low.
@@ -264,7 +264,7 @@ class RoomPlan:
         self,
         frame: Frame,
         face: Face,
-        taken: OccupiedPlaces,
+        occupied: OccupiedPlaces,
         marked: Mapping[int, str] | None = None,
         *,
         small: bool = False,
@@ -274,7 +274,7 @@ class RoomPlan:
         What is `marked`, by row, is named first and in that ink, whatever its size. `small`: what
         is small is named, too, beside its footprint.
         """
-        marked, texts = marked or {}, self._rooms(frame, face, taken) if small else []
+        marked, texts = marked or {}, self._rooms(frame, face, occupied) if small else []
         extents = np.ptp(self.boxes, axis=1)[:, :2]
         areas = np.prod(extents, axis=1)
         for row in sorted(self.rows, key=lambda row: (row not in marked, -areas[row])):
@@ -297,14 +297,14 @@ class RoomPlan:
             for height, shift in tries:
                 text = Text(self.middle(row), words, height, ink, shift=shift)
                 wide = width * height / size + 4.0
-                if _fits_width(text, wide, frame) and taken.claim(
+                if _fits_width(text, wide, frame) and occupied.claim(
                     covering_discs(text, wide, frame.scale)
                 ):
                     texts.append(text)
                     break
         return texts
 
-    def _rooms(self, frame: Frame, face: Face, taken: OccupiedPlaces) -> list[Text]:
+    def _rooms(self, frame: Frame, face: Face, occupied: OccupiedPlaces) -> list[Text]:
         """Return names of the rooms, each in the middle of its floor."""
         texts = []
         for row in self.rows:
@@ -315,7 +315,7 @@ class RoomPlan:
             if not words or room.isdecimal():
                 continue
             text, wide = Text(self.middle(row), words, 13.0, "ink"), face.width(words, 13.0) + 4.0
-            if _fits_width(text, wide, frame) and taken.claim(
+            if _fits_width(text, wide, frame) and occupied.claim(
                 covering_discs(text, wide, frame.scale)
             ):
                 texts.append(text)
