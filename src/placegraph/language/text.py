@@ -100,11 +100,6 @@ def parse_count(word: str, counts: Mapping[str, int] = COUNTS, largest: int = 10
     return largest if len(word) > 300 else min(int(word), largest)  # int() reads 4,300 digits
 
 
-def may_measure(text: str) -> bool:
-    """Tell whether there may be a distance in a text: it has the word of a unit (quick to see)."""
-    return not _UNITS.keys().isdisjoint(_LETTERS.findall(text.casefold()))
-
-
 def metres(text: str, number: str | None) -> Measure:
     """Return the length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
     text = text.lower()
@@ -246,7 +241,8 @@ def scan_text(
 def _scan_between(
     text: str, start_at: int, stop: int, sentences: list[list[Word]], shortened: Collection[str]
 ) -> None:
-    pattern = _SCAN if may_measure(text[start_at:stop]) else _PLAIN
+    words = _LETTERS.findall(text[start_at:stop].casefold())
+    pattern = _PLAIN if _UNITS.keys().isdisjoint(words) else _SCAN  # quicker without a unit
     for match in pattern.finditer(text, start_at, stop):
         kind, written = match.lastgroup or "", match.group()
         start, end = match.span()

@@ -244,7 +244,15 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
         triples=np.array(edges, np.int64).reshape(-1, 3),
         appearance=np.array(entries, np.float32).reshape(-1, len(COLUMNS)),
         room_looks=np.array([unit.room for unit in flat]).reshape(-1, len(COLUMNS)),
-        much=np.array([_much(unit) for unit in flat]),
+        much=np.array(
+            [  # many things of a kind are little more than one
+                1.0
+                + sum(
+                    (1.0 + log(count)) * _spoken_of(label) for label, count in unit.labels.items()
+                )
+                for unit in flat
+            ]
+        ),
         rooms=_rooms(flat, tuple(label_row), of_labels, scene),
         is_scene=np.array([unit.is_scene for unit in flat], np.bool_),
         scene=scene,
@@ -266,11 +274,6 @@ def _rooms(
         sums = np.bincount(scene[~whole], out[~whole, kind], int(scene.max(initial=-1)) + 1)
         out[whole, kind] = sums[scene[whole]]
     return out
-
-
-def _much(unit: Described) -> float:
-    """Return how much there is to speak of: many things of a kind are little more than one."""
-    return 1.0 + sum((1.0 + log(count)) * _spoken_of(label) for label, count in unit.labels.items())
 
 
 @cache

@@ -86,8 +86,8 @@ def read(text: str) -> Sentence:
     return Sentence(text, tuple(reader.mentions), tuple(reader.statements), tuple(reader.ignored))
 
 
-class StatementCollector:
-    """Collects the mentions and statements of a text, and knows which thing "it" is."""
+class Reader:
+    """Collects the mentions and statements of the clauses of a text, one after the other."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -215,10 +215,6 @@ class StatementCollector:
             own = self.mentions[row]
             new = tuple([word for word in attributes if word not in own.attributes])
             self.mentions[row] = replace(own, attributes=own.attributes + new)
-
-
-class Reader(StatementCollector):
-    """Adds what the clauses of a text state, one after the other."""
 
     def take(self, clause: Clause, certainty: float) -> None:
         """Add what a clause says."""

@@ -242,7 +242,10 @@ class ProperNames:
             return max(mapped, spelt)
         capital = self.words[i].capital and not self.shouting
         if n_noun == 1 and capital and not entry and max(mapped, spelt) == 1:
-            return int(bool(mapped) and (bool(spelt) or self._seldom_common(i)))
+            # "an Aldi": a common noun only in a manner of speaking
+            noun = self.vocabulary.longest_match(self.lower, i)
+            seldom = noun is not None and max((s.weight for s in noun[1]), default=0.0) < CLEARLY
+            return int(bool(mapped) and (bool(spelt) or seldom))
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
         if led and not spelt:  # "the bench" is no "The Bench"
@@ -253,11 +256,6 @@ class ProperNames:
         if mapped == 1 and not capital and self.vocabulary.senses(self.lower[i]):
             return spelt  # "a craft shop" is no business called "Craft"
         return max(mapped, spelt)
-
-    def _seldom_common(self, i: int) -> bool:
-        """Tell whether a word is a common noun only in a manner of speaking: "an Aldi"."""
-        noun = self.vocabulary.longest_match(self.lower, i)
-        return noun is not None and max((s.weight for s in noun[1]), default=0.0) < CLEARLY
 
     def _all_capital(self, i: int, n: int) -> bool:
         """Tell whether n words are written as names are: "The Salvation Army"."""
@@ -524,7 +522,9 @@ class InflectedNames(ProperNames):
             return 0
         end = at + 1
         while end < len(self.words) and self.words[end].kind == "word":
-            further = bare and end < at + _FURTHER and self._says_nothing(end)
+            further = bare and end < at + _FURTHER  # "شارع الملك | فهد"
+            further = further and self.lexicon.longest(self.lower, end) is None
+            further = further and self.vocabulary.longest_match(self.lower, end) is None
             if not (self.words[end].capital or further):
                 break
             end += 1
@@ -537,11 +537,6 @@ class InflectedNames(ProperNames):
         led = self.lower[i - 1] in articles or self.lower[i].startswith(written_on)
         unknown = led or self.lexicon.longest(self.lower, i) is None
         return unknown and _lacks_capitals(self.words[i])
-
-    def _says_nothing(self, i: int) -> bool:
-        """Tell whether a word is none of the grammar and no thing: "شارع الملك | فهد"."""
-        known = self.lexicon.longest(self.lower, i) or self.vocabulary.longest_match(self.lower, i)
-        return known is None
 
 
 def _lacks_capitals(word: Word) -> bool:

@@ -242,8 +242,8 @@ class ClauseContext:
     """Target of a direction beside one that has none: "north and slightly west of you"."""
 
 
-class StatementBuilder:
-    """Statements of one text.
+class PlaceReader:
+    """Reader of places as statements; the rule of the grammar that a place has names the method.
 
     Parameters
     ----------
@@ -359,10 +359,6 @@ class StatementBuilder:
                 context, Relation.DIRECTION, source, target,
                 direction=direction, distance=distance, certainty=certainty,
             )  # fmt: skip
-
-
-class PlaceReader(StatementBuilder):
-    """Makes statements of places; the rule of the grammar that a place has names the method."""
 
     def relate(self, place: Place, source: int, context: ClauseContext) -> int | None:
         """Add the statements of a place said of a source; return the node it now speaks of.
