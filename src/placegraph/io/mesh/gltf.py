@@ -201,7 +201,7 @@ class _Gltf:
         kind = np.dtype(dtype)
         view = self.view(accessor["bufferView"])
         entry = self.item("bufferViews", accessor["bufferView"])
-        count, offset = self.integer(accessor, "count"), self.whole(accessor, "byteOffset")
+        count, offset = self.integer(accessor, "count"), self.integer(accessor, "byteOffset")
         stride = self.integer(entry, "byteStride") or kind.itemsize * width
         end = offset + (count - 1) * stride + kind.itemsize * width
         if count and (end > len(view) or stride < kind.itemsize * width):
@@ -233,7 +233,7 @@ class _Gltf:
             raise self.error(f"buffers[{number}] is not in the file; export it again")
         else:
             data = self.chunk
-        start, length = self.integer(entry, "byteOffset"), self.whole(entry, "byteLength")
+        start, length = self.integer(entry, "byteOffset"), self.integer(entry, "byteLength")
         if start + length > len(data):
             raise self.error(
                 f"bufferViews[{row}] ends beyond the file; it is truncated: copy it again"
