@@ -236,7 +236,6 @@ def test_contradictions_are_told(text):
     ],
 )  # fmt: skip
 def test_names_and_common_nouns(text, found):
-    """A name has capitals, or is no word of the vocabulary; a word with a capital may be none."""
     names = Names("Salvation Army", "The Independent", "Aldi", "Craft", "Cathedral Square")
     mentions = describe(text, names=names).mentions[2:]
     assert [m.name or m.words.partition(" ")[2] for m in mentions] == found

@@ -155,5 +155,4 @@ def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
     ],
 )
 def test_little_evidence_is_no_error(text):
-    """A sentence speaks against French, and for no language; the text as a whole is taken for English."""
     assert describe(text).text == text

@@ -534,7 +534,6 @@ def test_on_the_radius_counts():
 
 
 def test_more_ground_than_so_few_things_are_looked_through_for():
-    """A few bytes can draw a park of 200 km, or a line that crosses it a thousand times."""
     corners = 2e5 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
     zigzag = 2e4 * (np.arange(1000)[:, None] // [1, 2] % 2)
     wide = Grid(0.0, 0.0, 20.0, 10_001, 10_001)

@@ -104,7 +104,6 @@ def test_cells(harbour):
 
 
 def test_rings_are_told_apart_by_nesting():
-    """An island in a lake on an island: two areas, one with a hole, wound as RFC 7946 says."""
     import numpy as np
 
     rings = [np.array(ring(k, 9.0 - k)) for k in (2.0, 0.0, 1.0)]

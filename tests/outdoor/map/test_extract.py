@@ -132,7 +132,6 @@ def test_bytes_a_cell_and_left_out(extract, shared, tmp_path):
 
 
 def test_plane_stands_in_the_city(build_world):
-    """A line of 800 km through a harbour town must not stretch its directions by 5 %."""
     town = [(20.0 * i, 20.0 * j, BENCH) for i in range(10) for j in range(10)]
     line = [(100.0, -700_000.0, {}), (100.0, 100_000.0, {})]
     city = build_world([*town, *line], [([100, 101], {"power": "line"})])
@@ -484,7 +483,6 @@ def test_centers():
 
 
 def test_a_hole_moves_the_centre_away():
-    """Rings come from osmium: outer counter-clockwise, inner clockwise."""
     outer = [(0, 0), (10, 0), (10, 10), (0, 10), (0, 0)]
     hole = [(6, 6), (6, 9), (9, 9), (9, 6), (6, 6)]
     east, north = center(AREA, outer, hole)
@@ -494,7 +492,6 @@ def test_a_hole_moves_the_centre_away():
 
 @pytest.mark.parametrize("stray", [[], [(-900_000.0, 0.0, BENCH), (900_000.0, 0.0, BENCH)]])
 def test_what_is_larger_than_a_city_is_left_out(build_world, stray):
-    """However far the extract reaches: a park of 2 x 2 degrees, and a road of 600 km."""
     town = [(20.0 * i, 20.0 * j, BENCH) for i in range(3) for j in range(3)]
     corners = [(-7e4, -1e5, {}), (7e4, -1e5, {}), (7e4, 1e5, {}), (-7e4, 1e5, {})]
     ways = [([9, 10, 11, 12, 9], {"leisure": "park"}), ([9, 11], {"highway": "primary"})]
@@ -505,7 +502,6 @@ def test_what_is_larger_than_a_city_is_left_out(build_world, stray):
 
 
 def test_of_many_large_things_the_largest_are_left_out(build_world):
-    """Twenty parks of 40 km are more ground than twenty things are looked through for."""
     sizes = [20_000.0] * 20 + [200.0]
     nodes = [(s * x, s * y, {}) for s in sizes for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
     nodes += [(5.0, 5.0, BENCH)]

@@ -247,7 +247,6 @@ def test_band_by_band_is_all_at_once(real_city):
 
 
 def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
-    """What is seen from them is the same; only they are counted."""
     o, views = real_city.objects, real_city.views
     middle = np.median(views.positions, axis=0).astype(np.float64)
     core = Core(middle - 300, middle + 300, lambda at: (np.abs(at - middle) < 200).all(axis=1))
@@ -326,7 +325,6 @@ def test_a_grid_that_is_none_is_refused(harbour, grid):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
-    """Long columns are not read when a map is opened; whatever they hold, a search ends."""
     rng, columns = np.random.default_rng(seed), harbour.views.arrays()
     for name in (
         "things",
