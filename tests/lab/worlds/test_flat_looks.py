@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 from placegraph_lab.worlds.flat.flat import look
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.render import GeometryImage, measured
-from placegraph_lab.worlds.flat.textures import PAINTERS, Look, paint
+from placegraph_lab.worlds.flat.textures import PAINTERS, Material, paint
 
 # ------------------------------------------------------------------------------------- textures
 
 
 @pytest.mark.parametrize("kind", PAINTERS)
 def test_a_look_has_its_size_its_colour_and_some_pattern(kind):
-    image = paint(Look(kind, (150, 110, 70)), (1.5, 1.0), np.random.default_rng(0))
+    image = paint(Material(kind, (150, 110, 70)), (1.5, 1.0), np.random.default_rng(0))
     assert image.shape == (96, 144, 3)
     assert image.dtype == np.uint8
     assert image.std(axis=(0, 1)).max() > 1.0  # nothing is quite plain

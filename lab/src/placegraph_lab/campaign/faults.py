@@ -49,7 +49,7 @@ def rows(effort: Effort) -> Iterator[Row]:
         TrialFolder.prepare(each, inputs, effort.folder / each.what.replace(" ", "-"), commands)
         for each in list_commands(inputs)
     ]
-    effort.say(f"{len(trials)} commands are ready after {perf_counter() - start:.0f} s")
+    effort.report(f"{len(trials)} commands are ready after {perf_counter() - start:.0f} s")
     yield from kills(trials, commands, effort, rng)
     yield from disks(trials, commands, effort, rng, effort.seconds * SHARES["disks"])
     (vectors,) = (g.new["a.vectors"] for g in trials if "a.vectors" in g.new)
@@ -65,17 +65,17 @@ def kills(
     done: Counter[str] = Counter()
 
     def once(trial: TrialFolder) -> None:
-        kill_once(trial, commands, rng, effort.say)
+        kill_once(trial, commands, rng, effort.report)
         done[trial.command.what] += 1
         if done[trial.command.what] % KILLS_PER_RUN == 0:
-            trial.run_undisturbed(commands, effort.say)
+            trial.run_undisturbed(commands, effort.report)
 
     seconds = effort.seconds * SHARES["kills"]
     try_in_turn(trials, once, seconds, int(KILLS_PER_MINUTE * effort.seconds / 60))
     for trial in trials:
         if done[trial.command.what] % KILLS_PER_RUN:
-            trial.run_undisturbed(commands, effort.say)
-    effort.say(f"{done.total()} kills")
+            trial.run_undisturbed(commands, effort.report)
+    effort.report(f"{done.total()} kills")
     yield from rows_of(trials, "kill -9 of", effort.seed)
 
 
@@ -86,7 +86,7 @@ def changes(
     try:
         import torch
     except ImportError:
-        effort.say("PyTorch is not installed; its weights are skipped")
+        effort.report("PyTorch is not installed; its weights are skipped")
     else:
         torch.save({"a": torch.ones(1 << 20)}, inputs / "any.pt")
     folder, share = effort.folder / "changed", effort.seconds * SHARES["changed"]
@@ -104,7 +104,7 @@ def changes(
                 if outcome not in ("accepted", "typed"):
                     log = folder / "error.txt"
                     error = log.read_text() if log.exists() else ""
-                    effort.say(f"{what} {how}: {outcome} {error}")
+                    effort.report(f"{what} {how}: {outcome} {error}")
         seconds = perf_counter() - start
         yield Row.counted("faults", f"{what} changed in use", counts, effort.seed, seconds)
     right = are_maps_reloaded(shutil.copytree(inputs, folder, dirs_exist_ok=True))
@@ -172,13 +172,13 @@ class TrialFolder:
             gone += [name for name in self.new if name not in there]
         return f"{gone[0]} is gone" if gone else ""
 
-    def count(self, outcome: str, why: str, said: str, say: Callable[[str], None]) -> None:
+    def count(self, outcome: str, why: str, said: str, report: Callable[[str], None]) -> None:
         """Count a trial, and report a fault."""
         self.counts[outcome] += 1
         if why:
-            say(f"{self.command.what}: {outcome}: {why} {said[-300:]}")
+            report(f"{self.command.what}: {outcome}: {why} {said[-300:]}")
 
-    def run_undisturbed(self, commands: Commands, say: Callable[[str], None]) -> None:
+    def run_undisturbed(self, commands: Commands, report: Callable[[str], None]) -> None:
         """Run the command after kills: it must make all files and remove leftovers."""
         self.command.before(self.inputs, self.folder)
         result = commands.start(self.command.words, self.folder, self.room).end()
@@ -190,11 +190,13 @@ class TrialFolder:
         )
         right = result.code == 0 and not why
         outcome = "accepted" if right else as_fault(result.outcome)
-        self.count(outcome, "" if right else f"the next run: {result.code} {why}", result.said, say)
+        self.count(
+            outcome, "" if right else f"the next run: {result.code} {why}", result.said, report
+        )
 
 
 def kill_once(
-    trial: TrialFolder, commands: Commands, rng: Generator, say: Callable[[str], None]
+    trial: TrialFolder, commands: Commands, rng: Generator, report: Callable[[str], None]
 ) -> None:
     """Kill the command once, anywhere or just when it writes, with its helpers or alone."""
     old = trial.command.before(trial.inputs, trial.folder)
@@ -211,14 +213,14 @@ def kill_once(
     why = trial.find_damage(old)
     if not result.killed and result.code:
         outcome = as_fault(result.outcome)
-        trial.count(outcome, f"it ended with {result.code}", result.said, say)
+        trial.count(outcome, f"it ended with {result.code}", result.said, report)
     elif why:
-        trial.count("untyped", why, result.said, say)
+        trial.count("untyped", why, result.said, report)
     elif left := running.helpers():
-        trial.count("hang", f"processes {left} live on", "", say)
+        trial.count("hang", f"processes {left} live on", "", report)
         running.kill()
     else:
-        trial.count("accepted", "", "", say)
+        trial.count("accepted", "", "", report)
 
 
 def try_in_turn(
@@ -248,7 +250,7 @@ def judge_refusal(
     trial: TrialFolder,
     old: dict[str, bytes],
     result: CommandResult,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
     *,
     clean: bool,
 ) -> None:
@@ -261,7 +263,7 @@ def judge_refusal(
         why = why or "its error names no file"
     outcome = as_fault(result.outcome) if why else result.outcome
     wrong = why or (f"it ended with {result.code}" if outcome not in ("accepted", "typed") else "")
-    trial.count(outcome, wrong, result.said, say)
+    trial.count(outcome, wrong, result.said, report)
 
 
 def as_fault(outcome: str) -> str:
@@ -297,7 +299,7 @@ def disks(
         )
         faults["a folder lost"] = lambda g: lose_folder(g, commands, effort, rng)
     else:
-        effort.say("disks are not mounted and no folder is lost: only root can do that")
+        effort.report("disks are not mounted and no folder is lost: only root can do that")
     for fault, once in faults.items():
         try_in_turn(trials, once, seconds / len(faults), 4 * len(trials))
         rows = list(rows_of(trials, fault, effort.seed))
@@ -311,7 +313,7 @@ def fill_disk(trial: TrialFolder, commands: Commands, effort: Effort, rng: Gener
     limits = Limits(file=size)
     old = trial.command.before(trial.inputs, trial.folder)
     result = commands.start(trial.command.words, trial.folder, trial.room, limits).end()
-    judge_refusal(trial, old, result, effort.say, clean=True)
+    judge_refusal(trial, old, result, effort.report, clean=True)
 
 
 def use_small_disk(
@@ -330,7 +332,7 @@ def use_small_disk(
             if not writable:
                 remount_read_only(disk)
             result = commands.start(trial.command.words, disk, trial.room).end()
-            judge_refusal(trial, old, result, effort.say, clean=True)
+            judge_refusal(trial, old, result, effort.report, clean=True)
         except OSError:  # too small for the old files, too
             pass
         finally:
@@ -353,7 +355,7 @@ def lose_folder(trial: TrialFolder, commands: Commands, effort: Effort, rng: Gen
         path.chmod(0o555)
     try:
         result = running.end()
-        judge_refusal(trial, old, result, effort.say, clean=False)
+        judge_refusal(trial, old, result, effort.report, clean=False)
     finally:
         for path in folders:
             path.chmod(0o755)

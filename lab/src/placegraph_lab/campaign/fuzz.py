@@ -165,12 +165,14 @@ def run_targets(
             tally = Tally()
             supervisor.run(name, max(left, 0.0) / (len(wanted) - k), most, tally)
             counts = ", ".join(f"{n} {outcome}" for outcome, n in tally.counts.items())
-            effort.say(f"{name}: {counts} in {tally.seconds:.0f} s, {tally.peak >> 20} MB at most")
+            effort.report(
+                f"{name}: {counts} in {tally.seconds:.0f} s, {tally.peak >> 20} MB at most"
+            )
             for fault, numbers in tally.found.items():
                 times = f"{len(numbers)} times, first input {numbers[0]}"
-                effort.say(f"  {fault} ({times}): {tally.reasons[fault]}")
+                effort.report(f"  {fault} ({times}): {tally.reasons[fault]}")
             for reason in tally.refused:
-                effort.say(f"  a sound seed is refused: {reason}")
+                effort.report(f"  a sound seed is refused: {reason}")
             yield name, tally
     finally:
         supervisor.end()

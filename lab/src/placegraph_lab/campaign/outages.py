@@ -94,7 +94,7 @@ class Load:
     gone: threading.Event = field(default_factory=threading.Event)
     """Set when the server was killed: no answer is correct then."""
 
-    def ask(self, say: Callable[[str], None]) -> None:
+    def ask(self, report: Callable[[str], None]) -> None:
         """Locate a sentence until `over` is set."""
         body = json.dumps({"text": "A bakery is north of me.", "map": "town"}).encode()
         while not self.over.is_set():
@@ -108,13 +108,13 @@ class Load:
                 outcome = "typed"
             else:
                 outcome = "hang" if status < 0 else "untyped"
-                say(f"under load: {status} {str(reply)[:200]}")
+                report(f"under load: {status} {str(reply)[:200]}")
             self.counts[outcome] += 1
 
     @contextmanager
-    def on(self, clients: int, say: Callable[[str], None]) -> Iterator[None]:
+    def on(self, clients: int, report: Callable[[str], None]) -> Iterator[None]:
         """Send requests with `clients` threads meanwhile."""
-        threads = [threading.Thread(target=self.ask, args=(say,)) for _ in range(clients)]
+        threads = [threading.Thread(target=self.ask, args=(report,)) for _ in range(clients)]
         for thread in threads:
             thread.start()
         try:
@@ -136,7 +136,7 @@ def kill_server_under_load(
         shutil.copy(inputs / name, maps)
     server = Server.start(maps, room)
     start, load, killed = time.perf_counter(), Load(server), 0
-    with load.on(2, effort.say):
+    with load.on(2, effort.report):
         while not killed or time.perf_counter() - start < seconds / 2:
             time.sleep(3.0 * rng.random())
             if there := server.workers():
@@ -160,7 +160,7 @@ def _kill_server(server: Server, effort: Effort, rng: Generator) -> str:
     """Kill a server while it answers; its workers must end by themselves."""
     load = Load(server)
     workers = server.workers()
-    with load.on(2, effort.say):
+    with load.on(2, effort.report):
         time.sleep(2.0 * rng.random())
         load.gone.set()
         server.end()

@@ -260,7 +260,7 @@ def rows(effort: Effort) -> Iterator[Row]:
         if not effort.wants(name):
             continue
         if monotonic() - start > effort.seconds:
-            effort.say(f"{name}: skipped, the time is over")
+            effort.report(f"{name}: skipped, the time is over")
             continue
         place = effort.folder / f"installed{number}"
         place.mkdir()
@@ -268,7 +268,7 @@ def rows(effort: Effort) -> Iterator[Row]:
         yield _row(name, trial, effort)
         shutil.rmtree(place)
     for version in sorted(set(PYTHONS) - set(find_pythons())):
-        effort.say(f"Python {version}: skipped, it is not installed")
+        effort.report(f"Python {version}: skipped, it is not installed")
 
 
 def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
@@ -278,7 +278,7 @@ def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
     except (RuntimeError, subprocess.TimeoutExpired) as error:
         broken = str(error)
     if broken:
-        effort.say(f"{name}: {broken}")
+        effort.report(f"{name}: {broken}")
     found = {"untyped" if broken else "accepted": 1}
     return Row.counted(PART, name, found, effort.seed, monotonic() - start)
 

@@ -248,7 +248,7 @@ def rows(effort: Effort) -> Iterator[Row]:
             worlds[known.world] = known.world(folder)
         yield try_property(
             known, worlds[known.world], (effort.seed, number), effort.seconds * known.share / whole,
-            effort.say,
+            effort.report,
         )  # fmt: skip
 
 
@@ -257,7 +257,7 @@ def try_property(
     world: object,
     seed: tuple[int, int],
     seconds: float,
-    say: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Row:
     """Try a property for `seconds`; trial k draws from ``default_rng((*seed, k))``."""
     found = {"accepted": 0, "untyped": 0}
@@ -270,6 +270,6 @@ def try_property(
             broken = f"{type(error).__name__}: {error}"
         found["untyped" if broken else "accepted"] += 1
         if broken:
-            say(f"{known.name}, seed {(*seed, k)}: {broken}")
+            report(f"{known.name}, seed {(*seed, k)}: {broken}")
         k += 1
     return Row.counted(PART, known.name, found, seed[0], monotonic() - start)

@@ -26,7 +26,7 @@ class Effort:
     seed: int
     folder: Path  # empty, the part's own; deleted when it has ended
     data: Path  # recordings, as in `Run.data`; may be missing
-    say: Callable[[str], None]  # reports progress
+    report: Callable[[str], None]  # reports progress
     names: Collection[str] = ()  # rows to run; all if empty
     layouts: Path | None = None
     """Python file that writes seeds of more formats for fuzzing (`campaign.seeds.load_layouts`)."""

@@ -103,7 +103,7 @@ def rows(effort: Effort) -> Iterator[Row]:
 
 
 def _row(load: str, report: LoadReport, wrong: int, effort: Effort) -> Row:
-    effort.say(f"{load}: {report.count:,}, {report}; {', '.join(report.faults)}")
+    effort.report(f"{load}: {report.count:,}, {report}; {', '.join(report.faults)}")
     grown = int(bool({"memory", "files"} & set(report.faults)))
     late = int("slower" in report.faults)
     counts = {

@@ -66,7 +66,7 @@ def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]
         city = pg.build_city(world / f"{TOWN}.osm", world / "town.city")
         found: dict[str, Any] = {
             "city": _digest(world / "town.city"),
-            "texts": [_said(city, text) for text in TEXTS],
+            "texts": [_locate(city, text) for text in TEXTS],
         }
         if frames:
             scene = pg.build_scene(world / f"{FLAT}.glb", world / "flat.scene")
@@ -77,7 +77,7 @@ def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]
     return stable
 
 
-def _said(city: Any, text: str) -> Any:  # noqa: ANN401  # a CityMap, imported late
+def _locate(city: Any, text: str) -> Any:  # noqa: ANN401  # a CityMap, imported late
     from placegraph.errors import PlacegraphError
 
     try:

@@ -115,12 +115,12 @@ def find_visible(city: CityMap, view: int) -> list[tuple[int, float]]:
     ]
 
 
-def describe(city: CityMap, things: list[tuple[int, float]]) -> Description:
+def describe(city: CityMap, objects: list[tuple[int, float]]) -> Description:
     """Describe objects by their direction from the speaker."""
     o = city.objects
     mentions = [Mention(0, "me"), Mention(1, "you")]
     statements = []
-    for row, bearing in things:
+    for row, bearing in objects:
         label = o.label(row)
         word = label.partition("=")[2]
         mentions.append(Mention(len(mentions), word, (Sense(label, 1.0),), definite=False))
@@ -203,10 +203,10 @@ def descriptions(city: CityMap, rng: np.random.Generator) -> list[Description]:
     while len(found) < ASKED:
         every = np.arange(len(city.views.positions))
         rich = np.flatnonzero(np.diff(city.in_sight(every).starts) >= 4)
-        things = find_visible(city, int(rng.choice(rich)))
-        if len(things) > 1:
-            some = rng.permutation(len(things))[: rng.integers(2, 6)]
-            found.append(describe(city, [things[i] for i in some]))
+        objects = find_visible(city, int(rng.choice(rich)))
+        if len(objects) > 1:
+            some = rng.permutation(len(objects))[: rng.integers(2, 6)]
+            found.append(describe(city, [objects[i] for i in some]))
     return found
 
 

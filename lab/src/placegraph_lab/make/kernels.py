@@ -86,7 +86,7 @@ json.dump([names, calls], open(sys.argv[1], "w"))
 """
 
 
-def list_kernels(data: Path, say: Callable[[str], None]) -> str:
+def list_kernels(data: Path, report: Callable[[str], None]) -> str:
     """Return the list, by running all commands on the shared data in folder `data`."""
     names: dict[str, str] = {}
     calls: dict[str, dict[str, int]] = {}
@@ -97,9 +97,9 @@ def list_kernels(data: Path, say: Callable[[str], None]) -> str:
                 *label.partition(",")[0].split(),
                 *shlex.split(run.format(data=data.resolve())),
             ]
-            theirs, found = _called(words, Path(folder))
-            _merge(theirs, found, names, calls.setdefault(label, {}))
-            say(f"{len(found):4} {label}")
+            tuple_names, found = _called(words, Path(folder))
+            _merge(tuple_names, found, names, calls.setdefault(label, {}))
+            report(f"{len(found):4} {label}")
     lines = [f"{name} = {text}" for text, name in names.items()]
     for label, found in calls.items():
         lines += ["", f"[{label}]", *apart(sorted(found, key=lambda call: (-found[call], call)))]
@@ -164,16 +164,16 @@ def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, i
     )  # fmt: skip
     if done.returncode:
         raise InputError(f"placegraph {shlex.join(words)} failed: {done.stderr.strip()[-500:]}")
-    theirs, found = json.loads(out.read_text("utf-8"))
-    return theirs, found
+    tuple_names, found = json.loads(out.read_text("utf-8"))
+    return tuple_names, found
 
 
 def _merge(
-    theirs: dict[str, str], found: dict[str, int], names: dict[str, str], calls: dict[str, int]
+    tuple_names: dict[str, str], found: dict[str, int], names: dict[str, str], calls: dict[str, int]
 ) -> None:
     """Merge the calls of one run, whose names of tuples may differ."""
     renamed: dict[str, str] = {}
-    for text, name in theirs.items():
+    for text, name in tuple_names.items():
         plain = name.rstrip("0123456789")
         alike = sum(known.rstrip("0123456789") == plain for known in names.values())
         renamed[name] = names.setdefault(_spell(text, renamed), f"{plain}{alike or ''}")

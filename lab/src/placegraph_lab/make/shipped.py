@@ -36,7 +36,7 @@ def interiors(homes: int, flat: str, times: int) -> Iterator[Interior]:
         yield Flat.load(flat).furnish(np.random.default_rng(seed))
 
 
-def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -> None:
+def print_usual(homes: int, flat: str, times: int, report: Callable[[str], None]) -> None:
     """Print the lines for appearance.py, and their difference from the present ones."""
     if not homes + times:
         raise OptionError("homes and times are 0; choose a home or a flat to look at.")
@@ -50,8 +50,8 @@ def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -
     before = appearance._USUAL  # noqa: SLF001  # what is replaced
     words = [f"{number:.3f}," for number in found.tolist()]
     rows = [words[i : i + _A_LINE] for i in range(0, len(words), _A_LINE)]
-    say("\n".join("        " + " ".join(f"{word:>7}" for word in row).lstrip() for row in rows))
-    say(f"# off from those of appearance.py by {np.abs(found - before).max():.4f} at most")
+    report("\n".join("        " + " ".join(f"{word:>7}" for word in row).lstrip() for row in rows))
+    report(f"# off from those of appearance.py by {np.abs(found - before).max():.4f} at most")
 
 
 COUNT = 32
@@ -59,7 +59,7 @@ FIRST_SEED = 700_000
 ENCODERS = ("labels", "appearance")
 
 
-def write_decoys(out: Path, say: Callable[[str], None]) -> None:
+def write_decoys(out: Path, report: Callable[[str], None]) -> None:
     """Draw, map and sign the homes, and write their library."""
     library = SceneLibrary(ENCODERS)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -69,9 +69,9 @@ def write_decoys(out: Path, say: Callable[[str], None]) -> None:
             path = Path(folder) / f"home {i}.scene"
             scene_of(home(rng).furnish(rng), name=path.stem).save(path)
             library.add(path.stem, path)
-            say(f"{path.stem} {len(library.entry(path.stem).signature)}")
+            report(f"{path.stem} {len(library.entry(path.stem).signature)}")
         library.save(out)
-    say(f"{out}: {out.stat().st_size:,} bytes")
+    report(f"{out}: {out.stat().st_size:,} bytes")
 
 
 WAY = "41"  # rooms that the camera comes through

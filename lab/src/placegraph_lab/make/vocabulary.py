@@ -197,7 +197,7 @@ def write(languages: Sequence[str], labels: list[str], entries: Entries) -> str:
     return "\n".join(["\t".join(languages), "\t".join(labels), *lines]) + "\n"
 
 
-def write_lexicons(package: Path, out: Path, say: Callable[[str], None]) -> None:
+def write_lexicons(package: Path, out: Path, report: Callable[[str], None]) -> None:
     """Make both lexicons of the unpacked package in a folder, and copy the licence.
 
     Raises `InputError` where the package is another folder.
@@ -209,6 +209,6 @@ def write_lexicons(package: Path, out: Path, say: Callable[[str], None]) -> None
         path.write_bytes(
             lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME, check=lzma.CHECK_CRC32)
         )
-        say(f"{path}: {text.count(chr(10)) - 2} words, {path.stat().st_size} bytes")
+        report(f"{path}: {text.count(chr(10)) - 2} words, {path.stat().st_size} bytes")
     licence = (package / "LICENSE.md").read_text(encoding="utf-8")
     (out / "LICENSE-id-tagging-schema.md").write_text(licence, encoding="utf-8")

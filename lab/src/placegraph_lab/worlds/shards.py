@@ -75,8 +75,8 @@ def part_of(
     names, name_starts, name_values = _strings(
         objects.names, objects.name_starts, objects.name_values, rows
     )
-    parts, part_starts = _taken(objects.part_starts, rows)
-    points, point_starts = _taken(objects.point_starts, parts)
+    parts, part_starts = _take_rows(objects.part_starts, rows)
+    points, point_starts = _take_rows(objects.point_starts, parts)
     at = extra.astype(np.float32)[None]
     return replace(
         objects,
@@ -103,12 +103,12 @@ def _strings(
     rows: NDArray[np.int64],
 ) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.int64]]:
     """Strings of some rows: those that occur, and which of them each row has."""
-    entries, kept = _taken(starts, rows)
+    entries, kept = _take_rows(starts, rows)
     used, where = np.unique(values[entries], return_inverse=True)
     return tuple(table[i] for i in used.tolist()), kept, where.ravel()
 
 
-def _taken(
+def _take_rows(
     starts: NDArray[np.int32], rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Entries of some rows of a CSR, and their own starts."""
@@ -205,8 +205,8 @@ def shuffled(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
     for kind in range(3):
         mine = np.flatnonzero(objects.kind == kind)
         rows[mine] = rng.permutation(mine)
-    labels, label_starts = _taken(objects.label_starts, rows)
-    names, name_starts = _taken(objects.name_starts, rows)
+    labels, label_starts = _take_rows(objects.label_starts, rows)
+    names, name_starts = _take_rows(objects.name_starts, rows)
     return replace(
         objects,
         label_starts=label_starts.astype(np.int32),

@@ -59,7 +59,7 @@ from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import Cell, Drawing, blots, legend_line, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.flat.furniture import MODELS
-from placegraph_lab.worlds.flat.textures import PAINTERS, Look
+from placegraph_lab.worlds.flat.textures import PAINTERS, Material
 
 if TYPE_CHECKING:
     from placegraph_lab.worlds.flat.interior import Interior
@@ -356,7 +356,7 @@ class Symbol:
     depth: float | None = None  # depth from its back [m]; None: as drawn
     faces: str = ""  # A direction of the page, a glyph to look at, or empty: away from the wall
     host: str = ""  # glyph of what it stands on or in
-    looks: Mapping[str, Look] = field(default_factory=dict)
+    looks: Mapping[str, Material] = field(default_factory=dict)
     """``look`` and ``trim``; of rooms ``walls``, ``floor`` and ``ceiling``."""
 
     @property
@@ -420,7 +420,7 @@ def _defaults(kind: str) -> dict[str, str]:
     }
 
 
-def look(text: str, place: str) -> Look:
+def look(text: str, place: str) -> Material:
     """Read a look such as ``wood saddlebrown`` or ``plaster #e9e3d5``.
 
     Raises `InputError`: the kind or the colour is unknown.
@@ -435,7 +435,7 @@ def look(text: str, place: str) -> Look:
             f"{place}: {colour.strip()!r} is no colour; write {kind} and a name such as tan, "
             "or #rrggbb."
         ) from None
-    return Look(kind, (red, green, blue))
+    return Material(kind, (red, green, blue))
 
 
 def _metres(text: str, key: str, place: str) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph_lab.worlds.flat.textures import WHOLE, Look
+from placegraph_lab.worlds.flat.textures import WHOLE, Material
 
 Floats = NDArray[np.float64]
 Size = tuple[float, float]
@@ -31,7 +31,7 @@ class Part:
     vertices: Floats
     triangles: NDArray[np.int32]
     uv: Floats
-    look: Look
+    look: Material
     size: Size
 
     def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> Part:
@@ -40,7 +40,9 @@ class Part:
         return replace(self, vertices=turned)
 
 
-def quad(corner: ArrayLike, right: ArrayLike, up: ArrayLike, look: Look, size: Size | None) -> Part:
+def quad(
+    corner: ArrayLike, right: ArrayLike, up: ArrayLike, look: Material, size: Size | None
+) -> Part:
     """Rectangle seen from the front: its lower left corner and its edges to the right and up.
 
     `size`: extent of the texture [m]; None: the whole face where the look asks for it, else a
@@ -74,10 +76,10 @@ FACES = {
 def box(
     low: ArrayLike,
     high: ArrayLike,
-    look: Look,
+    look: Material,
     *,
-    front: Look | None = None,
-    top: Look | None = None,
+    front: Material | None = None,
+    top: Material | None = None,
     without: Iterable[str] = (),
 ) -> list[Part]:
     """Box between two corners [m], with another look at its front or top, or without some faces."""
@@ -98,7 +100,13 @@ def box(
 
 
 def frustum(
-    middle: ArrayLike, radii: Size, heights: Size, look: Look, *, sides: int = 12, turn: float = 0.0
+    middle: ArrayLike,
+    radii: Size,
+    heights: Size,
+    look: Material,
+    *,
+    sides: int = 12,
+    turn: float = 0.0,
 ) -> Part:
     """Closed cone stump about a vertical axis: radii and heights [m] of its lower and upper end."""
     x, y = np.asarray(middle, np.float64)
@@ -131,7 +139,7 @@ def frustum(
 
 def joined(parts: Iterable[Part]) -> list[Part]:
     """Parts of the same look and texture size, joined to one each, in order of appearance."""
-    groups: dict[tuple[Look, Size], list[Part]] = {}
+    groups: dict[tuple[Material, Size], list[Part]] = {}
     for part in parts:
         groups.setdefault((part.look, part.size), []).append(part)
     found = []
@@ -156,8 +164,8 @@ class Body:
     width: float
     depth: float
     height: float
-    look: Look
-    trim: Look
+    look: Material
+    trim: Material
 
 
 def _block(b: Body) -> list[Part]:
@@ -171,7 +179,7 @@ def _cabinet(b: Body) -> list[Part]:
     if plinth:
         parts += box((0.03, 0.03, 0), (b.width - 0.03, b.depth - 0.06, plinth), b.trim)
     doors = max(1, round(b.width / 0.5))
-    front = Look("panel", b.look.colour)
+    front = Material("panel", b.look.colour)
     for k in range(doors):
         x0, x1 = b.width * k / doors + 0.004, b.width * (k + 1) / doors - 0.004
         y = b.depth - 0.02
@@ -238,7 +246,7 @@ def _sofa(b: Body) -> list[Part]:
 
 def _bed(b: Body) -> list[Part]:
     """Frame, mattress with a cover, headboard at the back, a pillow for every 0.8 m."""
-    white = Look("fabric", (236, 234, 228))
+    white = Material("fabric", (236, 234, 228))
     parts = box((0, 0, 0.1), (b.width, b.depth, 0.3), b.trim)
     parts += box((0, 0, 0.3), (b.width, 0.05, max(b.height, 0.6)), b.trim)
     parts += box((0.03, 0.05, 0.3), (b.width - 0.03, b.depth - 0.03, 0.48), white)
@@ -247,7 +255,7 @@ def _bed(b: Body) -> list[Part]:
     step = b.width / pillows
     for k in range(pillows):
         x0, x1 = k * step + 0.08, (k + 1) * step - 0.08
-        parts += box((x0, 0.1, 0.48), (x1, 0.55, 0.6), Look("stripes", b.look.colour))
+        parts += box((x0, 0.1, 0.48), (x1, 0.55, 0.6), Material("stripes", b.look.colour))
     return parts + _legs(b, 0.1, 0.06, 0.02)
 
 
@@ -262,11 +270,11 @@ def _shelf(b: Body) -> list[Part]:
         parts += box((0.025, 0.015, k * step), (b.width - 0.025, b.depth, k * step + 0.025), b.look)
     for k in range(rows):
         low, high = k * step + 0.025, (k + 1) * step - 0.03
-        spines = Look("books", b.trim.colour)
+        spines = Material("books", b.trim.colour)
         parts += box(
             (0.03, 0.02, low),
             (b.width - 0.03, b.depth - 0.06, high),
-            Look("plain", (214, 205, 186)),
+            Material("plain", (214, 205, 186)),
             front=spines,
             without=("back", "bottom"),
         )
@@ -282,7 +290,7 @@ def _counter(b: Body) -> list[Part]:
 
 def _stove(b: Body) -> list[Part]:
     """Cooker: a dark oven window, knobs, four plates."""
-    dark = Look("plain", (24, 24, 28))
+    dark = Material("plain", (24, 24, 28))
     parts = box((0, 0, 0), (b.width, b.depth - 0.02, b.height), b.look)
     y = b.depth - 0.02
     parts += box((0.06, y, 0.2), (b.width - 0.06, y + 0.015, b.height - 0.2), dark)
@@ -383,7 +391,9 @@ def _plant(b: Body) -> list[Part]:
     pot = min(0.35, 0.35 * b.height)
     parts = [frustum((x, y), (r * 0.5, r * 0.7), (0, pot), b.trim)]
     parts.append(
-        frustum((x, y), (0.02, 0.015), (pot, b.height * 0.8), Look("wood", (92, 70, 44)), sides=5)
+        frustum(
+            (x, y), (0.02, 0.015), (pot, b.height * 0.8), Material("wood", (92, 70, 44)), sides=5
+        )
     )
     for k, (dx, dy, low) in enumerate(((0.3, 0.1, 0.45), (-0.25, 0.25, 0.55), (0.0, -0.25, 0.68))):
         z0 = max(pot, low * b.height)
@@ -402,7 +412,7 @@ def _coats(b: Body) -> list[Part]:
     for k in range(coats):
         x = b.width * (k + 0.5) / coats
         colour = tuple(int(c * (0.5, 1.0, 0.75)[k % 3]) for c in b.look.colour)
-        coat = Look("fabric", (colour[0], colour[1], colour[2]))
+        coat = Material("fabric", (colour[0], colour[1], colour[2]))
         long = (0.05, 0.2, 0.0)[k % 3] * b.height
         parts += box((x - 0.11, 0.03, long), (x + 0.11, max(0.1, b.depth), b.height - 0.12), coat)
     return parts
@@ -419,7 +429,7 @@ class Model:
     base: float | None = None
     """Height of its lower edge above the floor [m]; None: it stands on what carries it."""
     depth: float | None = None  # depth from its back [m]; None: as drawn
-    glow: float = 0.0  # how brightly it shines of itself; a white wall in good light has 1
+    emission: float = 0.0  # how brightly it shines of itself; a white wall in good light has 1
     hung: bool = False  # whether it hangs on the wall behind it and needs one
     above: float = 0.02  # how far something of it, such as a tap, reaches above its height [m]
 
@@ -450,8 +460,8 @@ MODELS: dict[str, Model] = {
     "washstand": Model(_washstand, 0.85, "plain white", "metal silver", above=0.2),
     "toilet": Model(_toilet, 0.8, "plain white", "plain ivory"),
     "drum": Model(_drum, 0.4, "metal grey", "metal silver"),
-    "lamp": Model(_lamp, 1.6, "fabric wheat", "metal dimgrey", glow=1.6),
-    "pendant": Model(_pendant, 0.7, "fabric cornsilk", "metal dimgrey", glow=1.8),
+    "lamp": Model(_lamp, 1.6, "fabric wheat", "metal dimgrey", emission=1.6),
+    "pendant": Model(_pendant, 0.7, "fabric cornsilk", "metal dimgrey", emission=1.8),
     "picture": Model(
         _picture, 0.6, "picture saddlebrown", "wood saddlebrown", base=1.3, depth=0.03, hung=True
     ),

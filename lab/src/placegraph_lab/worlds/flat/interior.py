@@ -49,7 +49,7 @@ class Thing:
     label: str
     room: str
     surfaces: tuple[Surface, ...]
-    glow: float = 0.0  # how brightly it shines of itself
+    emission: float = 0.0  # how brightly it shines of itself
     is_window: bool = False
 
     @property
@@ -147,7 +147,7 @@ def furnish(flat: Flat, rng: np.random.Generator) -> Interior:
             for p in joined(piece.parts)
         )
         things.append(
-            Thing(index, name, piece.label, piece.room, surfaces, piece.glow, piece.is_window)
+            Thing(index, name, piece.label, piece.room, surfaces, piece.emission, piece.is_window)
         )
     return Interior(tuple(things), _lamps(flat, pieces))
 
@@ -170,11 +170,11 @@ def _furniture(flat: Flat, blot: Blot) -> Piece:
             width - 2 * GAP, depth - GAP, symbol.height, symbol.looks["look"], symbol.looks["trim"]
         )
         parts += _stand(model.made(body), rectangle, facing, base)
-        if model.glow > 0.0:  # what hangs shines from under its shade, others from over it
+        if model.emission > 0.0:  # what hangs shines from under its shade, others from over it
             x, y = (rectangle[0] + rectangle[2]) / 2, (rectangle[1] + rectangle[3]) / 2
             hangs = symbol.kind == "pendant"
             lamp = np.array([x, y, base - 0.05 if hangs else base + symbol.height + 0.05])
-    return Piece(symbol.label, flat.rooms[flat.room_of[blot.own]].name, parts, model.glow, lamp)
+    return Piece(symbol.label, flat.rooms[flat.room_of[blot.own]].name, parts, model.emission, lamp)
 
 
 def _extent(rectangle: Rectangle, facing: tuple[int, int]) -> tuple[float, float]:

@@ -90,10 +90,10 @@ class Stage:
         texels, self._starts, self._sizes = self.mesh.texels()
         linear = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
         self._texels = linear[texels]
-        glow = np.zeros(max(thing.id for thing in interior.things) + 1, np.float32)
+        emission = np.zeros(max(thing.id for thing in interior.things) + 1, np.float32)
         for thing in interior.things:
-            glow[thing.id] = thing.glow * (daylight if thing.is_window else 1.0 - daylight)
-        self._glow = glow
+            emission[thing.id] = thing.emission * (daylight if thing.is_window else 1.0 - daylight)
+        self._emission = emission
         strength = np.array([3.0 * daylight if lamp.is_window else 1.6 * (1.0 - daylight)
                              for lamp in interior.lamps])  # fmt: skip
         strength *= rng.uniform(0.7, 1.3, len(strength))
@@ -119,7 +119,7 @@ class Stage:
         """
         hits = self._cast(camera, map_from_camera)
         light = self._light(hits.points, hits.normals)
-        light += self._glow[self.mesh.object_of[hits.triangle], None]
+        light += self._emission[self.mesh.object_of[hits.triangle], None]
         light *= self._albedo(hits.triangle, hits.u, hits.v)
         return _spread(light, hits.pixel, (camera.height, camera.width), 0.0)
 

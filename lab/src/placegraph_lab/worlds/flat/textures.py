@@ -20,14 +20,14 @@ LARGEST = 320  # most pixels along an edge of a texture
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Material:
     """Material and sRGB colour of a surface."""
 
     kind: str
     colour: tuple[int, int, int]
 
 
-def paint(look: Look, size: tuple[float, float], rng: np.random.Generator) -> Image:
+def paint(look: Material, size: tuple[float, float], rng: np.random.Generator) -> Image:
     """Image (h, w, 3) uint8 sRGB of a surface `size` = width, height [m]."""
     width, height = (int(np.clip(round(s * PIXELS_PER_METRE), 2, LARGEST)) for s in size)
     canvas = np.empty((height, width, 3))

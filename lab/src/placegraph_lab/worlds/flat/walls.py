@@ -18,7 +18,7 @@ from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import EAST, NORTH, SOUTH, WEST, Cell, step
 from placegraph_lab.worlds.flat.flat import DOOR, SOLID, WINDOW, Blot, Flat, Room
 from placegraph_lab.worlds.flat.furniture import Floats, Part, Size, box, quad
-from placegraph_lab.worlds.flat.textures import Look
+from placegraph_lab.worlds.flat.textures import Material
 
 CASING = 0.07  # width of the boards around an opening [m]
 BOARD = 0.015  # how far they stand out of the wall [m]
@@ -34,7 +34,7 @@ class Piece:
     label: str
     room: str
     parts: list[Part]
-    glow: float = 0.0  # how brightly it shines of itself
+    emission: float = 0.0  # how brightly it shines of itself
     lamp: Floats | None = None  # where the light that it gives starts from (3,) [m]
     is_window: bool = False
 
@@ -270,7 +270,7 @@ def _frame(hole: Hole) -> tuple[Floats, Floats]:
     return np.array([x1, y0, 0.0]), quarter
 
 
-def _reveal(wide: float, thick: float, levels: list[float], look: Look) -> list[Part]:
+def _reveal(wide: float, thick: float, levels: list[float], look: Material) -> list[Part]:
     """Jambs, head and sill, seen from within the opening."""
     through, along = np.array([0.0, thick, 0.0]), np.array([wide, 0.0, 0.0])
     size = (1.0, 1.0)
@@ -286,7 +286,7 @@ def _reveal(wide: float, thick: float, levels: list[float], look: Look) -> list[
 
 
 def _casing(
-    wide: float, thick: float, low: float, high: float, look: Look, *, near: bool
+    wide: float, thick: float, low: float, high: float, look: Material, *, near: bool
 ) -> list[Part]:
     """Boards around the opening on one face of the wall."""
     y0, y1 = (-BOARD, 0.0) if near else (thick, thick + BOARD)

@@ -456,7 +456,7 @@ def _without(interior: Interior, thing: Thing) -> Interior:
     lamps = tuple(
         lamp
         for lamp in interior.lamps
-        if lamp.is_window or thing.glow == 0.0 or not _over(lamp.position, thing.bounds)
+        if lamp.is_window or thing.emission == 0.0 or not _over(lamp.position, thing.bounds)
     )
     return Interior(tuple(t for t in interior.things if t.id not in gone), lamps)
 
@@ -482,7 +482,7 @@ def _moved(interior: Interior, thing: Thing, rng: np.random.Generator) -> Interi
             lamps = tuple(
                 replace(lamp, position=(*(np.array(lamp.position[:2]) + shift).tolist(),
                                         lamp.position[2]))
-                if not lamp.is_window and any(t.glow > 0.0 and _over(lamp.position, t.bounds)
+                if not lamp.is_window and any(t.emission > 0.0 and _over(lamp.position, t.bounds)
                                               for t in (thing, *cargo))
                 else lamp
                 for lamp in interior.lamps
@@ -557,7 +557,7 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
         Surface(part.vertices, part.triangles, part.uv, paint(part.look, part.size, rng))
         for part in joined(model.made(body))
     )
-    fresh = Thing(number, f"{label} {number}", label, room, surfaces, model.glow)
+    fresh = Thing(number, f"{label} {number}", label, room, surfaces, model.emission)
     others = [t for t in interior.things if t.label != words[0]] + [
         t for t in interior.things if t.label == words[0]
     ]
