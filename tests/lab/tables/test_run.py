@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
 from placegraph_lab.tables.named import scene_sentences as told
-from placegraph_lab.tables.runner import Run, known, load, names
+from placegraph_lab.tables.runner import Run, check_names, load, names
 from placegraph_lab.worlds.town.town import Town
 
 
@@ -81,7 +81,7 @@ def test_drawn_homes(measure, tmp_path, monkeypatch):
 
 def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("placegraph_lab.tables.runner.LAB", tmp_path)
-    Run("some", tmp_path, tmp_path).save({"rows": []}, whole=False)
+    Run("some", tmp_path, tmp_path).save({"rows": []}, complete=False)
     Run("some", tmp_path, tmp_path, options={"quick": True}).save({"rows": []})
     assert not list(tmp_path.iterdir())
     Run("some", tmp_path, tmp_path).save({"rows": []})
@@ -89,6 +89,6 @@ def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatc
 
 
 def test_what_is_said_of_rows():
-    assert known([], ("a", "b"), "row") == ["a", "b"]
+    assert check_names([], ("a", "b"), "row") == ["a", "b"]
     with pytest.raises(typer.BadParameter, match="there are a; b"):
-        known(["c"], ("a", "b"), "row")
+        check_names(["c"], ("a", "b"), "row")

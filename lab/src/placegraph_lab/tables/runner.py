@@ -290,7 +290,7 @@ class Run:
     def console(self) -> Console:
         return Console(file=bare(sys.stderr))
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         typer.echo(text, err=True)
 
     def progress(self) -> Progress:
@@ -313,14 +313,14 @@ class Run:
             path.unlink(missing_ok=True)
         return Journal(path)
 
-    def save(self, record: dict[str, Any], *, whole: bool = True) -> None:
+    def save(self, record: dict[str, Any], *, complete: bool = True) -> None:
         """Write rows as small JSON (`plain`), with machine, commit and options.
 
-        `whole`: False of a part of the table, which is written only where `--out` says so, as a
+        `complete`: False of a part of the table, which is written only where `--out` says so, as a
         quick run is.
         """
-        whole = whole and not self.options.get("quick")
-        out = self.out or (LAB / "results" / f"{self.name}.json" if whole else None)
+        complete = complete and not self.options.get("quick")
+        out = self.out or (LAB / "results" / f"{self.name}.json" if complete else None)
         if out is None:
             return
         head = {"table": self.name, "machine": machine(), "commit": _commit()}
@@ -388,7 +388,7 @@ def parts(text: str, mark: str = ",") -> list[str]:
     return [part.strip() for part in text.split(mark) if part.strip()]
 
 
-def known(given: Sequence[str], there: Iterable[str], what: str) -> list[str]:
+def check_names(given: Sequence[str], there: Iterable[str], what: str) -> list[str]:
     """Return the names given; all there are where none is, refused where one is not there."""
     every = list(there)
     unknown = sorted(set(given) - set(every))

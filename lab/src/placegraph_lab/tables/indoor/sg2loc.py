@@ -218,7 +218,7 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
     if not pairs:
         raise InputError(f"{root} holds no two scans of one room of the split {split!r}. {LAYOUT}")
     walks = [Walk(p.name, p.map, partial(scan3r.recorded, root, p), p.changed) for p in pairs]
-    run.say(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
+    run.log(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
 
     def scene(scan: str) -> SceneMap:
         path = place(run.cache, f"3rscan_{scan}")
@@ -244,7 +244,7 @@ def of_scannet(run: Run) -> Set:
         else scannet.derive_pairs(scannet.scans_in(scans.folder))
     )
     known = [found for pair in pairs if (found := scans.registered(pair)) is not None]
-    run.say(f"ScanNet: {len(known)} of {len(pairs)} pairs are registered.")
+    run.log(f"ScanNet: {len(known)} of {len(pairs)} pairs are registered.")
     if not known:
         raise InputError(f"{scans.root}: no two scans of a room could be registered. {LAYOUT}")
     walks = [Walk(p.name, p.map, partial(scannet.recorded, scans.folder, p)) for p in known]
@@ -390,7 +390,7 @@ class Asking:
 
         left = len(self.journal.missing(keys))
         if left:
-            self.run.say(f"{of.name}: {recipe}, {length} frames: {left} windows to ask")
+            self.run.log(f"{of.name}: {recipe}, {length} frames: {left} windows to ask")
         return [Reply.from_dict(row) for row in self.journal.filled(keys, ask)]
 
     def _place_window(

@@ -392,13 +392,13 @@ def indoor_colmap(
     quick: lab.Quick = False,
 ) -> None:
     """How near do single frames come, beside COLMAP and XFeat? Centimetres, recall, MB, milliseconds."""
-    wanted = lab.known(lab.parts(only, ";"), [one.name for one in SETS], "set")
+    wanted = lab.check_names(lab.parts(only, ";"), [one.name for one in SETS], "set")
     rows: list[Row] = []
     weights = run.shared / "weights/xfeat.pt"
     for one in SETS:
         if one.name in wanted:
-            run.say(one.name)
+            run.log(one.name)
             found = rows_of(one, run.data, run.cache, weights, 6 if quick else frames, seed)
             lab.show(one.name, COLUMNS, found)
             rows += found
-    run.save({"rows": rows}, whole=not only)
+    run.save({"rows": rows}, complete=not only)

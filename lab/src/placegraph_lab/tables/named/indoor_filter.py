@@ -133,4 +133,4 @@ def indoor_filter(
     order = {j.name: i for i, j in enumerate(jobs)}
     rows.sort(key=lambda r: (order[r.job.name], r.length))
     print(report(rows))
-    run.save({"rows": [row.record() for row in rows]}, whole=not names)
+    run.save({"rows": [row.record() for row in rows]}, complete=not names)

@@ -169,5 +169,5 @@ def indoor_refine(
     print(report(rows))
     run.save(
         {"rows": [row.record() | {"normalised_errors": spreads(row)} for row in rows]},
-        whole=not names,
+        complete=not names,
     )

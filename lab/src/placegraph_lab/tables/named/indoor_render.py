@@ -90,7 +90,7 @@ def indoor_render(
     for name, (scene, cameras, tour) in places.items():
         chosen = tour[np.linspace(0, len(tour) - 1, poses).round().astype(int)]
         for camera in cameras:
-            run.say(f"{name}, {camera.width} x {camera.height}")
+            run.log(f"{name}, {camera.width} x {camera.height}")
             head = {"map": name, "triangles": len(scene.mesh)}
             rows += [head | row for row in time_renderings(scene, camera, chosen)]
     show(f"A picture of the map, {poses} true poses each", COLUMNS, rows)

@@ -281,7 +281,7 @@ def indoor_robustness(
         print(f"{model}\n\n{honest(model, found)}")
         return
     print(report(ordered))
-    run.save({"rows": [row.record() for row in ordered]}, whole=not names)
+    run.save({"rows": [row.record() for row in ordered]}, complete=not names)
 
 
 def _ask_window(

@@ -226,4 +226,4 @@ def indoor_semantics(
     )
     rows = [Row(job, n, tuple(Answer(**a) for a in answers)) for job, n, answers in asked]
     print(report(rows))
-    run.save({"rows": [row.record() for row in rows]}, whole=not only)
+    run.save({"rows": [row.record() for row in rows]}, complete=not only)

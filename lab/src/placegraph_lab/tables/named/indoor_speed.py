@@ -24,7 +24,16 @@ from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.metrics import mean_particles
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import Quick, Run, known, option, parts, render, share, table
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    check_names,
+    option,
+    parts,
+    render,
+    share,
+    table,
+)
 from placegraph_lab.tables.statistics import apart, peak
 
 FRAMES = 10  # frames of a sequence that are localized
@@ -136,7 +145,7 @@ def methods(run: Run, maps: dict[str, Path], folders: list[Path]) -> list[dict[s
     for name, path in maps.items():
         for method, options in METHODS.items():
             if name == "house" or method in {"all terms", "all terms, without polish"}:
-                run.say(f"{method}, {name}")
+                run.log(f"{method}, {name}")
                 row = apart(localizing, path, folders, options)
                 rows.append({"method": method, "map": name} | row)
     return rows
@@ -150,7 +159,7 @@ def indoor_speed(
     quick: Quick = False,
 ) -> None:
     """What does localizing indoors cost? By stage and map; the tracker, memory, cold starts."""
-    wanted = known(parts(only) or (["start"] if quick else []), PARTS, "part")
+    wanted = check_names(parts(only) or (["start"] if quick else []), PARTS, "part")
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     indoor_maps.house(run.data, run.cache)
     indoor_maps.coarse_house(run.data, run.cache)
@@ -186,4 +195,4 @@ def indoor_speed(
     if "tracking" in wanted:
         record["tracking"] = apart(tracking, maps["house"], folders)
         print(f"#### Tracking\n\n{render(TRACKING, [record['tracking']])}\n")
-    run.save(record, whole=not only)
+    run.save(record, complete=not only)

@@ -254,7 +254,7 @@ def outdoor_ablation(
         work, measured = work / "quick", names
     every = variants(base)
     asked_for = [entry.partition("/")[::2] for entry in lab.parts(only) or every]
-    lab.known([name for name, _ in asked_for], every, "variant")
+    lab.check_names([name for name, _ in asked_for], every, "variant")
     wanted = [(n, s) for n, one in asked_for for s in ([one] if one else lab.parts(seeds))]
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
     judging = Judging(run, cities, measured, queries, seed, run.journal())
@@ -268,7 +268,7 @@ def outdoor_ablation(
     }
     found[SHIPPED] = [judging.hits(shipped)]
     for name, its in wanted:
-        run.say(f"{name}, seed {its}")
+        run.log(f"{name}, seed {its}")
         options = replace(every[name], seed=int(its))
         network = trained(name, options, {n: cities[n] for n in names}, work, device)
         found.setdefault(name, []).append(judging.hits(network))
@@ -282,4 +282,4 @@ def outdoor_ablation(
         for name, runs in found.items()
     ]
     asked = {c: len(hits["dense"]) for c, hits in zip(measured, found[SHIPPED][0], strict=True)}
-    run.save({"asked": asked, "rows": rows}, whole=not only)
+    run.save({"asked": asked, "rows": rows}, complete=not only)

@@ -127,7 +127,7 @@ def outdoor_candidates(
     run.one_core()
     rows = []
     for n in wanted:
-        run.say(f"{n:,} cells")
+        run.log(f"{n:,} cells")
         few = max(1, min(queries, without // n))
         rows.append(
             measure(sized(whole, n, middle, seed), asked, without=few, candidates=candidates)

@@ -30,7 +30,7 @@ from placegraph_lab.tables.kitti.kitti360pose import (
 )
 from placegraph_lab.tables.kitti.matchers import Relational
 from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
-from placegraph_lab.tables.runner import Quick, Run, Seed, known, option, parts, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, check_names, option, parts, table
 
 
 def open_dataset(path: Path, run: Run) -> Kitti360Pose:
@@ -71,7 +71,7 @@ class Asking:
                     name, rng, network=self.network, candidates=self.candidates
                 )
             except (PlacegraphError, ImportError) as error:
-                run.say(f"{name} is left out: {error}")
+                run.log(f"{name} is left out: {error}")
                 continue
             most = self.slow if name in SLOW else self.queries
             poses = split.poses
@@ -119,8 +119,8 @@ def outdoor_kitti360pose(
         from placegraph.outdoor.network.network import GraphTransformer
 
         network = GraphTransformer.open(weights)
-    names = known(parts(matchers), MATCHERS, "matcher")
-    chosen = known(parts(readings), ("honest", "paper"), "reading")
+    names = check_names(parts(matchers), MATCHERS, "matcher")
+    chosen = check_names(parts(readings), ("honest", "paper"), "reading")
     kitti = open_dataset(dataset, run)
     run.one_core()
     asking = Asking(names, network, queries, slow, candidates, seed)
@@ -128,7 +128,7 @@ def outdoor_kitti360pose(
     if osm is not None:
         sets.append(on_osm(kitti, osm, Crop(reach, sight)))
         told, every = (f"{len(d.poses.cells):,}" for d in (sets[1], kitti))
-        run.say(f"On OSM, {told} of {every} poses have {TOLD} things within {sight:g} m.")
+        run.log(f"On OSM, {told} of {every} poses have {TOLD} things within {sight:g} m.")
     results: list[Result] = []
     for data, name, reading in product(sets, splits.split(","), chosen):
         split = Split.of(data, name, reading, edge_distance=edge_distance)  # type: ignore[arg-type]

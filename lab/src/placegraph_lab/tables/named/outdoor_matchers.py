@@ -262,11 +262,11 @@ def outdoor_matchers(
     """Which matcher finds the cell? On graphs from OpenStreetMap."""
     if quick:
         queries, slow = 40, 5
-    asked_for = lab.known(lab.parts(settings), SETTINGS, "setting")
+    asked_for = lab.check_names(lab.parts(settings), SETTINGS, "setting")
     chosen = [s for s in SETTINGS if s in asked_for]
     protocols = [Protocol(setting=s, anywhere=True) for s in chosen]
     protocols += [Protocol(setting="none")] if "none" in chosen else []
-    shown = lab.known(lab.parts(methods, ";"), MATCHERS, "matcher")
+    shown = lab.check_names(lab.parts(methods, ";"), MATCHERS, "matcher")
     names = names_of(cities)
     run.one_core()
     rows: list[Row] = []
@@ -284,4 +284,4 @@ def outdoor_matchers(
     lead = advantages(rows, np.random.default_rng(seed))
     print(report(rows, lead))
     found = {"rows": [r.to_dict() for r in rows], "differences": lead}
-    run.save({"cells": cells} | found, whole=not (cities or methods))
+    run.save({"cells": cells} | found, complete=not (cities or methods))

@@ -95,7 +95,7 @@ def outdoor_scale(
     asked = make_queries(osm, n=queries, seed=seed)
     rows: list[dict[str, Any]] = []
     for n in (int(c) for c in copies.split(",")):
-        run.say(f"{n} x: writing, building, asking")
+        run.log(f"{n} x: writing, building, asking")
         tiled, made = run.cache / f"tiled_{n}.osm.pbf", run.cache / f"tiled_{n}.city"
         tile([osm], tiled, n, seed)
         rows.append({"copies": n} | apart(build, tiled, made, osm) | apart(ask, made, asked))

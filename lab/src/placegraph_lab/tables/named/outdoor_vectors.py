@@ -210,7 +210,7 @@ def outdoor_vectors(
         vectors, asked = world()
         first, count = len(rows), len(vectors)
         for name, build in contenders(count, graphs):
-            run.say(f"{count:,}: {name}")
+            run.log(f"{count:,}: {name}")
             rows.append(time_store(name, build, vectors, asked))
         show(f"{count:,} vectors", COLUMNS, rows[first:])
     run.save({"dimension": DIMENSION, "rows": rows})

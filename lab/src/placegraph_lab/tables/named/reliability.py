@@ -59,7 +59,7 @@ def reliability(
 ) -> None:
     """What was done to break placegraph, and what became of it."""
     wanted, path = (
-        lab.known(lab.parts(only), PARTS, "part"),
+        lab.check_names(lab.parts(only), PARTS, "part"),
         run.out or lab.LAB / "results/reliability.json",
     )
     now = [row for name in lab.parts(also) for row in written(Path(name))]
@@ -78,9 +78,9 @@ def reliability(
     seconds = 60.0 * (min(minutes, 1.0) if quick else minutes)
     for part in wanted if seconds else ():
         with tempfile.TemporaryDirectory(prefix=f"placegraph-{part}-") as name:
-            run.say(f"{part}, seed {seed}, {seconds / 60:g} minutes")
+            run.log(f"{part}, seed {seed}, {seconds / 60:g} minutes")
             file = Path(layouts).absolute() if layouts and Path(layouts).is_file() else None
-            effort = Effort(seconds, seed, Path(name), run.data, run.say, asked, file)
+            effort = Effort(seconds, seed, Path(name), run.data, run.log, asked, file)
             for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
                 now.append(row)
                 save()

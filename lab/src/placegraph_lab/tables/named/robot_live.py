@@ -482,7 +482,7 @@ def robot_live(
     quick: lab.Quick = False,
 ) -> None:
     """How right a robot's pose is as it goes, how soon it is found again, and how late it is told."""
-    wanted = lab.known(lab.parts(only) or (["walks"] if quick else []), PARTS, "part")
+    wanted = lab.check_names(lab.parts(only) or (["walks"] if quick else []), PARTS, "part")
     places = Places(run.data, run.cache)
     house = places.scene("house")
     record: dict[str, Any] = {"load": os.getloadavg()}
@@ -516,10 +516,10 @@ def robot_live(
             record["ways"] = found
     if "lifelong" in wanted:
         recordings = places.recordings("house")["house"]
-        life = lived(house, recordings, lifelong, seed, run.say)
+        life = lived(house, recordings, lifelong, seed, run.log)
         print(summarize(life))
         record["lifelong"] = life
-    run.save(record, whole=not only)
+    run.save(record, complete=not only)
 
 
 def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -> list[Row]:
@@ -530,7 +530,7 @@ def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -
             seen = []
             for where, recordings in places.recordings(place).items():
                 for walk in walks(recordings, degrees, seed):
-                    run.say(f"{where}, {degrees} degrees a frame, {len(walk.frames)} frames")
+                    run.log(f"{where}, {degrees} degrees a frame, {len(walk.frames)} frames")
                     seen.append(followed(places.scene(where), walk, seed))
             rows.append(Row.of(place, degrees, seen))
     return rows

@@ -145,13 +145,13 @@ def scene_maps(
     names = lab.parts(sizes)
     if quick:
         names, every, office_every = names or ["default", "small"], 50, 60
-    lab.known(names, ALL, "size")
+    lab.check_names(names, ALL, "size")
     weights = weights or run.shared / "weights/deeplabv3_mnv2_pascal_quant.tflite"
-    maps = Maps(run.data, weights, run.cache, run.journal(fresh=fresh), run.say)
+    maps = Maps(run.data, weights, run.cache, run.journal(fresh=fresh), run.log)
     asked = {r.place for r in rows} | {r.place for r in refining}
     wanted = {place: sizes_of(place, names) for place in PLACES if place in asked}
     if not (weights.exists() and find_spec("ai_edge_litert")):
-        run.say("No labelled maps: they need the network's weights and the extra `segment`.")
+        run.log("No labelled maps: they need the network's weights and the extra `segment`.")
         wanted = {place: [s for s in of if s != LABELLED] for place, of in wanted.items()}
     made = [maps.made(place, size) for place, of in wanted.items() for size in of]
     apart = {
@@ -167,4 +167,4 @@ def scene_maps(
     built = [lab.plain(m) | {"off_m": apart.get(m.name)} for m in made]
     record = {"paper": {"storage_MB": STORAGE}, "maps": built}
     record |= {"recall": [p.record() for p in pairs], "refined": refined}
-    run.save(record, whole=not (only or sizes or build_only))
+    run.save(record, complete=not (only or sizes or build_only))

@@ -218,12 +218,12 @@ def scene_retrieval(
     quick: lab.Quick = False,
 ) -> None:
     """Which scene of a library was a walk taken in? Homes, rooms of the house, the office."""
-    rows = lab.known(lab.parts(encoders, ";"), ROWS, "row")
+    rows = lab.check_names(lab.parts(encoders, ";"), ROWS, "row")
     if quick:
         rows, scenes, thin = rows[:1], 0, True
     journal = run.journal(fresh=fresh)
     places, walks = read_walks(run, 0 if development else FIRST, thin=thin)
-    study = Study(places, walks, run.cache, journal, run.say)
+    study = Study(places, walks, run.cache, journal, run.log)
     measured, large = [], []
     for name in rows:
         try:
@@ -231,7 +231,7 @@ def scene_retrieval(
             if scenes and name == LARGE:
                 large += study.scale(name, np.random.default_rng(0), scenes)
         except MissingExtraError as error:
-            run.say(f"{name}: {error}")
+            run.log(f"{name}: {error}")
     print(report(measured, large))
     record = {
         "scenes": [p.name for p in places],
@@ -241,4 +241,4 @@ def scene_retrieval(
         "rows": figures(measured),
         "scale": large,
     }
-    run.save(record, whole=not (encoders or development))
+    run.save(record, complete=not (encoders or development))

@@ -332,7 +332,7 @@ def scene_sentences(
     glb = run.data / "house/map/house.glb"
     house = build_scene(glb, None) if glb.exists() else None
     if house is None:
-        run.say(f"{glb} is not there: it is left out.")
+        run.log(f"{glb} is not there: it is left out.")
     described = ask_people(house, np.random.default_rng(seed), draws=draws)
     print(f"Rooms that somebody described, first among ten of {described[0]['rooms']}\n")
     print(f"{report_people(described)}\n")

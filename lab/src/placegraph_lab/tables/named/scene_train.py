@@ -91,7 +91,7 @@ def scene_train(
     worlds = draw_homes(homes, seed=seed, frames=frames)
     weights = train(
         worlds, work / "trained.safetensors", folder=work, held=held, options=options,
-        device="cpu", progress=EpochLines(run.say),
+        device="cpu", progress=EpochLines(run.log),
     )  # fmt: skip
     seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}
     lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]

@@ -126,7 +126,7 @@ def storage(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
             {"row": f"{its.name}, placegraph", "scenes": len(scenes), "a scene [MB]": megabytes,
              "objects a scene": objects / len(scenes), "vertices an object": vertices / objects}
         )  # fmt: skip
-        asking.run.say(f"{its.name}: {len(scenes)} maps")
+        asking.run.log(f"{its.name}: {len(scenes)} maps")
     return _written(rows), rows
 
 
@@ -165,7 +165,7 @@ def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
         else:
             places = [Place(name, its.scene(name), room) for name, room in its.rooms.items()]
             walks = [Walk(w.name, w.map, w.open()[0], bool(w.changed)) for w in its.walks]
-        study = Study(places, walks, asking.run.cache, asking.journal, asking.run.say)
+        study = Study(places, walks, asking.run.cache, asking.journal, asking.run.log)
         labelled = any(w.capture.label_kind == "labels" for w in walks)
         row = study.row(asking.how.encoder or (NOISY if labelled else "appearance"))
         text += [f"#### {its.name}: {len(places)} scenes, {len(walks)} walks", main_table([row])]
@@ -378,7 +378,7 @@ def answerable(run: lab.Run, of: Spec, sets: list[Set]) -> list[Set]:
     if not kept:
         raise InputError(" ".join(why))
     for text in why:
-        run.say(text)
+        run.log(text)
     return kept
 
 
@@ -391,7 +391,7 @@ def select_part(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
         )
     if not 0.0 <= pace < math.inf:
         raise typer.BadParameter(f"pace is 0 or more seconds, not {pace}.")
-    rows = lab.known(lab.parts(only, ";"), (name for name, *_ in spec.rows), "row")
+    rows = lab.check_names(lab.parts(only, ";"), (name for name, *_ in spec.rows), "row")
     return spec._replace(
         lengths=tuple(map(int, words)) or spec.lengths,
         rows=tuple(row for row in spec.rows if row[0] in rows),
@@ -431,7 +431,7 @@ def numbered(table: int) -> lab.Table:
         costs = {3: storage, 4: seconds, 5: retrieval}.get(table)
         text, rows = costs(of, asking, chosen) if costs else poses(table, of, asking, chosen)
         print(f"Table {table}. {spec.asks}\n\n{text}")
-        run.save({"rows": rows}, whole=not (sets or lengths or only))
+        run.save({"rows": rows}, complete=not (sets or lengths or only))
 
     its = inspect.signature(measure, eval_str=True)
     used = [p for p in its.parameters.values() if p.name not in UNUSED.get(table, {"pace"})]

@@ -309,15 +309,15 @@ def vector_scale(
     for module, sizes in zip(MEASURES, (files, lite, server), strict=True):
         for size in map(int, parts(sizes)):
             if module and not find_spec(module):
-                run.say(f"{module} is not installed")
+                run.log(f"{module} is not installed")
                 continue
             rows.append(apart(measured, module, size, queries, seed, run.cache))
-            run.say(str(rows[-1]))
+            run.log(str(rows[-1]))
             run.save({"rows": rows})  # a server may never answer
     print(printed(rows))
     words: list[dict[str, Any]] = []
     if city and not find_spec("milvus_lite"):
-        run.say("milvus-lite is not installed: words beside vectors are left out")
+        run.log("milvus-lite is not installed: words beside vectors are left out")
     elif city:
         told = make_queries(run.osm / EXTRACTS[city], n=queries, seed=seed)
         with TemporaryDirectory(dir=run.cache, ignore_cleanup_errors=True) as folder:

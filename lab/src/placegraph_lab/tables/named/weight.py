@@ -242,4 +242,4 @@ def weight(
     header = (Column(title, title) for title in ("", "at 9cf6d59", "now", "aim"))
     print(render(tuple(header), (figure.cells() for figure in figures)))
     rows = {"parts": parts, "figures": figures}
-    run.save({**rows, "prose": words}, whole=starts and installs)
+    run.save({**rows, "prose": words}, complete=starts and installs)

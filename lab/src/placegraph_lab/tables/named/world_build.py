@@ -156,7 +156,7 @@ def world_build(
         nodes, before = written(run, osm, n, seed), None
         world = run.cache / "world"
         for many in map(int, parts(workers)):
-            run.say(f"{n} x: building with {many}")
+            run.log(f"{n} x: building with {many}")
             shutil.rmtree(world, ignore_errors=True)
             size = osm.stat().st_size
             row: dict[str, Any] = {"copies": n, "nodes": nodes, "pbf_bytes": size, "workers": many}
@@ -167,7 +167,7 @@ def world_build(
             before = tuple(made.items())
             rows.append(row)
         if not once:
-            run.say(f"{n} x: killed and taken up again")
+            run.log(f"{n} x: killed and taken up again")
             shutil.rmtree(world)
             build(osm, world, many, kill_after=max(1, len(made) // 3))
             build(osm, world, many)
@@ -181,7 +181,7 @@ def written(run: Run, osm: Path, copies: int, seed: int) -> int:
     """Nodes of the extract of so many copies, which is written where it is not there yet."""
     count = osm.with_suffix(".nodes")
     if not count.exists():
-        run.say(f"{copies} x: writing")
+        run.log(f"{copies} x: writing")
         nodes = tile([run.osm / EXTRACTS[city] for city in CITIES], osm, copies, seed)
         count.write_text(str(nodes), encoding="utf-8")
     return int(count.read_text("utf-8"))

@@ -182,10 +182,10 @@ def world_scale(
     for n in (int(c) for c in copies.split(",")):
         path = folder / f"world_{city}_{n}.city"
         made = _made(run, folder / f"{city}.city", path, n, seed)
-        run.say(f"{n} x: asking")
+        run.log(f"{n} x: asking")
         load_ = os.getloadavg()[0]
         found = apart(ask, path, folder / f"{city}.city", texts)
-        run.say(f"{n} x: comparing")
+        run.log(f"{n} x: comparing")
         same = apart(equal, path, texts, compared if n <= compare_up_to else 0)
         rows.append({"copies": n, "load": load_} | made | found | {"equal": same})
         if maps is None:
@@ -200,7 +200,7 @@ def world_scale(
 def _made(run: Run, small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:
     told = path.with_suffix(".json")
     if not (path.exists() and told.exists()):
-        run.say(f"{copies} x: building")
+        run.log(f"{copies} x: building")
         told.write_text(json.dumps(apart(build, small, path, copies, seed)))
     made: dict[str, Any] = json.loads(told.read_text())
     return made

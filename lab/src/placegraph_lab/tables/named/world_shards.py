@@ -242,13 +242,13 @@ def world_shards(
     folder = Path(worlds or run.cache / "worlds")
     folder.mkdir(parents=True, exist_ok=True)
     osm, map_file, numbers = run.osm / EXTRACTS[city], folder / "whole.city", lab.parts(copies)
-    run.say("building")
+    run.log("building")
     if not map_file.exists():
         pg.build_city(osm, map_file)
     made = built(map_file, folder, zoom, [int(n) for n in numbers], seed)
     base = made.pop(0)
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
-    run.say("asking both")
+    run.log("asking both")
     rows = apart(compared, map_file, base, texts)
     print(lab.render(EQUAL, rows))
     kept = {
@@ -258,10 +258,10 @@ def world_shards(
     }
     grown = []
     for n, world in zip(numbers, made, strict=True):
-        run.say(f"{n} copies")
+        run.log(f"{n} copies")
         grown.append({"copies": int(n)} | sizes(world) | apart(time_texts, world, kept))
         print(lab.render(GROWN, [grown[-1] | grown[-1][kind] | {"kind": kind} for kind in kept]))
-    run.say("workers")
+    run.log("workers")
     said = [q.text for q in texts["common words"][:20]]
     crews = [time_workers(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
     print(lab.render(WORKED, [row for one in crews for row in work_rows(one)]))
