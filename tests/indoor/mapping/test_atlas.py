@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.indoor.mapping.parts import sphere
 
 from placegraph.core.geometry import Camera
 from placegraph.core.threads import limit_threads
@@ -29,22 +30,6 @@ def grid(columns, rows, step=0.1):
     a = (np.arange(columns)[:, None] * (rows + 1) + np.arange(rows)).ravel()
     b, c, d = a + rows + 1, a + rows + 2, a + 1
     return points, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
-
-
-def sphere(levels, radius=1.0):
-    points = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
-    rows = np.array(
-        [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
-    )
-    for _ in range(levels):
-        pairs = np.sort(rows[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        edges, row = np.unique(pairs, axis=0, return_inverse=True)
-        ab, bc, ca = (row.reshape(-1, 3) + len(points)).T
-        a, b, c = rows.T
-        rows = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-        points = np.concatenate([points, points[edges].mean(axis=1)])
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return radius * points, rows
 
 
 def soup(count, rng, size=0.2):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.indoor.mapping.parts import sphere, subdivided
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.rays import RayCaster, embree
@@ -32,28 +33,6 @@ def soup(number, rng, size=0.1):
     corners[::50] = corners[1::50][: len(corners[::50])]
     corners[7::100, 2] = corners[7::100, 1]
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
-
-
-def sphere(levels):
-    vertices = np.array(
-        [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float
-    )
-    triangles = np.array(
-        [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
-    )
-    for _ in range(levels):
-        vertices, triangles = subdivided(vertices, triangles)
-        vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-    return vertices, triangles
-
-
-def subdivided(vertices, triangles):
-    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, row = np.unique(pairs, axis=0, return_inverse=True)
-    ab, bc, ca = (row.reshape(-1, 3) + len(vertices)).T
-    a, b, c = triangles.T
-    smaller = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), smaller
 
 
 def box(low, high):
