@@ -82,7 +82,7 @@ def test_page_and_readme_are_those_of_the_rows(tmp_path):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text((LAB.parent / name).read_text("utf-8"), "utf-8")
     module.publish(rows, tmp_path)
-    for name, text in (("README.md", module.summed(rows)), (module.PAGE, module.shown(rows))):
+    for name, text in (("README.md", module.summed(rows)), (module.PAGE, module.render_rows(rows))):
         assert text in (LAB.parent / name).read_text("utf-8"), (
             "table reliability --minutes 0 writes it"
         )
