@@ -64,12 +64,6 @@ class AnchorHypothesis:
             ]
         return tuple(sorted(found, key=lambda s: -s.anywhere.probability))
 
-    def fit_prior(self, lonlat: Sequence[float], radius: float) -> float:
-        """Return how well, `WRONG_FIX_SHARE` to 1, the place fits a location prior."""
-        (east, both), (_, north) = self.anywhere.covariance[:2, :2].tolist()
-        place = np.array([[self.anywhere.longitude, self.anywhere.latitude]])
-        return float(fit_prior(place, np.array([[east, both, north]]), lonlat, radius)[0])
-
 
 def fit_prior(
     lonlats: Floats, covariances: Floats, lonlat: Sequence[float], radius: float
@@ -361,7 +355,10 @@ class _SceneScorer:
         ratios += [compare_floors(self.floors, s.anchor.level, above) for s in anchors]
         nears = np.ones(len(anchors))
         if near is not None:
-            nears = np.array([s.fit_prior(near, self.query.radius) for s in anchors])
+            poses = [s.anywhere for s in anchors]
+            places = np.array([(pose.longitude, pose.latitude) for pose in poses])
+            spreads = np.array([pose.covariance[[0, 0, 1], [0, 1, 1]] for pose in poses])
+            nears = fit_prior(places, spreads, near, self.query.radius)
         logs = np.log(priors) + ratios + np.log(nears)
         shares = np.exp(logs - logs.max())
         shares /= shares.sum()

@@ -250,12 +250,6 @@ class Query:
     by_kind: frozenset[int]
     """Mentions whose name is not on the map; they are matched by kind."""
 
-    @property
-    def unknown_names(self) -> tuple[str, ...]:
-        """Names in the text that are not on the map, as written, in order."""
-        names = [self.description.mentions[node].name for node in sorted(self.by_kind)]
-        return tuple(dict.fromkeys(names))
-
     def token_weights(self, n_tokens: int) -> TokenWeights:
         """Return the weight of each token of a map for each mention."""
         starts, tokens, weights = self.mentions

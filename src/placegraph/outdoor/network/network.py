@@ -239,7 +239,12 @@ def read_weights(path: str | PathLike[str]) -> Weights:
             )
     try:
         shape = Shape.from_dict(file.meta["shape"])
-        words = _word_vectors(file, known) if known else None
+        words = None
+        if known:
+            vectors = read_arrays(file, {VECTORS: (0, 0)})[VECTORS]
+            if len(vectors) != len(known):
+                raise ValueError(f"{len(known)} words with {len(vectors)} vectors")
+            words = WordVectors(known, vectors)
         arrays = read_arrays(file, list_weight_shapes(shape, words))
         return Weights(shape, arrays, dict(file.meta["training"]), words)
     except MapError as error:
@@ -249,13 +254,6 @@ def read_weights(path: str | PathLike[str]) -> Weights:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
         ) from error
-
-
-def _word_vectors(file: MapFile, words: tuple[str, ...]) -> WordVectors:
-    vectors = read_arrays(file, {VECTORS: (0, 0)})[VECTORS]
-    if len(vectors) != len(words):
-        raise ValueError(f"{len(words)} words with {len(vectors)} vectors")
-    return WordVectors(words, vectors)
 
 
 def _open_weights(path: str | PathLike[str]) -> MapFile:
@@ -328,11 +326,6 @@ class MatchScores(NamedTuple):
     """(K,) cosine of the graph embeddings (Eq. 11)."""
     residual: Floats
     """(K,) correction of the log-likelihood ratio of relational matching."""
-
-    @property
-    def probability(self) -> Floats:
-        """(K,) probability that text and place match."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.logit)), np.float32)
 
 
 class _Pairs(NamedTuple):
@@ -618,14 +611,13 @@ class EncodedCity:
         bits: int = 16,
         resume: bool = False,
         progress: Callable[[str, int, int], None] | None = None,
-        timeout: float = 10.0,
     ) -> VectorStore:
         """Embed the cells and save the vectors in a store; for arguments and errors see `load_store`."""
         if progress is not None:
             progress("embedding", 0, len(self.city.cells))
         return load_store(
             where, self._rows(), name=name, origin=self.origin,
-            bits=bits, resume=resume, progress=progress, timeout=timeout,
+            bits=bits, resume=resume, progress=progress,
         )  # fmt: skip
 
     def _rows(self) -> Vectors:

@@ -499,9 +499,10 @@ def score_belief(query: Query, city: City, weights: Floats) -> BeliefScores:
     found = found.astype(np.float64)
     reached = np.flatnonzero(found > 0.5 * REJECTED)
     last = int(reached[-1]) + 1 if len(reached) else 0
-    left = (
-        _estimate_remaining_share((found + prior[first])[:last], bounds[:last]) if last else nothing
-    )
+    left = nothing
+    if last:  # others keep the share of their bounds that the lightest third has
+        tail = slice(2 * last // 3, last)
+        left = float(np.logaddexp.reduce((found + prior[first])[tail]) - np.log(bounds[tail].sum()))
     least = float(np.log(statements.noise).sum())
     ratios[chosen] = np.maximum(np.log(bounds) - prior + left, least)
     ratios[chosen[reached]] = found[reached]
@@ -509,12 +510,6 @@ def score_belief(query: Query, city: City, weights: Floats) -> BeliefScores:
     positions, close = score_around(request, chosen[best], far[best])
     ratios[chosen[best]] = np.logaddexp.reduce(close, axis=1) - np.log(close.shape[1])
     return BeliefScores(ratios, nothing, chosen[best].astype(np.int64), positions, close)
-
-
-def _estimate_remaining_share(weights: Floats, bounds: Floats) -> float:
-    """Estimate the log ratio of score to bound of viewpoints that are not scored, by the lightest third."""
-    tail = slice(2 * len(weights) // 3, None)
-    return float(np.logaddexp.reduce(weights[tail]) - np.log(bounds[tail].sum()))
 
 
 def _find_candidates(
