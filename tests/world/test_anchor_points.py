@@ -48,7 +48,7 @@ def test_wrong_points_have_no_say_and_are_named():
     places[2, 0] += 2e-4  # 16 m
     found = fit_points(points, places)
     assert np.abs(error(found.anchors[0])).max() < 0.05
-    assert found.notes == ("Point 3 is 16.1 m off, and has no say.",)
+    assert found.notes == ("Point 3 is 16.1 m off, and is ignored.",)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_what_looks_odd_is_told(change, note):
 def test_latitude_before_longitude_is_told():
     points = np.array([[0, 0, 0], [12, 1, 0], [11, 7, 0], [1, 9, 0], [6, 3, 0.0]])
     found = fit_points(points, TRUE.to_earth(points)[:, [1, 0, 2]])
-    assert any("0.00 m, were longitude and latitude exchanged" in said for said in found.notes)
+    assert any("0.00 m with longitude and latitude exchanged" in said for said in found.notes)
 
 
 def test_heights_are_optional():

@@ -315,7 +315,7 @@ def _find_sliding_distance(
 def _fit_middle_of_slide(
     walls: OuterWalls, footprint: Footprint, fit: WallFit, way: Floats, beside: float
 ) -> WallFit:
-    """Return the pose in the middle of a way (2,) [m], for so many maps `beside` each other."""
+    """Move a fit to the middle of a way (2,) [m] along which `beside` maps have room."""
     shift, covariance = fit.shift + way / 2.0, fit.covariance.copy()
     covariance[:2, :2] += np.outer(way, way) / 12.0
     outer = np.isfinite(fit.off)

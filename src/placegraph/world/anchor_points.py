@@ -1,7 +1,7 @@
-"""Anchors from points whose place is known in the map and on Earth: pairs, GPS fixes.
+"""Anchors from points with known positions in the map and on Earth: pairs, or GPS fixes.
 
-Robust least squares of a heading and a shift; the scale is 1 and upright is upright. Where a point
-lies far off the others it has no say (Tukey's weights, from the best of many two-point starts).
+Robust least squares of heading and shift, at scale 1, with gravity along z. Outliers have no weight
+(Tukey's biweight, from the best of many two-point starts).
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from placegraph.io.capture.fixes import FIXES_FILE, Fix, read_fixes
 from placegraph.world.outlines import Footprint
 
 UNKNOWN_HEIGHT = 100.0
-"""Standard deviation of a height that nobody gave [m]; the map then stands at 0."""
+"""Standard deviation of an unknown height, which is then 0 [m]."""
 MIN_POINTS = 3
-"""Points that are needed: two fix a heading and a shift, a third checks them."""
-_MIN_EXTENT = 0.5  # points that lie within so little tell no heading [m]
-_MIN_WIDTH_RATIO = 0.05  # width by length of points that lie on a line
-_PRIOR_SIGMA, _PRIOR_WEIGHT = 0.15, 4.0  # of pairs [m], and how many coordinates that is worth
-_MIN_SIGMA = 0.02  # no pair is better known than this [m]
+"""Smallest number of points: two determine heading and shift, a third checks them."""
+_MIN_EXTENT = 0.5  # smallest extent of points that determine a heading [m]
+_MIN_WIDTH_RATIO = 0.05  # of width to length, below which points lie on a line
+_PRIOR_SIGMA, _PRIOR_WEIGHT = 0.15, 4.0  # of pairs [m], and its weight in coordinates
+_MIN_SIGMA = 0.02  # smallest standard deviation of a pair [m]
 _TUKEY_LIMIT = 4.7  # of Tukey's biweight, in deviations
-_MAX_PAIRS, _MAX_PAIRED_POINTS = 400, 200  # pairs of points tried, of so many points
+_MAX_PAIRS, _MAX_PAIRED_POINTS = 400, 200  # of points that are tried as starts
 _MAX_SCALE_ERROR = 0.03
-_MAX_NAMED = 3  # points that are named one by one
+_MAX_NAMED = 3  # points that notes name one by one
 
 DEFAULT_ACCURACY = 5.0
-"""Accuracy of a fix that does not tell its own [m]; 68 % lie within."""
+"""Accuracy of a fix without its own [m]; 68 % lie within."""
 _RADIUS_68 = 1.515  # radius that holds 68 % of a round Gaussian [standard deviations]
-_COMMON_SIGMA = 1.5  # what all fixes of an hour share, and none of them averages out [m]
-_SAME_VIEWPOINT = 0.02  # between a map's viewpoints and the frames that they are of [m]
-_MIN_VIEWPOINTS = 3  # viewpoints that tell whether a capture's poses are the map's
-_MAX_HEADING_SIGMA = np.radians(45.0)  # a heading known no better is not known
+_COMMON_SIGMA = 1.5  # error that all fixes of an hour share [m]
+_SAME_VIEWPOINT = 0.02  # distance of a viewpoint of the map from its frame [m]
+_MIN_VIEWPOINTS = 3  # to tell whether the poses of a capture are the map's
+_MAX_HEADING_SIGMA = np.radians(45.0)  # of a useful heading [rad]
 
 
 class AnchorFit(NamedTuple):
@@ -62,7 +62,7 @@ def fit_points(
     in_time: bool = False,
     method: str = "pairs",
 ) -> AnchorFit:
-    """Fit the anchor of a map to points of it, at least 3.
+    """Fit the anchor of a map to at least 3 of its points.
 
     Parameters
     ----------
@@ -71,17 +71,17 @@ def fit_points(
     lonlath
         (N, 3) longitude, latitude [deg, WGS84], height above the ellipsoid [m]; heights may be NaN.
     accuracy
-        (N,) standard deviation of each on the ground [m]; None: equal, and told by what is left.
+        (N,) standard deviation of each on the ground [m]; None: equal, estimated from residuals.
     in_time
-        Points follow each other in time, as fixes do, and what follows errs alike: how much, their
-        residuals tell, and they are worth as many fewer.
+        Whether points follow each other in time, as fixes do, with correlated errors, which reduce
+        their weight.
     method
-        What the anchor says of how it was found.
+        Name of the method in the anchor.
 
     Raises
     ------
     OptionError
-        Points are fewer than 3, or no numbers, or lie all at one place.
+        There are fewer than 3 points, coordinates are no numbers, or all points coincide.
 
     """
     here, there = np.array(points, np.float64), np.array(lonlath, np.float64)
@@ -107,7 +107,7 @@ def fit_points(
     off = np.linalg.norm(away, axis=1)
     freedom = 2.0 * float((weights > 0).sum()) - 3.0
     left = float(weights @ (off / sigma) ** 2)
-    # few points fit by luck: what they say of their error is joined with what is usual
+    # few points fit by luck: their residuals are combined with a prior
     spread = max(1.0, left / max(freedom, 1.0))
     if accuracy is None:
         spread = (left + _PRIOR_WEIGHT * _PRIOR_SIGMA**2) / (freedom + _PRIOR_WEIGHT)
@@ -117,7 +117,7 @@ def fit_points(
     precision = weights / weights.max() / sigma**2
     height, of_height = _fit_height(here[:, 2], there[:, 2], sigma, precision)
     covariance = np.diag([spread / precision.sum()] * 2 + [of_height, spread / (precision @ arms)])
-    # north is elsewhere at the points' middle than at the first of them
+    # north differs between the middle of the points and the first of them
     start = replace(base, height=height, heading=heading)
     centred = start.shift_origin(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
@@ -128,7 +128,7 @@ def fit_points(
 def _fit_heading(
     sources: Floats, targets: Floats, sigma: Floats, *, has_accuracy: bool, method: str
 ) -> tuple[float, Floats]:
-    """Return heading [rad] and weights (N,) of Tukey's fit."""
+    """Fit the heading [rad] by Tukey's biweight; return it and the weights (N,)."""
     some = np.unique(np.linspace(0, len(sources) - 1, _MAX_PAIRED_POINTS).astype(int))
     i, j = some[np.stack(np.triu_indices(len(some), 1))]
     apart = np.linalg.norm(sources[i] - sources[j], axis=1)
@@ -153,7 +153,7 @@ def _fit_heading(
     weights[[i[k], j[k]]] = 1.0
     floor = 1.0 if has_accuracy else _MIN_SIGMA
     scale = max(scale, floor)
-    # the widest that are still taken for good; a map is rarely wrong by less than this
+    # larger residuals are outliers; maps are rarely more exact than 0.1 m
     limit = _TUKEY_LIMIT * max(scale, 1.0 if has_accuracy else 0.1)
     for _ in range(20):
         off = _distances(sources, targets, heading, weights) / sigma
@@ -166,7 +166,7 @@ def _fit_heading(
 
 
 def _align(sources: Floats, targets: Floats, weights: Floats) -> float:
-    """Return the heading [rad] that turns sources onto targets, both (N, 2), about their weighted middles."""
+    """Compute the heading [rad] that aligns sources with targets, both (N, 2), about weighted means."""
     a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
     cross = weights @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     dot = weights @ (a * b).sum(axis=1)
@@ -174,29 +174,29 @@ def _align(sources: Floats, targets: Floats, weights: Floats) -> float:
 
 
 def _residuals(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
-    """Return the residuals (N, 2) [m] under a heading."""
+    """Compute the residuals (N, 2) [m] under a heading."""
     a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
     return np.asarray(a @ rotation_z(-heading)[:2, :2].T - b)
 
 
 def _distances(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
-    """Return the lengths of residuals (N,) [m] under a heading."""
+    """Compute the lengths of the residuals (N,) [m] under a heading."""
     return np.asarray(np.linalg.norm(_residuals(sources, targets, heading, weights), axis=1))
 
 
 def _count_correlated(away: Floats) -> float:
-    """Return how many errors (N, 2) that follow each other are worth one, by their correlation (AR(1))."""
+    """Estimate how many errors (N, 2) in time are worth one, by their correlation (AR(1))."""
     square = float((away**2).sum())
     if len(away) < MIN_POINTS or square == 0.0:
         return 1.0
-    # what is left of n errors correlates less than these did, by about 3 / n
+    # residuals of n errors correlate less than the errors, by about 3 / n
     next_to = float((away[1:] * away[:-1]).sum()) / square + 3.0 / len(away)
     share = min(max(next_to, 0.0), 0.95)
     return (1.0 + share) / (1.0 - share)
 
 
 def _fit_height(z: Floats, heights: Floats, sigma: Floats, weights: Floats) -> tuple[float, float]:
-    """Return the height of z = 0 [m] and its variance, by the median of known differences."""
+    """Fit the height of z = 0 [m] by the median of known differences; return it and its variance."""
     both = np.isfinite(z) & np.isfinite(heights) & (weights > 0)
     if not both.any():
         return 0.0, UNKNOWN_HEIGHT**2
@@ -211,12 +211,12 @@ def _fit_height(z: Floats, heights: Floats, sigma: Floats, weights: Floats) -> t
 def _find_faults(
     sources: Floats, targets: Floats, sigma: Floats, weights: Floats, off: Floats, lonlath: Floats
 ) -> list[str]:
-    """Return sentences on points that lie off, on a line, or are exchanged."""
+    """Find outliers, points on a line, and exchanged coordinates; return sentences on these."""
     mute = np.flatnonzero(weights < 0.05).tolist()
-    notes = [f"Point {k + 1} is {off[k]:.1f} m off, and has no say." for k in mute]
+    notes = [f"Point {k + 1} is {off[k]:.1f} m off, and is ignored." for k in mute]
     if len(mute) > _MAX_NAMED:
         worst = max(float(off[k]) for k in mute)
-        told = f"{len(mute)} of {len(off)} points are up to {worst:.0f} m off, and have no say."
+        told = f"{len(mute)} of {len(off)} points are up to {worst:.0f} m off, and are ignored."
         notes = [told]
     good = weights > 0.05
     a, b = sources[good], targets[good]
@@ -238,7 +238,7 @@ def _find_faults(
 
 
 def _find_exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floats) -> list[str]:
-    """Return which coordinates would fit much better than with residuals (N,) [m] if they were exchanged."""
+    """Find coordinates that would fit much better than with residuals (N,) [m] if they were exchanged."""
     tried = {"x and y": (sources * (-1.0, 1.0), targets)}
     if (np.abs(lonlath[:, 0]) <= 90.0).all():
         there = np.column_stack([lonlath[:, 1::-1], np.zeros(len(off))])
@@ -248,7 +248,7 @@ def _find_exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floa
     for which, sides in tried.items():
         left = float(np.median(_distances(*sides, _align(*sides, every), every)))
         if left < 0.3 * float(np.median(off)) and np.median(off) > 0.5:
-            notes.append(f"They would fit to {left:.2f} m, were {which} exchanged.")
+            notes.append(f"The points would fit to {left:.2f} m with {which} exchanged.")
     return notes
 
 
@@ -262,7 +262,7 @@ def fit_capture(
 ) -> AnchorFit:
     """Fit the anchor of a map to the GPS fixes of a capture: `fixes.txt`, else the EXIF of its images.
 
-    Where the map was made of the capture, its own poses are the map's; else its frames are found in
+    The poses of the capture are used where the map was made of it; otherwise its frames are localized in
     the map first.
 
     Parameters
@@ -270,11 +270,11 @@ def fit_capture(
     scene
         A map of one scene.
     capture
-        Frames of it, or of the way around it.
+        Frames in it, or of the way around it.
     rough
-        Whether a heading that is hardly known will do, as for the `prior` of `fit_building`.
+        Whether an uncertain heading is accepted, as for the `prior` of `fit_building`.
     seed, progress
-        As of `SceneMap.localize`.
+        See `SceneMap.localize`.
 
     Raises
     ------
@@ -292,7 +292,7 @@ def fit_capture(
             "--pose or --in."
         )
     poses, how = _find_poses(scene, capture, seed, progress)
-    # a fix that several frames repeat is one, in their middle
+    # a fix that several frames repeat counts once, at their mean
     rows: dict[Fix, list[int]] = {}
     for row, fix in fixes.items():
         if row in poses:
@@ -325,7 +325,7 @@ def fit_capture(
 def _find_poses(
     scene: SceneMap, capture: Capture, seed: int, progress: Progress | None
 ) -> tuple[Mapping[int, Floats], str]:
-    """Return the pose (4, 4) in the map of each frame, by its row, and how the poses are known."""
+    """Find the pose (4, 4) of each frame in the map, by row; also return a sentence on their source."""
     file = None if capture.path is None else capture.path / "trajectory.tum"
     posed = [] if file is None or not file.exists() else [replace_poses(capture, file)]
     for known in (*posed, capture) if len(scene.viewpoints) >= _MIN_VIEWPOINTS else ():
@@ -340,7 +340,7 @@ def _find_poses(
     estimate = scene.localize(capture, seed=seed, progress=progress)
     if estimate.status is not Status.OK:
         raise OptionError(
-            f"The frames are not surely found in the map, so their fixes say nothing of it: "
+            f"The frames are not surely found in the map, so their fixes cannot be used: "
             f"{estimate.reason} Give --pair, --pose or --in."
         )
     found = zip(estimate.frames.tolist(), estimate.trajectory, strict=True)

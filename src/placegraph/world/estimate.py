@@ -52,10 +52,10 @@ class WorldQuery:
     def __post_init__(self) -> None:
         if self.text is None and self.capture is None and self.near is None:
             raise OptionError(
-                "Nothing is known: give a text, a capture, or `near`, or several of them."
+                "There is nothing to locate; give a text, a capture or `near`, or several of these."
             )
         if self.frames is not None and self.capture is None:
-            raise OptionError("frames: they are of a capture, and there is none.")
+            raise OptionError("frames are given without a capture; give the capture as well.")
         for name in ("top", "most"):
             if not is_count(getattr(self, name)):
                 raise OptionError(
@@ -147,7 +147,7 @@ class WorldEstimate(Estimate[WorldMode]):
     """Questions that were answered; they are not asked again."""
 
     def next_question(self, world: World) -> Question | None:
-        """Return the question expected to tell buildings, rooms or places of a city apart, if any would."""
+        """Choose the question that best tells buildings, rooms or places apart, if any does."""
         best = self.best
         if self.status is not Status.AMBIGUOUS or best is None:
             return None
@@ -168,7 +168,7 @@ class WorldEstimate(Estimate[WorldMode]):
 
 
 def choose_question(modes: Sequence[WorldMode], excluded: Sequence[str]) -> Question | None:
-    """Return the yes-or-no question with most information about the building, else about the room."""
+    """Choose the yes-or-no question with most information about the building, else about the room."""
     buildings: dict[str, float] = defaultdict(float)
     rooms: dict[str, float] = defaultdict(float)
     for m in modes:

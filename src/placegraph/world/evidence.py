@@ -53,7 +53,7 @@ class AnchorHypothesis:
 
     @classmethod
     def of_scene(cls, scene: Scene) -> tuple[AnchorHypothesis, ...]:
-        """Return the candidates of a scene, best first; none where the scene is not anchored."""
+        """List the candidates of a scene, best first; none where the scene is not anchored."""
         found, share = [], 1.0 / len(scene.scenes)
         for part, box in zip(scene.scenes, scene.scene_bounds, strict=True):
             (x0, y0, z), (x1, y1, _) = box.tolist()
@@ -68,7 +68,7 @@ class AnchorHypothesis:
 def fit_prior(
     lonlats: Floats, covariances: Floats, lonlat: Sequence[float], radius: float
 ) -> Floats:
-    """Return how well (K,), `WRONG_FIX_SHARE` to 1, places fit a location prior.
+    """Score how well (K,), `WRONG_FIX_SHARE` to 1, places fit a location prior.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class IndoorMatch:
         return cls(library, sentence, dict(zip(library.names, best.tolist(), strict=True)), rooms)
 
     def explain(self, name: str) -> tuple[Evidence, ...]:
-        """Return the evidence of each statement for a scene."""
+        """Compute the evidence of each statement for a scene."""
         signature = self.library.entry(name).signature
         rooms = [a.get("room", "") for a in signature.attributes]
         return score(
@@ -135,7 +135,7 @@ class IndoorMatch:
 
 
 def _score_room_kinds(sentence: Sentence, columns: Columns) -> Floats:
-    """Return how well (U,) units are of the kind of room that the speaker is in."""
+    """Score how well units (U,) fit the kind of room that the speaker is in."""
     out = np.ones(len(columns.scene))
     for s in sentence.statements:
         named = sentence.mentions[s.mentions[0]].room
@@ -146,7 +146,7 @@ def _score_room_kinds(sentence: Sentence, columns: Columns) -> Floats:
 
 
 def list_rooms(library: SceneLibrary, name: str) -> tuple[str, ...]:
-    """Return the names of a scene's rooms; a single empty one where the scene has no rooms."""
+    """List the names of a scene's rooms; one empty name where the scene has none."""
     units = library.texts.units(library.names.index(name))
     return tuple(dict.fromkeys(u.name for u in units if not u.is_scene))
 
@@ -252,7 +252,7 @@ class WorldEvidence:
         return self.scenes[name].near / self.total_near
 
     def explain(self, name: str) -> tuple[Evidence, ...]:
-        """Return the evidence of each statement, and of the location prior, for a scene."""
+        """Compute the evidence of each statement, and of the location prior, for a scene."""
         w = self.scenes[name]
         out: list[Evidence] = []
         if w.building_match is not None:
@@ -376,7 +376,7 @@ class _SceneScorer:
 
 
 def _find_denied(parsed: ParsedSentence | None) -> tuple[str, ...]:
-    """Return the names of what the speaker is not in: "I am not in the Grand Hotel"."""
+    """Find names of places that the speaker is not in: "I am not in the Grand Hotel"."""
     outside = parsed.outside.values() if parsed else ()
     return tuple(dict.fromkeys(
         d.mentions[s.target].name

@@ -55,7 +55,7 @@ NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 
 def locate(world: World, given: WorldQuery) -> WorldEstimate:
-    """Return one posterior over place, room and pose; parameters and errors: `World.locate`."""
+    """Compute one posterior over place, room and pose; see `World.locate`."""
     if given.budget is not None and not world.planets:
         raise OptionError("`budget` applies only to worlds in shards, and here is none; remove it.")
     query = add_answers(given)
@@ -78,7 +78,7 @@ def locate(world: World, given: WorldQuery) -> WorldEstimate:
 
 
 def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
-    """Return the posterior over scenes, rooms and places of towns, without frames."""
+    """Compute the posterior over scenes, rooms and places of towns, without frames."""
     is_indoors = evidence.is_indoors or query.text is None
     if not is_indoors and len(evidence.towns) == 1:  # the town's estimate as it is
         (town,) = evidence.towns.values()
@@ -175,7 +175,7 @@ def _make_place_modes(town: TownMatch, share: float) -> list[WorldMode]:
 
 
 def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
-    """Return place, room and pose of a capture's last frame."""
+    """Locate the last frame of a capture: place, room and pose."""
     frames = chosen_frames(query.capture or (), query.frames)
     found = _propose_scenes(world, frames, evidence)
     left = 1.0 - found.elsewhere - np.cumsum([0.0, *(m.probability for m in found.modes)])
@@ -213,7 +213,7 @@ def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) 
 def _propose_scenes(
     world: World, frames: Sequence[Frame], evidence: WorldEvidence
 ) -> SceneEstimate:
-    """Return the scenes that frames may show, with all other evidence, likeliest first."""
+    """Propose the scenes of frames by all evidence, likeliest first."""
     others, count = world.remaining, len(world.scenes)
     if others is None:
         weighed = infer_from_frames(world.library, frames, None, SearchOptions())
@@ -283,7 +283,7 @@ def _weigh_heading(heading: float, query: WorldQuery) -> float:
 
 
 def _explain(evidence: WorldEvidence, name: str, mode: PoseMode) -> tuple[Evidence, ...]:
-    """Return the evidence for a pose; of a statement that judged the pose, not that for the scene."""
+    """Combine the evidence of a pose with that of its scene, each statement once."""
     own = {e.statement for e in mode.evidence}
     return (*(e for e in evidence.explain(name) if e.statement not in own), *mode.evidence)
 
@@ -292,7 +292,7 @@ def _locate_without_frames(
     world: World, query: WorldQuery, evidence: WorldEvidence, best: PoseEstimate,
     poses: dict[str, PoseEstimate],
 ) -> WorldEstimate:  # fmt: skip
-    """Return the estimate where frames fit in no scene that was looked into."""
+    """Make the estimate where frames fit none of the searched scenes."""
     by_text, modes = None, []
     if query.text is not None or query.near is not None:
         by_text = _locate_by_text(world, query, evidence)

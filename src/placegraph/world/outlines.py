@@ -90,7 +90,7 @@ class _MapObject(NamedTuple):
 
 
 def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
-    """Return the footprints of the buildings of a name, at most a few.
+    """Find the footprints of the buildings of a name, at most a few.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def _is_building(element: _MapObject) -> bool:
 
 
 def _find_buildings(element: _MapObject, buildings: Iterable[_MapObject]) -> list[_MapObject]:
-    """Return the buildings that an object stands in."""
+    """Find the buildings that contain an object."""
     middle = (
         element.rings[0][:-1].mean(axis=0) if len(element.rings[0]) > 3 else element.rings[0][0]
     )
@@ -281,7 +281,7 @@ class OuterWalls:
 
 
 def find_outer_walls(scene: Scene) -> OuterWalls:
-    """Return the outer walls of a map of one scene: the outline of its rooms, inner walls closed.
+    """Find the outer walls of a map of one scene: the outline of its rooms, inner walls closed.
 
     Raises
     ------
@@ -317,7 +317,7 @@ def find_outer_walls(scene: Scene) -> OuterWalls:
 
 
 def _find_openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return kind (N,) and number (N,) of the opening that each point lies in."""
+    """Find kind (N,) and number (N,) of the opening that each point lies in."""
     kind, opening, number = np.zeros(len(at), np.int64), np.full(len(at), -1), 0
     for row, label in enumerate(scene.graph.labels):
         what = _OPENING_KINDS.get((split_label(label) or [""])[-1], WALL)

@@ -112,7 +112,7 @@ class FloorStatement:
         return float(np.log((1.0 - WRONG_FLOOR_SHARE) * odds + WRONG_FLOOR_SHARE))
 
     def explain(self, level: str, storeys: int = 0) -> Evidence:
-        """Return the evidence of the statement for a level."""
+        """Compute the evidence of the statement for a level."""
         weight = self.ratio(level, storeys)
         verdict = "for" if weight > 0 else "against" if weight < 0 else "silent"
         note = (
@@ -168,7 +168,7 @@ def _read_floor(match: re.Match[str], language: str) -> FloorStatement:
 
 
 def _drop_floor(match: re.Match[str]) -> str:
-    """Return what stays of the words of a floor: "on the second floor of the hotel" is in the hotel."""
+    """Return the words that replace a floor: "on the second floor of the hotel" becomes "in the hotel"."""
     after = " ".join((match["of"] or "").casefold().split())
     return _INSIDE_WORDS.get(after, "im") if after else ""
 
@@ -306,7 +306,7 @@ def resolve_addresses(description: Description, town: Town) -> Description:
 def _find_outdoors(
     description: Description, town: TownWords, objects: Sequence[str], own: Collection[str]
 ) -> set[int]:
-    """Return the mentions of something on the town's map, and not in a room."""
+    """Find the mentions of objects on the map of a town, and not in a room."""
     out, either = set(), set()
     for m in description.mentions[LISTENER + 1 :]:
         words = _normalize(m.words)
@@ -414,7 +414,7 @@ def translate_rooms(description: Description, town: TownWords) -> Description:
 
 
 def _translate(words: str, english: Mapping[str, str]) -> str:
-    """Return the English word of an object, whatever its case or number; empty where it is not known."""
+    """Translate the name of an object, in any case or number, to English; empty where unknown."""
     last = words.casefold().split()[-1:] or [""]
     found = [w for w in english if last[0].startswith(w) and len(last[0]) - len(w) <= MAX_ENDING]
     if found:
@@ -448,7 +448,7 @@ def convert_to_indoor(description: Description) -> Sentence:
 def _convert_statement(
     s: OutdoorStatement, own: set[int], objects: list[Mention]
 ) -> list[tuple[Kind, tuple[int, ...]]]:
-    """Return the kinds and mentions of the indoor statements that an outdoor one stands for."""
+    """Convert an outdoor statement to kinds and mentions of indoor statements."""
 
     def is_room(node: int) -> bool:
         return node > LISTENER and bool(objects[node - LISTENER - 1].room)

@@ -81,7 +81,7 @@ class Town(Protocol):
         """Meanings of words in it."""
 
     def is_street(self, name: str) -> bool:
-        """Return whether a name means streets, and nothing else."""
+        """Whether a name means streets, and nothing else."""
 
     def match(self, description: Description, query: WorldQuery) -> TownMatch | str:
         """Search for a description; return what was found, or why nothing can be searched for."""
@@ -90,7 +90,7 @@ class Town(Protocol):
         """Return None where the location prior is on the map; else a hint, which may be empty."""
 
     def ask(self, part: str, estimate: CityEstimate) -> Question | None:
-        """Return the question that tells the places of a part (`TownMatch.parts`) apart."""
+        """Choose the question that tells the places of a part (`TownMatch.parts`) apart."""
 
 
 class BuildingScore(NamedTuple):
@@ -187,7 +187,7 @@ class CityTown:
     words: CityMap
 
     def is_street(self, name: str) -> bool:
-        """Return whether a name means streets, and nothing else."""
+        """Whether a name means streets, and nothing else."""
         return len(find_roads(self.words, name)) > 0
 
     def match(self, description: Description, query: WorldQuery) -> TownMatch | str:
@@ -210,7 +210,7 @@ class CityTown:
         return hint_swapped(self.words, near) if is_off else None
 
     def ask(self, part: str, estimate: CityEstimate) -> Question | None:
-        """Return the question that tells the places of an estimate apart."""
+        """Choose the question that tells the places of an estimate apart."""
         del part
         return self.words.ask(estimate)
 
@@ -317,7 +317,7 @@ class StreetMatch:
 
 
 def find_roads(city: CityMap, name: str) -> NDArray[np.int64]:
-    """Return rows of the streets that a name means; none where it means other things, too."""
+    """Find the rows of the streets that a name means; none where it means other objects, too."""
     starts, objects = city.token_objects
     found = [t + len(city.objects.labels) for t in city.name_index.named(name)]
     rows = np.concatenate([objects[starts[t] : starts[t + 1]] for t in found] or [objects[:0]])

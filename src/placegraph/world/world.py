@@ -73,10 +73,10 @@ class SceneCandidates(Protocol):
         """Labels of all objects, and names of their rooms."""
 
     def find_names(self, text: str) -> set[str]:
-        """Return the names of scenes and buildings that stand in a text."""
+        """Find the names of scenes and buildings in a text."""
 
     def select(self, world: World, query: WorldQuery, text: OutdoorSearch) -> World:
-        """Return a world of the scenes that a question may be about."""
+        """Select the scenes that a query may be about; return a world of these."""
 
 
 class World:
@@ -165,7 +165,7 @@ class World:
         seed: int = 0,
         **options: Any,  # noqa: ANN401  # of `WorldQuery`
     ) -> WorldEstimate:
-        """Return place, room and pose in all these maps, from all that is known.
+        """Locate place, room and pose in all maps, from all evidence.
 
         Parameters
         ----------
