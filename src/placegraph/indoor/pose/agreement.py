@@ -344,8 +344,10 @@ def _find_frozen_run(window: Window) -> tuple[int, int] | None:
     for i in range(1, len(window) + 1):
         if i <= last and _have_equal_image(window.observations[i - 1], window.observations[i]):
             continue
-        ends_now, count = i - 1 == last, i - start
-        if count > 1 and (count > 2 or ends_now) and _has_moved(window.poses[start:i]):
+        ends_now, count, poses = i - 1 == last, i - start, window.poses[start:i]
+        way = np.linalg.norm(poses[-1, :3] - poses[0, :3])
+        turn = np.abs(wrap_angle(poses[:, 3] - poses[0, 3])).max()
+        if count > 1 and (count > 2 or ends_now) and (way > _MOVED or turn > _TURNED):
             found = max(found or (start, start), (start, i - 1), key=lambda run: run[1] - run[0])
         start = i
     return found
@@ -365,13 +367,6 @@ def _have_equal_image(one: Observation, other: Observation) -> bool:
         and not (a.dtype == np.uint8 and _is_blank(a))
         for a, b in pairs
     )
-
-
-def _has_moved(poses: Floats) -> bool:
-    """Return whether poses (T, 4) of odometry moved or turned over their run."""
-    way = np.linalg.norm(poses[-1, :3] - poses[0, :3])
-    turn = np.abs(wrap_angle(poses[:, 3] - poses[0, 3])).max()
-    return bool(way > _MOVED or turn > _TURNED)
 
 
 def find_contradiction(window: Window, frames: Floats) -> str:
@@ -450,7 +445,14 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
     """
     query, observations = replace(window.query, prior=None), window.observations
     if np.mean([s.frame.gravity[1] for s in observations]) < 0:  # or the camera is held upside down
-        upright = [_turn_gravity_round(s) for s in observations]
+        upright = [
+            replace(
+                s,
+                frame=replace(s.frame, gravity=-s.frame.gravity),
+                level=level_from_camera(-s.frame.gravity),
+            )
+            for s in observations
+        ]
         yield (
             Window(query, window.scorer, upright),
             (
@@ -472,11 +474,6 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
             "They fit a camera below the floor of the map: check which storey this is, and the map's floor."
         ),
     )
-
-
-def _turn_gravity_round(observation: Observation) -> Observation:
-    frame = replace(observation.frame, gravity=-observation.frame.gravity)
-    return replace(observation, frame=frame, level=level_from_camera(frame.gravity))
 
 
 def _mirror(observation: Observation) -> Observation:

@@ -382,7 +382,14 @@ def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list
         top = candidates[0].log_likelihood
         near = sum(fit.log_likelihood > top - GAP for fit in candidates)
         # fits that fell behind early look nearer than they are
-        values = [_log_likelihood(window.scorer, fit, level) for fit in candidates[:near]]
+        values = [
+            float(
+                window.scorer.together(
+                    fit.pose[None], level.views, between(fit.pose, fit.poses[level.rows])
+                )[0]
+            )
+            for fit in candidates[:near]
+        ]
         corrected = [
             _fit_trajectory(window.scorer, fit, level, rng)
             if value > max(values) - GAP
@@ -407,12 +414,6 @@ def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list
             for trajectory, fit, gain in zip(trajectories, candidates, gains.tolist(), strict=True)
         ]
         return sorted(out, key=lambda fit: -fit.log_likelihood)
-
-
-def _log_likelihood(scorer: Scorer, fit: Fit, level: FitLevel) -> float:
-    """Return the log-likelihood of a fit as it is [nat]."""
-    steps = between(fit.pose, fit.poses[level.rows])
-    return float(scorer.together(fit.pose[None], level.views, steps)[0])
 
 
 def _fit_trajectory(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -> Fit:

@@ -76,20 +76,13 @@ class Confirmation:
             return estimate
         found = best.map_from_camera
         before, self._before = self._before, (scene, found @ np.linalg.inv(frame.odometry))
-        if (
-            before is not None
-            and before[0] == scene
-            and _is_same_place(before[1] @ frame.odometry, found)
-        ):
-            return estimate
+        if before is not None and before[0] == scene:
+            moved = before[1] @ frame.odometry
+            way = np.linalg.norm(moved[:3, 3] - found[:3, 3])
+            turn = np.linalg.norm(vector_from_rotation(moved[:3, :3].T @ found[:3, :3]))
+            if way <= SAME_WAY and turn <= SAME_TURN:
+                return estimate
         return await_confirmation(estimate)
-
-
-def _is_same_place(pose: Floats, other: Floats) -> bool:
-    """Return whether two poses (4, 4) are of one place."""
-    apart = np.linalg.norm(pose[:3, 3] - other[:3, 3])
-    turned = np.linalg.norm(vector_from_rotation(pose[:3, :3].T @ other[:3, :3]))
-    return bool(apart <= SAME_WAY and turned <= SAME_TURN)
 
 
 KEPT = 10
@@ -189,7 +182,7 @@ class Tracker:
 
         """
         observation = self._sighted(frame)
-        keyframe = self._is_keyframe(frame)
+        keyframe = not self.keyframes or apart(self.keyframes[-1].frame, frame)
         estimate = self._follow(observation) if self.following else None
         if keyframe:
             self.keyframes.append(observation)
@@ -303,9 +296,6 @@ class Tracker:
             trajectory=modes[0].map_from_camera[None],
             frames=np.array([frame.index]),
         )
-
-    def _is_keyframe(self, frame: Frame) -> bool:
-        return not self.keyframes or apart(self.keyframes[-1].frame, frame)
 
 
 def apart(frame: Frame, later: Frame) -> bool:
