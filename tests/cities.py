@@ -114,7 +114,7 @@ def vocabulary():
 @pytest.fixture(scope="session")
 def speakers(harbour, vocabulary):
     """In the tiles of training, and in those held out."""
-    return Speaker(harbour, vocabulary), Speaker(harbour, vocabulary, held=True)
+    return Speaker(harbour, vocabulary), Speaker(harbour, vocabulary, held_out=True)
 
 
 @pytest.fixture(scope="session")

@@ -190,7 +190,7 @@ def test_an_extract_that_changed_since_it_was_killed_begins_anew(write_world, tm
     split_up(path, tmp_path / "things")
     os.utime(path, (1, 1))
     again = split_up(path, tmp_path / "things")
-    assert again.things == 1
+    assert again.objects == 1
     assert again.of[1] == 10**9
 
 
@@ -221,7 +221,7 @@ def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp
     assert what in said.stdout
     assert "cannot be written" in said.stdout
     assert "File too large" in said.stdout
-    assert split_up(path, folder).things == 81
+    assert split_up(path, folder).objects == 81
 
 
 def test_nothing_worth_naming(write_world, tmp_path):

@@ -95,7 +95,7 @@ class LocalQueue:
     def __init__(self, name, pool, dispatcher):
         self.name, self.pool, self.dispatcher = name, pool, dispatcher
 
-    def begin(self):
+    def start(self):
         pass
 
     async def end(self):
@@ -116,7 +116,7 @@ def serving(*paths, processes=(), **options):
     dispatcher = Dispatcher(places, options)
     for name in {"sentences", "captures", "steps"}.difference(processes):
         setattr(server, name, LocalQueue(name, pool, dispatcher))
-    server.sessions._lane = server.steps
+    server.sessions._queue = server.steps
     with TestClient(app) as client:
         ready(lambda: client.get("/healthz"))
         yield client

@@ -9,7 +9,7 @@ import pytest
 import placegraph as pg
 from placegraph.errors import RequestError
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.requests import Begin, Step
+from placegraph_serve.requests import BeginSession, Step
 from placegraph_serve.server import Sessions
 from serve_world import SENTENCE
 
@@ -201,9 +201,9 @@ def test_a_process_that_dies_holds_no_session():
     async def visits():
         lane = WorkerQueue()
         sessions = Sessions(lane, ServeOptions())
-        session = (await sessions.begin(Begin()))[0]["session"]
+        session = (await sessions.open(BeginSession()))[0]["session"]
         lane.died = None, {"code": "worker_died"}
-        assert (await sessions.begin(Begin()))[1]["code"] == "worker_died"
+        assert (await sessions.open(BeginSession()))[1]["code"] == "worker_died"
         assert len(sessions) == 1
         assert (await sessions.step(session, Step(text=SENTENCE)))[1]["code"] == "worker_died"
         assert len(sessions) == 0
@@ -223,16 +223,16 @@ def test_their_number_is_bounded_and_they_end():
 
     async def visits():
         sessions = Sessions(WorkerQueue(), ServeOptions(sessions=2, session_seconds=0.05))
-        begun = [(await sessions.begin(Begin()))[0]["session"] for _ in range(2)]
+        begun = [(await sessions.open(BeginSession()))[0]["session"] for _ in range(2)]
         with pytest.raises(RequestError, match="end one, or come again") as full:
-            await sessions.begin(Begin())
+            await sessions.open(BeginSession())
         assert (full.value.status, full.value.code) == (503, "busy")
         assert full.value.retry_after > 0
         assert [await WorkerQueue.over.get() for _ in range(2)] == begun
         with pytest.raises(RequestError) as gone:
             await sessions.step(begun[0], Step(text=SENTENCE))
         assert (gone.value.status, gone.value.code) == (404, "session_unknown")
-        assert (await sessions.begin(Begin()))[0]["expires_s"] == 0.05
+        assert (await sessions.open(BeginSession()))[0]["expires_s"] == 0.05
 
     with ThreadPoolExecutor(1) as pool:  # a browser's loop may run in this thread
         pool.submit(asyncio.run, visits()).result()

@@ -8,14 +8,14 @@ import pytest
 
 from placegraph.errors import InputError, MapError, RequestError
 from placegraph.maps import open_map
-from placegraph_serve.drawing import Kept
+from placegraph_serve.drawing import AnswerCache
 from placegraph_serve.locate import locate
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Dispatcher, Places
 
 
 def test_a_folder_is_listed_without_opening_a_map(maps):
-    listed = {m["name"]: m for m in Places([maps]).listed()}
+    listed = {m["name"]: m for m in Places([maps]).describe_maps()}
     assert {n: m["kind"] for n, m in listed.items()} == {
         "hafenstadt": "city", "home1": "scene", "home2": "scene",
     }  # fmt: skip
@@ -98,7 +98,7 @@ def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
     file.write_bytes(file.read_bytes()[:2000])
     with pytest.raises(MapError, match=f"^{file.name} is damaged"):
         places.scene("home")
-    (listed,) = places.listed()
+    (listed,) = places.describe_maps()
     assert listed["problem"].startswith(f"{file.name} is damaged")
 
 
@@ -113,19 +113,19 @@ def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
     finish(tmp_path / "all", 6, 150.0)
     places = Places([tmp_path / "all"])
     assert places.only == "all"
-    assert places.listed()[0]["objects"] == len(town.objects)
+    assert places.describe_maps()[0]["objects"] == len(town.objects)
     told = locate(Dispatcher(places, ServeOptions()), {"text": "A bakery is north of me."})
     assert "shards" in told["estimate"]["reason"]
     assert places.world("all") is places.world("all")
     (tmp_path / "all" / "world.json").write_text("{}")
-    assert "world build" in places.listed()[0]["problem"]
+    assert "world build" in places.describe_maps()[0]["problem"]
 
 
 # --- what is drawn is made once, and kept while there is room ---
 
 
 def test_what_two_ask_for_at_once_is_made_once():
-    kept, made = Kept(100), []
+    kept, made = AnswerCache(100), []
     begun, go = threading.Event(), threading.Event()
 
     def make():
@@ -144,7 +144,7 @@ def test_what_two_ask_for_at_once_is_made_once():
 
 
 def test_what_was_asked_for_longest_ago_goes_first():
-    kept, made = Kept(5), []
+    kept, made = AnswerCache(5), []
 
     def ask(key):
         return kept.get((key,), lambda: made.append(key) or key.encode() * 2)

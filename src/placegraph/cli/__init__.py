@@ -124,7 +124,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _failed(error: OSError) -> int:
-    """What cannot be read or written, said; nothing where nobody reads any more (``| head``)."""
+    """Report a file that cannot be read or written; nothing if the reader is gone (``| head``)."""
     if error.errno == errno.EPIPE:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -267,7 +267,7 @@ def info(
 
 
 def facts(city: CityMap) -> dict[str, object]:
-    """What a city map holds, in plain numbers and strings."""
+    """Summarize a city map in plain numbers and strings."""
     from collections import Counter
 
     import numpy as np
@@ -309,7 +309,7 @@ def locate(
     text: Annotated[
         str, Argument(help="What stands around you, in words; - reads standard input.")
     ],
-    known: Annotated[dict[str, Any], Fields(LocateOptions)],
+    prior: Annotated[dict[str, Any], Fields(LocateOptions)],
     ranking: Annotated[dict[str, Any], Fields(RankingOptions)],
     near: Near = None,
     listener: Annotated[
@@ -340,7 +340,7 @@ def locate(
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
-    ranking |= {"language": language, "preset": preset} | in_radians(known)
+    ranking |= {"language": language, "preset": preset} | in_radians(prior)
     with matching(city, store, weights, ranking) as how:
 
         def estimated() -> CityEstimate:
@@ -462,7 +462,7 @@ def embed(
     seconds = perf_counter() - start
     with made:
         told = {
-            "store": load_module("placegraph_scale.milvus", "scale").shown(store)
+            "store": load_module("placegraph_scale.milvus", "scale").hide_password(store)
             if store
             else str(out),
             "cells": len(made),
@@ -516,7 +516,7 @@ PROMPT = "> "
 
 def track(
     map_file: MapFile,
-    known: Annotated[dict[str, Any], Fields(LocateOptions)],
+    prior: Annotated[dict[str, Any], Fields(LocateOptions)],
     near: Near = None,
     as_json: AsJson = False,
     html: Annotated[
@@ -535,13 +535,13 @@ def track(
     from placegraph.outdoor.track.tracker import CityTracker
 
     city = CityMap.open(map_file)
-    tracker = CityTracker(city, near=lonlat(near, "--near"), **in_radians(known))
-    asked = sys.stdin.isatty()
-    for line in _lines(asked=asked):
+    tracker = CityTracker(city, near=lonlat(near, "--near"), **in_radians(prior))
+    is_interactive = sys.stdin.isatty()
+    for line in _lines(is_interactive=is_interactive):
         try:
             estimate = tracker.reset() if line.lower() == "reset" else tracker.tell(line)
         except DescriptionError as error:
-            if not asked:
+            if not is_interactive:
                 raise
             click.echo(str(error), err=True)  # there is another line to come
             continue
@@ -549,7 +549,7 @@ def track(
             said = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
             click.echo(json.dumps(said, ensure_ascii=False))
         else:
-            click.echo(_told(estimate))
+            click.echo(_summarize(estimate))
     if html is not None:
         from placegraph.view import write_page
 
@@ -560,10 +560,10 @@ def track(
         write_picture(city, tracker.estimate, png)
 
 
-def _lines(*, asked: bool) -> Iterator[str]:
+def _lines(*, is_interactive: bool) -> Iterator[str]:
     """Lines of the input that say something, up to its end or "quit"."""
     while True:
-        if asked:
+        if is_interactive:
             click.echo(PROMPT, nl=False, err=True)
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "exit"):
@@ -572,7 +572,7 @@ def _lines(*, asked: bool) -> Iterator[str]:
             yield line.strip()
 
 
-def _told(estimate: CityEstimate) -> str:
+def _summarize(estimate: CityEstimate) -> str:
     """One line: status, the best place and its probability, or why there is none."""
     best = estimate.best
     if best is None:

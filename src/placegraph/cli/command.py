@@ -37,14 +37,14 @@ _TYPES: dict[type, Any] = {
 
 @dataclass(frozen=True)
 class Argument:
-    """What stands for itself on the command line."""
+    """Positional argument of a command."""
 
     help: str
     metavar: str | None = None
 
 
 class Option:
-    """What has a name on the command line: ``--a-name`` of the parameter ``a_name``, or `names`.
+    """Option of a command: ``--a-name`` of the parameter ``a_name``, or `names`.
 
     `panel` is the heading of the help under which it stands, `least` the smallest number taken.
     """
@@ -111,7 +111,7 @@ class Group(click.Group):
         return command_of(place, cmd_name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:  # noqa: ANN401  # click's
-        """As click does, and where there is no such command, name those spelled nearly so."""
+        """Resolve a command as click does; the error names commands with a similar spelling."""
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
@@ -134,12 +134,12 @@ class _Command(click.Command):
         """Parameters of the function, made when they are first asked for."""
         hints = {} if self.params else get_type_hints(self._function, include_extras=True)
         for param in inspect.signature(self._function).parameters.values() if hints else ():
-            hint, told = get_args(hints[param.name])[:2]
-            if isinstance(told, Fields):
-                self._groups[param.name] = [entry.name for entry in told.options]
-                self.params += [_field_param(*entry) for entry in told.options]
+            hint, declaration = get_args(hints[param.name])[:2]
+            if isinstance(declaration, Fields):
+                self._groups[param.name] = [entry.name for entry in declaration.options]
+                self.params += [_field_param(*entry) for entry in declaration.options]
             else:
-                self.params.append(_param(param.name, param.default, hint, told))
+                self.params.append(_param(param.name, param.default, hint, declaration))
         return super().get_params(ctx)
 
     def _call(self, **given: Any) -> Any:  # noqa: ANN401
@@ -158,7 +158,7 @@ class _Command(click.Command):
         panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
         for param in self.get_params(ctx):
             if isinstance(param, _Argument):
-                panels["Arguments"].append(param.told())
+                panels["Arguments"].append(param.help_record())
             elif (record := param.get_help_record(ctx)) is not None:
                 panels.setdefault(getattr(param, "panel", OPTIONS), []).append(record)
         panels[OPTIONS] = panels.pop(OPTIONS)  # the general ones, and --help, come last
@@ -173,7 +173,7 @@ class _Argument(click.Argument):
         super().__init__(*given, **settings)
         self.about = about
 
-    def told(self) -> tuple[str, str]:
+    def help_record(self) -> tuple[str, str]:
         return self.human_readable_name, self.about + ("  [required]" if self.required else "")
 
 
@@ -191,14 +191,14 @@ def command_of(function: Callable[..., Any], name: str) -> click.Command:
 def _field_param(name: str, default: Any, hint: Any, info: OptionInfo) -> _Option:  # noqa: ANN401
     """Option of a dataclass field; the dataclass checks its range."""
     kind = _scalar(hint)
-    told = Option(info.flag, help=info.text, panel=info.panel)
+    declaration = Option(info.flag, help=info.text, panel=info.panel)
     if info.commas:
-        made: _Option = _param(name, ",".join(default), str, told)
+        made: _Option = _param(name, ",".join(default), str, declaration)
         made.callback = lambda _context, _param, text: [part.strip() for part in text.split(",")]
         return made
     if get_origin(hint) is tuple:
-        return _param(name, None, list[kind], told)  # type: ignore[valid-type]
-    return _param(name, default, kind, told)
+        return _param(name, None, list[kind], declaration)  # type: ignore[valid-type]
+    return _param(name, default, kind, declaration)
 
 
 def _scalar(hint: Any) -> Any:  # noqa: ANN401
@@ -209,7 +209,7 @@ def _scalar(hint: Any) -> Any:  # noqa: ANN401
     return _scalar(parts[0]) if parts else hint
 
 
-def _param(name: str, default: Any, hint: Any, told: Argument | Option) -> Any:  # noqa: ANN401
+def _param(name: str, default: Any, hint: Any, declaration: Argument | Option) -> Any:  # noqa: ANN401
     (kind,) = (part for part in get_args(hint) or (hint,) if part is not NoneType)
     several = get_origin(kind) is list
     if get_origin(hint) is list:
@@ -219,15 +219,17 @@ def _param(name: str, default: Any, hint: Any, told: Argument | Option) -> Any: 
     settings: dict[str, Any] = {"type": _TYPES[kind], "required": required}
     if not required:
         settings["default"] = default
-    if isinstance(told, Argument):
-        settings |= {"metavar": told.metavar, "nargs": -1 if several else 1}
-        return _Argument([name], about=told.help, **settings)
-    if told.least is not None:
-        settings["type"] = click.IntRange(told.least)
-    names = told.names or (f"--{name.replace('_', '-')}",)
+    if isinstance(declaration, Argument):
+        settings |= {"metavar": declaration.metavar, "nargs": -1 if several else 1}
+        return _Argument([name], about=declaration.help, **settings)
+    if declaration.least is not None:
+        settings["type"] = click.IntRange(declaration.least)
+    names = declaration.names or (f"--{name.replace('_', '-')}",)
     if kind is bool and not any("/" in name for name in names) and default is not None:
         settings["is_flag"] = True
-    return _Option([*names, name], help=told.help, panel=told.panel, multiple=several, **settings)
+    return _Option(
+        [*names, name], help=declaration.help, panel=declaration.panel, multiple=several, **settings
+    )
 
 
 KNOWN = {

@@ -29,20 +29,20 @@ AsJson = Annotated[bool, Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
 
 
-def numbers_of(text: str, option: str, counts: Container[int], mend: str) -> list[float]:
+def numbers_of(text: str, option: str, counts: Container[int], advice: str) -> list[float]:
     """Finite numbers of a text, commas between; `OptionError` with the mend where they are not so many."""
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
     if len(found) not in counts or not all(map(isfinite, found)):
-        raise OptionError(f"{option} is {text!r}; {mend}")
+        raise OptionError(f"{option} is {text!r}; {advice}")
     return found
 
 
-def echo_json(told: object) -> None:
-    """Print as JSON, which has no NaN and no infinity: they become null."""
-    click.echo(json.dumps(_finite(told), ensure_ascii=False, allow_nan=False))
+def echo_json(value: object) -> None:
+    """Print a value as JSON; NaN and infinity become null."""
+    click.echo(json.dumps(_finite(value), ensure_ascii=False, allow_nan=False))
 
 
 @contextmanager
@@ -90,7 +90,7 @@ _SHOWN: list[Progress] = []
 
 
 def console() -> Console:
-    """Where answers are printed, as they are but for what would steer the terminal."""
+    """Return a console that prints answers, with control characters escaped."""
     from rich.console import Console
 
     class Harmless(Console):
@@ -109,27 +109,27 @@ def table(*headings: str, show_header: bool = True) -> Table:
     return Table(*headings, box=None, pad_edge=False, show_header=show_header)
 
 
-def show_facts(told: dict[str, object]) -> None:
+def show_facts(facts_by_name: dict[str, object]) -> None:
     """Print names and values as a table."""
     facts = table(show_header=False)
-    for key, value in told.items():
-        facts.add_row(key.replace("_", " "), _said(value))
+    for key, value in facts_by_name.items():
+        facts.add_row(key.replace("_", " "), _format(value))
     console().print(facts)
 
 
-def _finite(told: object) -> Any:  # noqa: ANN401  # any JSON
-    if isinstance(told, dict):
-        return {key: _finite(value) for key, value in told.items()}
-    if isinstance(told, list | tuple):
-        return [_finite(value) for value in told]
-    return None if isinstance(told, float) and not isfinite(told) else told
-
-
-def _said(value: object) -> str:
+def _finite(value: object) -> Any:  # noqa: ANN401  # any JSON
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_said(v)}" for k, v in value.items())
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _format(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_format(v)}" for k, v in value.items())
     if isinstance(value, list):
-        return ", ".join(_said(v) for v in value)
+        return ", ".join(_format(v) for v in value)
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 

@@ -1,4 +1,4 @@
-"""What is compiled before a command can go on: one line that says how far it is, and that it is once."""
+"""Compilation of kernels before a command can go on, with one line of progress."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
     with progress_of(hidden=hidden) as tell:
         tell(_line(done, len(calls)), done, len(calls))
 
-        def told(_call: str) -> None:
+        def count_compiled(_call: str) -> None:
             nonlocal done
             done += 1
             tell(_line(done, len(calls)), done, len(calls))
 
-        return compile_calls(calls, told)
+        return compile_calls(calls, count_compiled)
 
 
 def warm_up(quiet: Quiet = False) -> None:

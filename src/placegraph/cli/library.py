@@ -54,7 +54,7 @@ ItsEncoders = Annotated[
 ]
 
 
-def opened(
+def open_library(
     path: Path,
     names: Sequence[str] | None,
     weights: Path | None,
@@ -103,7 +103,7 @@ def build(
     if not len(library):
         raise next(iter(failed.values()))
     library.save(out)
-    _say(library, out, as_json=as_json, skipped=len(failed))
+    _print_facts(library, out, as_json=as_json, skipped=len(failed))
 
 
 def add(
@@ -121,7 +121,7 @@ def add(
     known = _file(library, encoder, weights)
     known.add(name or scene.stem, scene)
     known.save(library)
-    _say(known, library, as_json=as_json)
+    _print_facts(known, library, as_json=as_json)
 
 
 def remove(
@@ -138,7 +138,7 @@ def remove(
     known = _file(library, encoder, weights)
     known.remove(name)
     known.save(library)
-    _say(known, library, as_json=as_json)
+    _print_facts(known, library, as_json=as_json)
 
 
 def info(
@@ -151,11 +151,11 @@ def info(
 
     Example: placegraph library info homes.library
     """
-    _say(opened(library, encoder, weights), library, as_json=as_json)
+    _print_facts(open_library(library, encoder, weights), library, as_json=as_json)
 
 
 def facts(library: SceneLibrary) -> dict[str, object]:
-    """What a library holds."""
+    """Summarize a library."""
     signatures = [library.entry(name).signature for name in library]
     rooms = {room for s in signatures for room in s.rooms if not room.isdigit()}
     return {
@@ -167,7 +167,7 @@ def facts(library: SceneLibrary) -> dict[str, object]:
     }
 
 
-def _say(library: SceneLibrary, path: Path, *, as_json: bool, skipped: int = 0) -> None:
+def _print_facts(library: SceneLibrary, path: Path, *, as_json: bool, skipped: int = 0) -> None:
     told = facts(library)
     if path.is_file():
         size = path.stat().st_size
@@ -228,7 +228,7 @@ def _file(path: Path, names: list[str] | None, weights: Path | None) -> SceneLib
     """Library of a file; of a folder there is none to write to."""
     if path.is_dir():
         raise OptionError(f"{path} is a folder: put maps into it, or make a file of it by `build`.")
-    return opened(path, names, weights)
+    return open_library(path, names, weights)
 
 
 _FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,9}$")
@@ -263,13 +263,13 @@ def search(
     """
     from placegraph.io.capture.capture import open_capture
 
-    asked = _asked(query, text)
+    asked = _parse_query(query, text)
     if isinstance(asked, str) and frames is not None:
         raise OptionError(f"--frames belongs to a capture, and {asked!r} is no file or folder.")
     with progress_of(hidden=quiet or as_json) as tell:
         # the capture first: a library of a folder takes its time
         capture = None if isinstance(asked, str) else chosen_frames(open_capture(asked), frames)
-        known = _known(library, encoder, weights, tell)
+        known = _open_collection(library, encoder, weights, tell)
         tell("searching", 0, 1)
         estimate = known.search(str(asked) if capture is None else capture, most=most)
     if query is not None and capture is None and len(query.split()) == 1:
@@ -309,7 +309,7 @@ def localize(
 
     chosen = chosen_frames(open_capture(capture), frames)
     with progress_of(hidden=quiet or as_json) as tell:
-        estimate = _known(library, encoder, weights, tell).localize(
+        estimate = _open_collection(library, encoder, weights, tell).localize(
             chosen, most=most, description=description, refine=refine, seed=seed, device=device,
             progress=tell,
         )  # fmt: skip
@@ -319,7 +319,7 @@ def localize(
         show(estimate)
 
 
-def _known(
+def _open_collection(
     path: Path,
     names: list[str] | None,
     weights: Path | None,
@@ -333,10 +333,10 @@ def _known(
         made = encoders_of(names or [], weights)
         library: SceneCollection = open_folder(path, encoders=made or None)
         return library
-    return opened(path, names, weights, tell)
+    return open_library(path, names, weights, tell)
 
 
-def _asked(query: str | None, text: str | None) -> Path | str:
+def _parse_query(query: str | None, text: str | None) -> Path | str:
     """Capture that QUERY names, or the text of either.
 
     Raises

@@ -27,7 +27,7 @@ def locate(
             "world in shards, which may lie at a URL (s3://...)."
         ),
     ],
-    known: Annotated[dict[str, Any], Fields(LocateOptions)],
+    prior: Annotated[dict[str, Any], Fields(LocateOptions)],
     text: Annotated[
         str | None,
         Argument(help="What is said of the place, outside and inside: streets, buildings, rooms."),
@@ -74,7 +74,7 @@ def locate(
         opened = open_world(world, scheduler=scheduler, keep=keep)
         estimate = opened.locate(
             text, shown, near=lonlat(near, "--near"), seed=seed, refine=refine, device=device,
-            progress=tell, budget=budget, **in_radians(known),
+            progress=tell, budget=budget, **in_radians(prior),
         )  # fmt: skip
     question = estimate.next_question(opened)
     if as_json:
@@ -110,7 +110,7 @@ def show(estimate: WorldEstimate) -> None:
 
 
 def _earth(mode: WorldMode) -> str:
-    """Where on Earth a mode's pose is."""
+    """Format the place of a mode on Earth."""
     if mode.earth is None:
         return ""
     heading = f"heading {round(degrees(mode.earth.heading)) % 360}°"

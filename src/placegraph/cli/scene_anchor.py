@@ -110,12 +110,12 @@ def anchor(
         raise OptionError(f"--level is {level!r}; give a number as OpenStreetMap does, as 1 or -1.")
     scene = SceneMap.open(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
-        fitted = _fitted(scene, pair, pose, accuracy, capture, tell, rough=place is not None)
+        fitted = _fit_anchors(scene, pair, pose, accuracy, capture, tell, rough=place is not None)
     if place is not None:
         on = fit_building(scene, place, building, level, prior=next(iter(fitted.anchors), None))
         fitted = on._replace(notes=(*fitted.notes, *on.notes))
     floor = float(scene.floors.min())
-    found = tuple(_told(a, floor, height, level, building) for a in fitted.anchors)
+    found = tuple(_add_details(a, floor, height, level, building) for a in fitted.anchors)
     notes = list(fitted.notes)
     if any(a.has_covariance and a.covariance[2, 2] > UNKNOWN**2 for a in found):
         notes.append("Nobody says how high the map stands: it is put at height 0 m; give --height.")
@@ -140,7 +140,7 @@ def anchor(
         click.echo(f"{target}: {'anchored' if found else 'stands nowhere now'}.")
 
 
-def _fitted(
+def _fit_anchors(
     scene: SceneMap,
     pair: list[str] | None,
     pose: str | None,
@@ -164,7 +164,7 @@ def _fitted(
 
 
 def summary(anchor: Anchor) -> dict[str, object]:
-    """What a person wants to know of an anchor, in plain numbers and strings."""
+    """Summarize an anchor in plain numbers and strings."""
     east, north, up, turn = (sqrt(v) for v in anchor.covariance.diagonal())
     worst = max(anchor.residuals, default=None)
     told: dict[str, object] = {
@@ -211,7 +211,9 @@ def show(anchors: tuple[Anchor, ...]) -> None:
     console().print(rows)
 
 
-def _told(anchor: Anchor, floor: float, height: float | None, level: str, building: str) -> Anchor:
+def _add_details(
+    anchor: Anchor, floor: float, height: float | None, level: str, building: str
+) -> Anchor:
     """An anchor with what was said of the place; `height`, `floor`: of the floor [m]."""
     if height is not None:
         covariance = anchor.covariance.copy()

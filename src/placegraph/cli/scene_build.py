@@ -205,7 +205,7 @@ def _capture(
     *,
     landmarks: bool,
 ) -> FromCapture | None:
-    """How a capture is made into a mesh; None where no option says anything of it."""
+    """Return the options of fusing a capture; None if none is given."""
     from placegraph.indoor.mapping.from_capture import FromCapture
 
     given: dict[str, Any] = {}
@@ -327,7 +327,7 @@ def info(
 
 
 def facts(scene: SceneMap) -> dict[str, object]:
-    """What a scene map holds."""
+    """Summarize a scene map."""
     graph, mesh = scene.graph, scene.mesh
     return {
         "source": scene.source,
@@ -402,7 +402,7 @@ def encode(
     with progress_of(hidden=quiet or as_json) as tell:
         tell(f"opening {map_file.name}", 0, 3)
         scene = SceneMap.open(map_file)
-        images = [_opened(path, poses, frames, scene) for path in shown]
+        images = [_open_capture(path, poses, frames, scene) for path in shown]
         tell(f"making the encoder {encoder}", 1, 3)
         (made,) = encoders_of([encoder], weights)
         count = sum(map(len, images))
@@ -411,14 +411,14 @@ def encode(
         # what another encoder made of it is of no use to this one
         bare = replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
         vectors = encode_objects(made, bare, images)
-        known = int(vectors.any(axis=1).sum())
-        if not known:
+        encoded = int(vectors.any(axis=1).sum())
+        if not encoded:
             raise OptionError(
                 f"{map_file}: {encoder} knows none of its {len(scene)} objects; it needs "
                 f"{_needs(encoder)}."
             )
         bare.with_embeddings(vectors, encoder=made.key).save(out)
-    _say(out, made, len(scene), known, count, perf_counter() - start, as_json, quiet)
+    _print_encoded(out, made, len(scene), encoded, count, perf_counter() - start, as_json, quiet)
 
 
 def _given(
@@ -444,7 +444,7 @@ def _given(
     return captures
 
 
-def _opened(path: Path, poses: str | None, frames: str | None, scene: SceneMap) -> Capture:
+def _open_capture(path: Path, poses: str | None, frames: str | None, scene: SceneMap) -> Capture:
     """A capture of the map; `OptionError` where it was taken elsewhere."""
     from placegraph.io.capture.capture import open_capture
 
@@ -469,19 +469,19 @@ def _needs(encoder: str) -> str:
     }.get(encoder, "images that show them")
 
 
-def _say(
-    out: Path, made: Encoder, objects: int, known: int, images: int, seconds: float,
+def _print_encoded(
+    out: Path, made: Encoder, objects: int, encoded: int, images: int, seconds: float,
     as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
     size = out.stat().st_size
     if as_json:
         echo_json({
             "map": str(out), "encoder": made.key, "dimension": made.dimension, "objects": objects,
-            "known": known, "images": images, "bytes": size, "seconds": round(seconds, 3),
+            "known": encoded, "images": images, "bytes": size, "seconds": round(seconds, 3),
         })  # fmt: skip
     elif not quiet:
         click.echo(
-            f"{out}: {known:,} of {objects:,} objects have vectors of {made.dimension} numbers by "
+            f"{out}: {encoded:,} of {objects:,} objects have vectors of {made.dimension} numbers by "
             f"{made.key}, {size / 1e3:,.0f} kB, encoded in {seconds:.1f} s."
         )
 

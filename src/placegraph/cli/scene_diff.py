@@ -70,17 +70,17 @@ def diff(
     options = DiffOptions(b_from_a=_motion(axes), **given)
     scene = open_scene(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
-        found = compared(scene, later, frames, options, tell)
+        differences = compared(scene, later, frames, options, tell)
     if out is not None:
-        found.save(out)
+        differences.save(out)
     if png is not None:
         from placegraph.view.scene.change_plans import write_diff
 
-        write_diff(scene, found, png)
+        write_diff(scene, differences, png)
     if as_json:
-        click.echo(json.dumps(found.to_dict(), ensure_ascii=False))
+        click.echo(json.dumps(differences.to_dict(), ensure_ascii=False))
     else:
-        show(found)
+        show(differences)
 
 
 def update(
@@ -134,26 +134,26 @@ def update(
     if out is not None and in_place:
         raise OptionError("--out and --in-place contradict each other; give one.")
     if diff_file is not None:
-        found = read_diff(diff_file)
+        differences = read_diff(diff_file)
     else:
         scene = SceneMap.open(map_file)
         options = DiffOptions(b_from_a=_motion(axes), seed=seed)
         with progress_of(hidden=quiet or as_json) as tell:
-            found = compared(scene, Path(str(later)), frames, options, tell)
+            differences = compared(scene, Path(str(later)), frames, options, tell)
     target = out or map_file
     new = update_file(
-        map_file, found, target, in_place=in_place, take=take or KINDS,
+        map_file, differences, target, in_place=in_place, take=take or KINDS,
         least_confidence=least_confidence, when=when,
     )  # fmt: skip
     told = [id_ for id_, a in zip(new.graph.ids, new.attributes, strict=True) if "history" in a]
     if as_json:
-        facts = {"map": str(target), "objects": len(new), "changes": len(found), "told": told}
+        facts = {"map": str(target), "objects": len(new), "changes": len(differences), "told": told}
         click.echo(json.dumps(facts, ensure_ascii=False))
     elif not quiet:
-        click.echo(f"{target}: {len(new):,} objects, {len(found):,} changes in the diff.")
-        if found and not told:
+        click.echo(f"{target}: {len(new):,} objects, {len(differences):,} changes in the diff.")
+        if differences and not told:
             click.echo(
-                f"None of them is taken over; the two are laid on each other: {found.alignment}."
+                f"None of them is taken over; the two are laid on each other: {differences.alignment}."
             )
         for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
             if id_ in told:
@@ -187,24 +187,26 @@ def compared(
     return diff_capture(scene, capture, estimate, options=options, name=name, progress=tell)
 
 
-def show(found: SceneDiff) -> None:
+def show(differences: SceneDiff) -> None:
     """Print a diff so that a person can read it."""
     out = console()
-    out.print(f"{found.before or 'The map'} and {found.after or 'a later look'}: {found!r}")
-    out.print(f"Laid on each other: {found.alignment}.")
-    if len(found):
+    out.print(
+        f"{differences.before or 'The map'} and {differences.after or 'a later look'}: {differences!r}"
+    )
+    out.print(f"Laid on each other: {differences.alignment}.")
+    if len(differences):
         rows = table("change", "object", "by", "sure", "")
-        for c in found:
+        for c in differences:
             thing = f"{c.label} {c.name or c.id or c.other}".strip()
             by = f"{c.shift_m:.2f} m, {c.turn_deg:.0f}°" if c.kind == "moved" else ""
             by = f"{c.new_label!r} now" if c.kind == "relabelled" else by
             rows.add_row(c.kind, thing, by, f"{c.confidence:.0%}", c.reason)
         out.print(rows)
-    if found.unseen:
-        more = ", ..." if len(found.unseen) > MOST_IDS else ""
+    if differences.unseen:
+        more = ", ..." if len(differences.unseen) > MOST_IDS else ""
         out.print(
-            f"Unseen, so that nothing can be told of them: {len(found.unseen)} objects "
-            f"({', '.join(found.unseen[:MOST_IDS])}{more})."
+            f"Unseen, so that nothing can be told of them: {len(differences.unseen)} objects "
+            f"({', '.join(differences.unseen[:MOST_IDS])}{more})."
         )
 
 

@@ -131,7 +131,7 @@ def pose_words(mode: PoseMode) -> str:
 
 
 def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str:
-    """What became of a refinement, in a line: accepted or not, why, and how far the pose moved."""
+    """Describe a refinement in a line: accepted or not, why, and how far the pose moved."""
     shift, turn = (refinement.stats.get(key, 0.0) for key in ("shift_m", "turn_deg"))
     way = f"{100 * shift:.1f} cm and {turn:.2f}°"
     if refinement.accepted:

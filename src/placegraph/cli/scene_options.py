@@ -74,7 +74,7 @@ _OWN = ("auto", "guided")  # without weights; the refiner makes them as each rou
 
 
 def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
-    """What `scene.localize` takes as `matcher`.
+    """Return a matcher as `scene.localize` takes it.
 
     Raises as `placegraph.indoor.refine.matching.matcher`, `OptionError` for a name that there is not.
     """

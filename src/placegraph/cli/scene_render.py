@@ -43,7 +43,7 @@ _MOST = (1 << 16) - 1
 
 @dataclass(frozen=True)
 class Source:
-    """Where the pose comes from: one of three."""
+    """Source of the pose: one of three."""
 
     pose: str | None
     tum: Path | None
@@ -118,16 +118,16 @@ def render(
     _check(source, camera=camera, capture=capture, frame=frame)
     clip, picture_camera = _camera(camera, capture)
     chosen = None if clip is None else _frame(clip, frame, source)
-    map_from_camera = _pose(source, chosen, asked=frame is not None)
+    map_from_camera = _pose(source, chosen, has_frame=frame is not None)
     scene = open_scene(map_file)
     drawn = scene.render(map_from_camera, picture_camera, samples=samples, device=device)
     files = _write(scene, drawn, map_from_camera, chosen, out)
-    told = _told(scene, drawn, map_from_camera, chosen, files)
+    facts = _describe(scene, drawn, map_from_camera, chosen, files)
     if as_json:
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(facts, ensure_ascii=False))
     elif not quiet:
         click.echo(f"{out}: {', '.join(file.name for file in files)}.")
-        click.echo(_seen(told))
+        click.echo(_summarize(facts))
 
 
 def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: int | None) -> None:
@@ -171,13 +171,13 @@ def _frame(clip: Capture, number: int | None, source: Source) -> Frame:
     return clip[number]
 
 
-def _pose(source: Source, frame: Frame | None, *, asked: bool) -> Floats:
+def _pose(source: Source, frame: Frame | None, *, has_frame: bool) -> Floats:
     if source.pose is not None:
         return map_from_camera_of(source.pose)
     if source.tum is not None:
-        return _pose_of_tum(source.tum, source.row, frame if asked else None)
+        return _pose_of_tum(source.tum, source.row, frame if has_frame else None)
     assert source.estimate is not None  # noqa: S101  # `_check` saw to it
-    return pose_of_estimate(source.estimate, source.mode, frame if asked else None)
+    return pose_of_estimate(source.estimate, source.mode, frame if has_frame else None)
 
 
 def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
@@ -259,7 +259,7 @@ def _objects(scene: SceneMap, drawn: Rendering) -> list[dict[str, Any]]:
     ]
 
 
-def _told(
+def _describe(
     scene: SceneMap,
     drawn: Rendering,
     map_from_camera: Floats,
@@ -277,14 +277,14 @@ def _told(
     }
 
 
-def _seen(told: dict[str, Any]) -> str:
-    """What the picture shows, in a sentence."""
-    if not told["objects"]:
+def _summarize(facts: dict[str, Any]) -> str:
+    """Describe the picture in a sentence."""
+    if not facts["objects"]:
         return "The map is not to be seen from there: the picture is empty."
-    low, high = told["depth_m"]
-    named = [f"{o['label'] or o['id']} {o['share']:.0%}" for o in told["objects"][:6]]
+    low, high = facts["depth_m"]
+    named = [f"{o['label'] or o['id']} {o['share']:.0%}" for o in facts["objects"][:6]]
     return (
-        f"The map fills {told['covered']:.0%} of it, {low:.2f} to {high:.2f} m away: "
+        f"The map fills {facts['covered']:.0%} of it, {low:.2f} to {high:.2f} m away: "
         f"{', '.join(named)}."
     )
 

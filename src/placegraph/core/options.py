@@ -86,14 +86,14 @@ def check_options(owner: object) -> None:
     cls: Any = type(owner)
     for name, _, hint, info in options_of(cls):
         value = getattr(owner, name)
-        if not _fits(value, hint, info):
+        if not _accepts(value, hint, info):
             raise OptionError(f"{name} is {value!r}; it must be {_describe(hint, info)}.")
 
 
-def _fits(value: Any, hint: Any, info: OptionInfo) -> bool:  # noqa: ANN401
+def _accepts(value: Any, hint: Any, info: OptionInfo) -> bool:  # noqa: ANN401
     origin, args = get_origin(hint), get_args(hint)
     if origin in {Union, UnionType}:
-        return any(_fits(value, part, info) for part in args)
+        return any(_accepts(value, part, info) for part in args)
     if origin is Literal:
         return any(type(value) is type(choice) and value == choice for choice in args)
     if origin is tuple:
@@ -101,7 +101,7 @@ def _fits(value: Any, hint: Any, info: OptionInfo) -> bool:  # noqa: ANN401
         return (
             isinstance(value, tuple)
             and len(value) == len(parts)
-            and all(_fits(part, kind, info) for part, kind in zip(value, parts, strict=True))
+            and all(_accepts(part, kind, info) for part, kind in zip(value, parts, strict=True))
         )
     if hint in {int, float}:
         if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
@@ -173,8 +173,9 @@ def _shorten(default: Any) -> str:  # noqa: ANN401
     if isinstance(default, float):
         return f"{default:g}"
     if hasattr(default, "__dataclass_fields__"):
-        plain, names = type(default)(), [entry.name for entry in options_of(type(default))]
+        cls: Any = type(default)
+        plain, names = cls(), [entry.name for entry in options_of(cls)]
         changed = [n for n in names if getattr(default, n) != getattr(plain, n)]
         values = (f"{name}={_shorten(getattr(default, name))}" for name in changed)
-        return f"{type(default).__name__}({', '.join(values)})"
+        return f"{cls.__name__}({', '.join(values)})"
     return repr(default)

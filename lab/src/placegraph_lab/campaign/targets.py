@@ -31,7 +31,7 @@ from placegraph_serve.limits import HeadTimeoutProtocol
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Dispatcher, Places
 from placegraph_serve.problem import problem
-from placegraph_serve.workers import VERBS, Answer, dumped
+from placegraph_serve.workers import VERBS, Answer, to_json
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -48,7 +48,7 @@ class InProcessQueue:
     def __init__(self, dispatcher: Dispatcher) -> None:
         self.dispatcher = dispatcher
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Do nothing: there is no process."""
 
     async def end(self) -> None:
@@ -63,7 +63,7 @@ class InProcessQueue:
             )
         except PlacegraphError as error:
             return None, problem(error)
-        return (answer if isinstance(answer, bytes) else dumped(answer | {"seconds": 0.0})), None
+        return (answer if isinstance(answer, bytes) else to_json(answer | {"seconds": 0.0})), None
 
 
 class ServerUnderTest:
@@ -80,7 +80,7 @@ class ServerUnderTest:
         queue: Any = InProcessQueue(Dispatcher(Places([folder]), options))
         server = self.app.state.server
         server.sentences = server.captures = server.steps = queue
-        server.sessions._lane = queue  # noqa: SLF001  # the routes hold the sessions
+        server.sessions._queue = queue  # noqa: SLF001  # the routes hold the sessions
         self.sessions: dict[str, str] = {}
 
     @cached_property

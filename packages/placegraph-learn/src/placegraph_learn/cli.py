@@ -88,9 +88,13 @@ def train_scene(
         int | None,
         Option(least=3, help="Train on so many procedural homes instead of maps of your own."),
     ] = None,
-    held: Annotated[
+    held_out: Annotated[
         int | None,
-        Option(least=1, help="Places that are not learned but asked about; a fifth if not given."),
+        Option(
+            "--held",
+            least=1,
+            help="Places that are not learned but asked about; a fifth if not given.",
+        ),
     ] = None,
     features: Annotated[
         str, Option(help="Image features: colour (no weights), or dinov2 as published.")
@@ -141,7 +145,7 @@ def train_scene(
             worlds,
             out,
             folder=work,
-            held=held if held is not None else max(1, len(worlds) // 5),
+            held_out=held_out if held_out is not None else max(1, len(worlds) // 5),
             teacher=teacher,
             widths=widths,
             options=chosen,

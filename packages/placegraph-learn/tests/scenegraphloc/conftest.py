@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from placegraph_learn.scenegraphloc.features import ColourFeatures
-from placegraph_learn.scenegraphloc.lessons import placed
+from placegraph_learn.scenegraphloc.lessons import place_capture
 from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
 from placegraph_learn.scenegraphloc.weights import write_weights
 
@@ -13,7 +13,7 @@ from placegraph_learn.scenegraphloc.weights import write_weights
 @pytest.fixture(scope="session")
 def survey(walk, truth):
     """The walk through the room as one of the map: its odometry is map_from_camera."""
-    return placed(walk, truth(walk))
+    return place_capture(walk, truth(walk))
 
 
 @pytest.fixture(scope="session")

@@ -29,8 +29,8 @@ from placegraph_learn.scenegraphloc.inputs import (
     quarter_turns,
     rooms_of,
     seen_objects,
-    shown,
     together,
+    vote_patches,
 )
 from placegraph_learn.scenegraphloc.train import distort
 
@@ -360,12 +360,12 @@ def test_a_patch_shows_what_most_of_its_pixels_do():
     objects[:, :60] = 3
     objects[:20, 60:] = 5  # a third of its patch: none is more frequent
     objects[30:, 60:] = 7
-    assert shown(objects, (1, 2)).tolist() == [[3, 7]]
+    assert vote_patches(objects, (1, 2)).tolist() == [[3, 7]]
     objects[30:, 60:] = -1
-    assert shown(objects, (1, 2)).tolist() == [[3, -1]]
+    assert vote_patches(objects, (1, 2)).tolist() == [[3, -1]]
     # six things in equal parts: none covers more than a fifth
     mixed = np.repeat(np.arange(6, dtype=np.int32), 10)[None].repeat(60, axis=0)
-    assert shown(mixed, (1, 1)).tolist() == [[-1]]
+    assert vote_patches(mixed, (1, 1)).tolist() == [[-1]]
 
 
 def test_rays_see_the_things_that_a_rendered_walk_shows(room, survey):

@@ -21,7 +21,7 @@ from placegraph_learn.scenegraphloc.lessons import (
     World,
     folder,
     kept_lesson,
-    placed,
+    place_capture,
     read_lesson,
     split,
     write_lesson,
@@ -245,7 +245,7 @@ def test_folders_without_maps_and_captures_outside_are_named(room, survey, tmp_p
 
     def lost():
 
-        return Material(Surveyed(room, (survey,)), (placed(survey, far),))
+        return Material(Surveyed(room, (survey,)), (place_capture(survey, far),))
 
     with pytest.raises(OptionError, match="poses are in the map"):
         Teacher(ColourFeatures()).lesson(World("lost", lost))

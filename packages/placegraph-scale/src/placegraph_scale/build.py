@@ -115,7 +115,7 @@ def build_world(
         work.mkdir(exist_ok=True)
         with lock_file(work / "journal.jsonl"):
             build = _Build(target, options, tell)
-            build.begin(fetch_all(extracts, work / EXTRACTS, tell))
+            build.resume(fetch_all(extracts, work / EXTRACTS, tell))
             build.split()
             build.tiles()
             tell("counting words", 0, None)
@@ -135,7 +135,7 @@ class _Build:
         self.journal = Journal(self.work / "journal.jsonl")
         self.workers = options.workers or count_processors()
 
-    def begin(self, extracts: list[Path]) -> None:
+    def resume(self, extracts: list[Path]) -> None:
         """Resume the build that was begun here, if it is the same."""
         self.extracts = sorted(extracts)
         plan, path = _plan(self.extracts, self.options), self.work / PLAN
@@ -164,7 +164,7 @@ class _Build:
         todo = [
             _SplitJob(str(path), str(folder), self.options)
             for path, folder in zip(self.extracts, self._folders("things"), strict=True)
-            if (begun := Split.load(folder)) is None or not begun.whole
+            if (begun := Split.load(folder)) is None or not begun.complete
         ]
         if todo:  # what touches many tiles is shared out anew as well
             (self.work / "tiles.json").unlink(missing_ok=True)
@@ -185,7 +185,7 @@ class _Build:
         with closing(run_tasks(build_tile, jobs, self.workers, self.options.scheduler)) as built:
             for n, (row, made) in enumerate(built, 1):
                 self.journal.add(made)
-                for path, _ in jobs[row].things:
+                for path, _ in jobs[row].objects:
                     Path(path).unlink(missing_ok=True)
                 self.tell("building tiles", n, len(jobs))
         if not any(made.digest for made in self.journal.done.values()):
@@ -219,7 +219,7 @@ class _Build:
         for found, things, large in zip(
             splits, self._folders("things"), self._folders("large"), strict=True
         ):
-            if found is None or not found.whole:
+            if found is None or not found.complete:
                 raise MapError(f"{things} has gone; run the same command again.")
             shutil.rmtree(large, ignore_errors=True)
             large.mkdir()
@@ -428,9 +428,9 @@ def _run_on_cluster(
         client.close()
 
 
-def _killed(task: object, mend: str) -> MapError:
+def _killed(task: object, advice: str) -> MapError:
     key = getattr(task, "key", task)
     return MapError(
         f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
-        f"short. {mend}, or choose a higher --zoom (smaller tiles); what is finished stays."
+        f"short. {advice}, or choose a higher --zoom (smaller tiles); what is finished stays."
     )

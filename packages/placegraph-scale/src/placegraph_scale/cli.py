@@ -11,7 +11,7 @@ import click
 
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
-from placegraph.cli.library import ItsEncoders, opened
+from placegraph.cli.library import ItsEncoders, open_library
 from placegraph.cli.scene_options import NoProgress, WeightsFile
 from placegraph.core.files import resolve_path
 from placegraph.errors import MapError
@@ -95,8 +95,10 @@ def shard(
     from placegraph_scale.library.write import write_shards
 
     with progress_of(hidden=quiet or as_json) as tell:
-        first = opened(libraries[0], encoder, weights, tell)
-        every = _listed(libraries, first, out, lambda path: opened(path, encoder, weights, tell))
+        first = open_library(libraries[0], encoder, weights, tell)
+        every = _named_entries(
+            libraries, first, out, lambda path: open_library(path, encoder, weights, tell)
+        )
         made = write_shards(out, every, first.encoders, size)
     told = {"scenes": len(made), "shards": len(made.shards)}
     told["bytes"] = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
@@ -108,7 +110,7 @@ def shard(
         )
 
 
-def _listed(
+def _named_entries(
     paths: list[Path], first: SceneLibrary, out: Path, open_: Callable[[Path], SceneLibrary]
 ) -> Iterator[NamedEntry]:
     """Yield scenes of all libraries, one open at a time; names tell of which, if there are several."""

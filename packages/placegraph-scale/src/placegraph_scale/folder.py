@@ -52,7 +52,7 @@ class ShardFile:
 
 @dataclass(frozen=True)
 class WorldFile:
-    """What `world.json` says."""
+    """Content of `world.json`."""
 
     folder: Path
     zoom: int
@@ -68,7 +68,7 @@ class WorldFile:
         """Read it; `InputError` where it is missing, `MapError` where it is none, or of a newer version."""
         path = Path(folder) / NAME
         try:
-            told = json.loads(files.check_regular(path).read_bytes())
+            meta = json.loads(files.check_regular(path).read_bytes())
         except OSError as error:
             raise InputError(
                 f"{path} cannot be read: {error.strerror}. Name a folder that `placegraph world "
@@ -76,25 +76,25 @@ class WorldFile:
             ) from error
         except (ValueError, RecursionError) as error:
             raise MapError(f"{path} is no JSON ({error}). {_MEND}") from error
-        if not isinstance(told, dict) or told.get("format") != FORMAT:
+        if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise MapError(f"{path} does not describe a world in shards. {_MEND}")
-        if told.get("version") != VERSION:
+        if meta.get("version") != VERSION:
             raise MapError(
-                f"{path} is of version {told.get('version')!r}, this placegraph reads {VERSION}; "
+                f"{path} is of version {meta.get('version')!r}, this placegraph reads {VERSION}; "
                 "update placegraph, or build the world again."
             )
         try:
-            return cls._of(Path(folder), told)
+            return cls._of(Path(folder), meta)
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise MapError(f"{path}: {type(error).__name__}: {error}. {_MEND}") from error
 
     @classmethod
-    def _of(cls, folder: Path, told: dict[str, Any]) -> Self:
-        zoom, overlap = int(told["zoom"]), float(told["overlap_m"])
+    def _of(cls, folder: Path, meta: dict[str, Any]) -> Self:
+        zoom, overlap = int(meta["zoom"]), float(meta["overlap_m"])
         shards = tuple(
             ShardFile(str(s["key"]), str(s["file"]), str(s["digest"]),
                       *(int(s[name]) for name in ("bytes", "objects", "cells", "viewpoints")))
-            for s in told["shards"]
+            for s in meta["shards"]
         )  # fmt: skip
         if not (1 <= zoom <= MAX_ZOOM and overlap >= 0.0 and shards):
             raise ValueError(f"zoom {zoom}, overlap {overlap} m, {len(shards)} shards")
@@ -105,16 +105,16 @@ class WorldFile:
             tile_bounds(s.key)
             if s.file != f"{SHARDS}/{s.key}.city" or min(s.bytes, s.objects, s.viewpoints) < 0:
                 raise ValueError(f"shard {s.key} is {s}")
-        return cls(folder, zoom, overlap, str(told["words"]["digest"]), shards)
+        return cls(folder, zoom, overlap, str(meta["words"]["digest"]), shards)
 
     def write(self) -> None:
         """Write it in one step; `MapError` where that fails."""
-        told = {
+        meta = {
             "format": FORMAT, "version": VERSION, "zoom": self.zoom, "overlap_m": self.overlap,
             "words": {"file": WORDS, "digest": self.words},
             "shards": [asdict(s) | {"core": list(s.core)} for s in self.shards],
         }  # fmt: skip
-        text = json.dumps(told, ensure_ascii=False, indent=1)
+        text = json.dumps(meta, ensure_ascii=False, indent=1)
         files.write_file(self.folder / NAME, [text.encode() + b"\n"])
 
     def path(self, shard: ShardFile) -> Path:
@@ -195,9 +195,9 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
     system, root = open_file_system(url)
     folder = Path(folder)
     try:
-        told = system.cat_file(f"{root}/{NAME}")
+        meta = system.cat_file(f"{root}/{NAME}")
         (folder / SHARDS).mkdir(parents=True, exist_ok=True)
-        files.write_file(folder / NAME, [told])
+        files.write_file(folder / NAME, [meta])
         world = WorldFile.read(folder)
         for n, shard in enumerate(world.shards):
             _fetch_file(system, f"{root}/{shard.file}", world.path(shard), shard.digest)

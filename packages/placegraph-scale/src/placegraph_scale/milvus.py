@@ -57,7 +57,7 @@ class Server:
 
     def __init__(self, client: MilvusClient, uri: str, timeout: float = 10.0) -> None:
         self._client = client
-        self.address = shown(uri)
+        self.address = hide_password(uri)
         """URI without a password, for messages."""
         self._timeout = timeout
 
@@ -85,7 +85,7 @@ class Server:
                 "A Milvus server is reached through pymilvus; install it with "
                 "`pip install 'placegraph[milvus]'`, or keep the vectors in a file."
             ) from error
-        with _typed_errors(shown(uri), "connect"):
+        with _typed_errors(hide_password(uri), "connect"):
             client = MilvusClient(uri=uri, timeout=timeout, dedicated=True)
         return cls(client, uri, timeout)
 
@@ -199,11 +199,11 @@ def check_uri(uri: str) -> None:
         sound = False
     if not sound:
         raise OptionError(
-            f"{shown(uri)!r} is no address of a Milvus server; give one such as http://host:19530."
+            f"{hide_password(uri)!r} is no address of a Milvus server; give one such as http://host:19530."
         )
 
 
-def shown(uri: str) -> str:
+def hide_password(uri: str) -> str:
     """Return a URI for messages: without a password."""
     head, at, tail = uri.rpartition("@")
     scheme, found, _ = head.partition("://")
@@ -323,7 +323,7 @@ class MilvusStore:
 
     @property
     def origin(self) -> Origin:
-        """What the vectors were made from."""
+        """Map and model that the vectors were made from."""
         return self.info.origin
 
     def search(

@@ -70,16 +70,16 @@ SPARE = 0.01
 """What sticks out of a tile by less than this stays whole [deg]: squares, parks, long buildings."""
 
 
-def pack_frame(things: ElementTable) -> bytes:
+def pack_frame(objects: ElementTable) -> bytes:
     """Return a frame of objects."""
     columns = (
-        things.osm_type, things.kind, things.osm_id.astype("<i8"),
-        np.diff(things.part_starts).astype("<u4"), np.diff(things.point_starts).astype("<u4"),
-        things.steps.astype("<i4"),
+        objects.osm_type, objects.kind, objects.osm_id.astype("<i8"),
+        np.diff(objects.part_starts).astype("<u4"), np.diff(objects.point_starts).astype("<u4"),
+        objects.steps.astype("<i4"),
     )  # fmt: skip
-    data = b"".join([c.tobytes() for c in columns] + [THING.join(things.texts).encode()])
+    data = b"".join([c.tobytes() for c in columns] + [THING.join(objects.texts).encode()])
     data = zlib.compress(data, 1)
-    sizes = len(things), len(things.point_starts) - 1, len(things.steps)
+    sizes = len(objects), len(objects.point_starts) - 1, len(objects.steps)
     return HEAD.pack(MAGIC, len(data), _crc(data, *sizes), *sizes) + data
 
 
@@ -130,9 +130,9 @@ class TileFiles:
         """Whether it is time to `flush`."""
         return self._bytes > ROOM // 2
 
-    def add(self, key: str, things: ElementTable) -> None:
+    def add(self, key: str, objects: ElementTable) -> None:
         """Add objects to those of a tile."""
-        frame = pack_frame(things)
+        frame = pack_frame(objects)
         self._waiting.setdefault(key, []).append(frame)
         self._bytes += len(frame)
         if self._bytes > ROOM:
@@ -193,11 +193,11 @@ class Split:
     """Bytes of the objects of each tile, by key, and of those that touch many, as `LARGE`."""
     populated: list[str]
     """Keys of the tiles that hold something of their own."""
-    things: int
+    objects: int
     left_out: dict[str, int]
     read: int
     """Blocks of the extract so far."""
-    whole: bool = False
+    complete: bool = False
 
     def save(self, folder: Path) -> None:
         """Write it beside the tiles: what they hold beyond it does not count."""
@@ -255,16 +255,16 @@ def split(
     begun = Split.load(folder)
     if begun is None or begun.of != state:
         begun = Split(state, {}, [], 0, {}, 0)
-    if begun.whole:
+    if begun.complete:
         return begun
     left_out = LeftOut(Counter(begun.left_out), begun.read)
     index = folder / "nodes.index" if is_large(path) else None
-    files, populated, count = TileFiles(folder, begun.sizes), set(begun.populated), begun.things
+    files, populated, count = TileFiles(folder, begun.sizes), set(begun.populated), begun.objects
 
-    def save(*, whole: bool = False) -> Split:
+    def save(*, complete: bool = False) -> Split:
         files.flush()
         counts = dict(sorted(left_out.counts.items()))
-        found = Split(state, files.sizes, sorted(populated), count, counts, left_out.read, whole)
+        found = Split(state, files.sizes, sorted(populated), count, counts, left_out.read, complete)
         found.save(folder)
         return found
 
@@ -274,9 +274,9 @@ def split(
         progress or (lambda _step, _n: None),
     )
     with closing(tables):
-        for things in tables:
-            count += len(things)
-            _spread(things, files, populated, left_out.counts, (zoom, margin))
+        for objects in tables:
+            count += len(objects)
+            _spread(objects, files, populated, left_out.counts, (zoom, margin))
             if files.full:
                 save()
     if _state(path) != state:
@@ -284,7 +284,7 @@ def split(
         raise InputError(f"{path} changed while it was read; build again when it is whole.")
     if not count:
         raise make_empty_error(path, left_out)
-    return save(whole=True)
+    return save(complete=True)
 
 
 def _state(path: Path) -> list[int]:
@@ -296,18 +296,18 @@ def _state(path: Path) -> list[int]:
 
 
 def _spread(
-    things: ElementTable, files: TileFiles, populated: set[str], left_out: Counter[str],
+    objects: ElementTable, files: TileFiles, populated: set[str], left_out: Counter[str],
     grid: tuple[int, float],
 ) -> None:  # fmt: skip
     """Put objects to all tiles of a grid (zoom, margin [m]) that they touch, and note whose they are."""
     zoom, margin = grid
-    low, high = things.ends()
+    low, high = objects.ends()
     if (around := high[:, 0] - low[:, 0] > 180.0).any():
         left_out["things across the date line"] += int(around.sum())
     wide = tile_ranges(low, high, zoom, margin)
     many = (wide[:, 2] - wide[:, 0] + 1) * (wide[:, 3] - wide[:, 1] + 1) > MANY
     if (large := np.flatnonzero(many & ~around)).size:
-        files.add(LARGE, things.take(large))
+        files.add(LARGE, objects.take(large))
     small = np.flatnonzero(~many & ~around)
     tiles, _ = _touched_tiles(tile_ranges(low[small], high[small], zoom, BORDER), zoom)
     populated |= {tile_key(t >> zoom, t % (1 << zoom), zoom) for t in np.unique(tiles).tolist()}
@@ -318,7 +318,7 @@ def _spread(
     for first, last in pairwise(ends):
         tile = int(tiles[first])
         key = tile_key(tile >> zoom, tile % (1 << zoom), zoom)
-        files.add(key, things.take(rows[first:last]))
+        files.add(key, objects.take(rows[first:last]))
 
 
 def _touched_tiles(
@@ -343,29 +343,29 @@ def spread_large(
     if LARGE in sizes:
         holding = {key[:depth] for key in populated for depth in range(len(key) + 1)}
         zoom = max(map(len, holding))
-        for things in read_frames(folder / f"{LARGE}.things", sizes[LARGE]):
-            for row in range(len(things)):
-                for key, thing in _descend("", things.element(row), holding, zoom, margin):
-                    files.add(key, ElementTable.of([thing]))
+        for objects in read_frames(folder / f"{LARGE}.things", sizes[LARGE]):
+            for row in range(len(objects)):
+                for key, piece in _descend("", objects.element(row), holding, zoom, margin):
+                    files.add(key, ElementTable.of([piece]))
         files.flush()
     return files.sizes
 
 
 def _descend(
-    key: str, thing: LabelledElement, holding: set[str], zoom: int, margin: float
+    key: str, piece: LabelledElement, holding: set[str], zoom: int, margin: float
 ) -> Iterator[tuple[str, LabelledElement]]:
     """Yield the tiles of a subtree that hold something, and what of an object lies in each."""
     if key:
-        parts = clip(thing.kind, thing.parts, tile_bounds(key).widened(margin))
+        parts = clip(piece.kind, piece.parts, tile_bounds(key).widened(margin))
         if not parts:
             return
-        thing = thing._replace(parts=parts)
+        piece = piece._replace(parts=parts)
     if len(key) == zoom:
-        yield key, thing
+        yield key, piece
         return
     for child in (key + digit for digit in "0123"):
         if child in holding:
-            yield from _descend(child, thing, holding, zoom, margin)
+            yield from _descend(child, piece, holding, zoom, margin)
 
 
 @dataclass(frozen=True)
@@ -373,7 +373,7 @@ class TileJob:
     """A tile to be built; it can be sent to other processes, and done again."""
 
     key: str
-    things: tuple[tuple[str, int], ...]
+    objects: tuple[tuple[str, int], ...]
     """Files of objects, and their sizes [bytes]."""
     out: str
     """City to write."""
@@ -390,7 +390,7 @@ class TileJob:
     def is_ready(self) -> bool:
         """Whether its objects were put aside, and are there still."""
         try:
-            return all(Path(path).stat().st_size >= size for path, size in self.things)
+            return all(Path(path).stat().st_size >= size for path, size in self.objects)
         except OSError:
             return False
 
@@ -421,21 +421,21 @@ def build_tile(job: TileJob) -> TileDone:
 
     Raises `MapError` where objects are damaged, or the city cannot be written.
     """
-    tables = [table for path, size in job.things for table in read_frames(Path(path), size)]
+    tables = [table for path, size in job.objects for table in read_frames(Path(path), size)]
     core = tile_bounds(job.key)
     plane = LocalPlane(*(round(x, 4) for x in core.center))
-    left_out, things = LeftOut(), None
+    left_out, objects = LeftOut(), None
     if tables:
-        things = _cut(drop_duplicates(ElementTable.joined(tables)), core.widened(job.margin))
+        objects = _cut(drop_duplicates(ElementTable.joined(tables)), core.widened(job.margin))
         del tables
-    if things:
-        things = drop_largest(things, left_out, plane)
+    if objects:
+        objects = drop_largest(objects, left_out, plane)
     out = Path(job.out)
-    if not things:
+    if not objects:
         return TileDone(job.key, "")
     cell_size, stride, edge_distance = job.sizes
     city = City.create(
-        plane, make_objects(things, plane), cell_size=cell_size, stride=stride,
+        plane, make_objects(objects, plane), cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
     words = count_words(city, job.key)
@@ -446,22 +446,22 @@ def build_tile(job: TileJob) -> TileDone:
     return made
 
 
-def _cut(things: ElementTable, box: Box) -> ElementTable | None:
+def _cut(objects: ElementTable, box: Box) -> ElementTable | None:
     """Cut objects to a box [deg], which may reach across the date line; return None where none is left."""
-    low, high = things.ends()
+    low, high = objects.ends()
     turn = 360.0 * np.round((low[:, 0] - box.center[0]) / 360.0)
     low[:, 0] -= turn
     high[:, 0] -= turn
     west, south, east, north = box
     there = (low <= (east, north)).all(axis=1) & (high >= (west, south)).all(axis=1)
-    whole = (low >= (west - SPARE, south - SPARE)) & (high <= (east + SPARE, north + SPARE))
-    found = [things.take(np.flatnonzero(there & whole.all(axis=1)))]
+    inside = (low >= (west - SPARE, south - SPARE)) & (high <= (east + SPARE, north + SPARE))
+    found = [objects.take(np.flatnonzero(there & inside.all(axis=1)))]
     cut = []
-    for row in np.flatnonzero(there & ~whole.all(axis=1)).tolist():
-        thing = things.element(row)
-        parts = [part - (turn[row], 0.0) for part in thing.parts]
-        if parts := clip(thing.kind, parts, box):
-            cut.append(thing._replace(parts=parts))
+    for row in np.flatnonzero(there & ~inside.all(axis=1)).tolist():
+        piece = objects.element(row)
+        parts = [part - (turn[row], 0.0) for part in piece.parts]
+        if parts := clip(piece.kind, parts, box):
+            cut.append(piece._replace(parts=parts))
     if cut:
         found.append(ElementTable.of(cut))
     made = ElementTable.joined([table for table in found if len(table)] or found)

@@ -134,7 +134,7 @@ def test_by_the_command_line_and_a_server(maps_and_library, run):
     assert "reading" in told.out
     places = Places([mapped])
     assert places.world().locate("There are two desks.").best.scene == "reading"
-    listed = {facts["name"]: facts for facts in places.listed()}
+    listed = {facts["name"]: facts for facts in places.describe_maps()}
     assert (listed["all"]["kind"], listed["all"]["objects"]) == ("shards", 4)
 
 

@@ -21,9 +21,9 @@ from placegraph_scale.milvus import (
     check_uri,
     collection_name,
     drop_store,
+    hide_password,
     list_stores,
     load_milvus,
-    shown,
 )
 
 HERE = Origin("a map", "a model")
@@ -292,8 +292,8 @@ def test_addresses_that_are_none(uri):
 
 
 def test_a_password_is_never_shown():
-    assert shown("http://root:pass@host:1/db") == "http://…@host:1/db"
-    assert shown("http://host:1") == "http://host:1"
+    assert hide_password("http://root:pass@host:1/db") == "http://…@host:1/db"
+    assert hide_password("http://host:1") == "http://host:1"
     with pytest.raises(OptionError) as error:
         check_uri("root:pass@host")
     assert "pass" not in str(error.value)

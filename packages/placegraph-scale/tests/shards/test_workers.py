@@ -168,8 +168,8 @@ def test_where_every_worker_ended_the_shard_is_lost_and_no_other():
         Ending(None, "x", sources), [workers.ShardTask("name", s, ()) for s in sources], None
     )
     ran(work.do())
-    assert work.found.pop(0).reason.startswith("0.city: every worker")
-    assert work.found == {k: str(k) for k in range(1, 6)}
+    assert work.results.pop(0).reason.startswith("0.city: every worker")
+    assert work.results == {k: str(k) for k in range(1, 6)}
 
 
 def test_where_no_worker_is_left_it_is_said(monkeypatch):
@@ -258,4 +258,4 @@ def test_the_world_waits_for_no_worker_longer_than_was_given():
         cluster.monotonic() + 0.01,
     )  # fmt: skip
     ran(work.do())
-    assert work.found == {}
+    assert work.results == {}

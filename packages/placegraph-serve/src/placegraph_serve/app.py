@@ -36,13 +36,13 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
-        for lane in server.lanes:
-            lane.begin()
+        for queue in server.queues:
+            queue.start()
         try:
             yield
         finally:
-            for lane in server.lanes:
-                await lane.end()
+            for queue in server.queues:
+                await queue.end()
 
     app = FastAPI(
         title="placegraph", version=__version__, lifespan=lifespan, docs_url=None, redoc_url=None

@@ -1,4 +1,4 @@
-"""What the page draws maps from: tiles of a city, plans of scenes, and the files that pages share."""
+"""Drawings of maps for the page: tiles of a city, plans of scenes, and the files that pages share."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ POLICY = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """Nothing of a page comes from elsewhere."""
-KEPT_BYTES = 64_000_000
+CACHE_BYTES = 64_000_000
 """Tiles are kept, those asked for last, up to so much."""
-_KEPT_BY_CLIENTS = {"Cache-Control": "private, max-age=60"}
+_CLIENT_CACHE = {"Cache-Control": "private, max-age=60"}
 FARTHEST = 1 << 20
 """Columns and rows of tiles lie within this."""
 
 
-class Kept:
-    """Answers that are kept, each made once, while there is room: bytes by key."""
+class AnswerCache:
+    """Cache of answers, each made once, up to a number of bytes."""
 
     def __init__(self, most: int) -> None:
         self.most, self.size = most, 0
@@ -76,7 +76,7 @@ class Kept:
 def drawing_router(places: Places) -> APIRouter:
     """Routes that draw some maps."""
     router = APIRouter()
-    kept = Kept(KEPT_BYTES)
+    cached = AnswerCache(CACHE_BYTES)
     cities: WeakKeyDictionary[CityMap, tuple[int, CityTiles]] = WeakKeyDictionary()
     numbers = itertools.count()
 
@@ -89,7 +89,7 @@ def drawing_router(places: Places) -> APIRouter:
 
     @router.get("/v1/maps/{name}/drawing")
     def index(name: str, request: Request, scene: str = "") -> Response:
-        """What a page must know before it asks for tiles, or a scene's picture.
+        """Describe a map for a page, before it asks for tiles or the picture of a scene.
 
         Of a city plane, bounds, levels and paints, see `placegraph.view.city.page`; of a scene its
         bounds and things, see `placegraph.view.scene.page`.
@@ -97,17 +97,17 @@ def drawing_router(places: Places) -> APIRouter:
         entry = places.entry(name)
         if entry.kind == "city":
             number, tiles = tiles_of(name)
-            return _packed(request, kept.get((number,), lambda: _bytes(tiles.index())))
+            return _packed(request, cached.get((number,), lambda: _bytes(tiles.index())))
         key = name, scene, state_of(entry.path)
-        made = kept.get(key, lambda: _bytes(describe_plan(open_plan(places.scene(name), scene))))
+        made = cached.get(key, lambda: _bytes(describe_plan(open_plan(places.scene(name), scene))))
         return _packed(request, made)
 
     @router.get("/v1/maps/{name}/drawing.png")
     def floor(name: str, scene: str = "", *, dark: bool = False) -> Response:
         """Picture of a scene from above, of just its bounds, to be laid on a map."""
         key = name, scene, dark, state_of(places.entry(name).path)
-        made = kept.get(key, lambda: draw_png(open_plan(places.scene(name), scene), dark=dark))
-        return Response(made, media_type="image/png", headers=_KEPT_BY_CLIENTS)
+        made = cached.get(key, lambda: draw_png(open_plan(places.scene(name), scene), dark=dark))
+        return Response(made, media_type="image/png", headers=_CLIENT_CACHE)
 
     @router.get("/v1/maps/{name}/drawing/{level}/{x}/{y}")
     def tile(name: str, level: int, x: int, y: int, request: Request) -> Response:
@@ -119,7 +119,7 @@ def drawing_router(places: Places) -> APIRouter:
                 status=404,
                 code="tile_unknown",
             )
-        made = kept.get((number, level, x, y), lambda: _bytes(tiles.tile(level, x, y)))
+        made = cached.get((number, level, x, y), lambda: _bytes(tiles.tile(level, x, y)))
         return _packed(request, made)
 
     @router.get("/parts/palette.css", include_in_schema=False)
@@ -137,7 +137,7 @@ def _bytes(data: object) -> bytes:
 
 def _packed(request: Request, packed: bytes) -> Response:
     """Compressed JSON, as the client takes it; it may keep it for a while."""
-    headers = _KEPT_BY_CLIENTS | {"Vary": "Accept-Encoding"}
+    headers = _CLIENT_CACHE | {"Vary": "Accept-Encoding"}
     if "gzip" in request.headers.get("accept-encoding", ""):
         headers["Content-Encoding"] = "gzip"
     else:
@@ -159,5 +159,5 @@ class Files(StaticFiles):
 
 
 def page_files() -> dict[str, StaticFiles]:
-    """Where the files of the page are mounted."""
+    """Return the folders of the files of the page by path."""
     return {"/parts": Files(directory=PARTS), "/": Files(directory=PAGE, html=True)}

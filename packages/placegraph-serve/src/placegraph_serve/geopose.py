@@ -19,7 +19,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
 from placegraph.io.capture.frame import Frame
 from placegraph_io.dataset.colmap import model_camera
-from placegraph_serve.localize import found, notes
+from placegraph_serve.localize import find_best, notes
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.requests import (
     LEVEL,
@@ -47,8 +47,8 @@ _VERSION = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What a request tells."""
+class ProtocolRequest:
+    """Request of the GeoPose protocol."""
 
     id: str
     timestamp: Any
@@ -67,10 +67,10 @@ def version_of(accept: str) -> int | None:
 
     Raises `RequestError` (406) for one that is not spoken here.
     """
-    found = _VERSION.search(accept)
-    if found is None:
+    find_best = _VERSION.search(accept)
+    if find_best is None:
         return None
-    version = int(found[1])
+    version = int(find_best[1])
     if version not in VERSIONS:
         raise RequestError(
             f"Accept: version {version} of the GeoPose protocol is not spoken here; ask for 1.0 or "
@@ -81,19 +81,19 @@ def version_of(accept: str) -> int | None:
     return version
 
 
-def read_request(body: bytes, version: int | None) -> Asked:
+def read_request(body: bytes, version: int | None) -> ProtocolRequest:
     """Read a request; `InputError` names the field that is not what it should be."""
     try:
-        told = orjson.loads(body)  # takes no number or text that could not be sent back
+        document = orjson.loads(body)  # takes no number or text that could not be sent back
     except ValueError as error:
         raise InputError(f"body: not JSON ({error}); send a GeoPose request.") from None
-    if not isinstance(told, dict):
+    if not isinstance(document, dict):
         raise InputError("body: no object; send a GeoPose request.")
-    readings = told.get("sensorReadings")
+    readings = document.get("sensorReadings")
     if not isinstance(readings, dict | list):
         raise InputError("sensorReadings: missing, or no list or object; send what was read.")
     version = version or (1 if isinstance(readings, list) else 2)
-    sensors = {str(s.get("id")): s for s in _objects(told.get("sensors") or [], "sensors")}
+    sensors = {str(s.get("id")): s for s in _objects(document.get("sensors") or [], "sensors")}
     kinds = _flat(readings, sensors) if isinstance(readings, list) else _by_kind(readings)
     for reading in kinds["camera"]:
         sensor = sensors.get(str(reading.get("sensorId")), {})
@@ -103,8 +103,10 @@ def read_request(body: bytes, version: int | None) -> Asked:
     camera, geolocation, accelerometer = (
         sorted(kinds[kind], key=lambda r: float(r["when"])) for kind in KINDS
     )
-    name, stamp = str(told.get("id") or ""), told.get("timestamp")
-    return Asked(name, stamp, version, camera, geolocation, accelerometer, _poses(told))
+    name, stamp = str(document.get("id") or ""), document.get("timestamp")
+    return ProtocolRequest(
+        name, stamp, version, camera, geolocation, accelerometer, _poses(document)
+    )
 
 
 def part(holder: dict[str, Any], name: str) -> dict[str, Any]:
@@ -133,7 +135,7 @@ def _flat(readings: list[Any], sensors: dict[str, Any]) -> dict[str, list[dict[s
         inner = inner[0] if isinstance(inner, list) and inner else inner
         if not isinstance(inner, dict):
             raise InputError("sensorReadings: reading is no object; send what was read.")
-        kind = sensors.get(str(outer.get("sensorId")), {}).get("type") or _told(inner)
+        kind = sensors.get(str(outer.get("sensorId")), {}).get("type") or _guess_kind(inner)
         if kind in kinds:
             kinds[kind].append({**outer, **inner, "when": _seconds(outer.get("timestamp"))})
     return kinds
@@ -150,7 +152,7 @@ def _by_kind(readings: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def _told(reading: dict[str, Any]) -> str:
+def _guess_kind(reading: dict[str, Any]) -> str:
     return (
         "camera" if "imageBytes" in reading
         else "geolocation" if "latitude" in reading
@@ -158,9 +160,9 @@ def _told(reading: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
-def _poses(told: dict[str, Any]) -> list[dict[str, Any]]:
+def _poses(document: dict[str, Any]) -> list[dict[str, Any]]:
     poses = []
-    for prior in _objects(told.get("priorPoses") or [], "priorPoses"):
+    for prior in _objects(document.get("priorPoses") or [], "priorPoses"):
         pose, accuracy = prior.get("geopose") or prior.get("pose"), prior.get("accuracy")
         if not isinstance(pose, dict) or not isinstance(pose.get("position"), dict):
             raise InputError("priorPoses: a pose has no position; send a GeoPose.")
@@ -204,31 +206,31 @@ _IMAGE_HEADS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF")
 _CHANNELS = {1: "GRAY8", 3: "RGB24", 4: "RGBA32"}
 
 
-def geopose(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
-    """Answer a request; `asked`: `body` and `version`, None where the client does not say.
+def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]:
+    """Answer a request; `arguments`: `body` and `version`, None where the client does not say.
 
     Where no image can be used, the pose is that of the geolocation reading, with its accuracy and the
     status `LOST`.
     """
-    request = read_request(asked["body"], asked["version"])
+    request = read_request(arguments["body"], arguments["version"])
     hints = hints_of(request)
     colour = [r for r in request.camera if not _is_depth(r) and r["image"]]
     depth = [r for r in request.camera if _is_depth(r) and r["image"]]
     if not colour:
         why = "No image was sent that could be compared with a map (imageBytes is empty)."
         return _answer(request, [], Status.LOST.name, why)
-    frame, leveled = frame_of(colour[-1], depth, request.accelerometer, desk.options)
+    frame, leveled = frame_of(colour[-1], depth, request.accelerometer, dispatcher.options)
     images = Images((frame,), moved=True, leveled=leveled)
-    estimate, _ = found(desk.places, images, hints)
+    estimate, _ = find_best(dispatcher.places, images, hints)
     poses = [pose for mode in estimate.modes for pose in earth_poses(mode)]
     if estimate.modes and not poses:
         estimate.geopose()  # raises: nobody has placed that map on Earth
-    told = _answer(request, poses, estimate.status.name, estimate.reason)
-    return told | {"notes": notes(desk.places, hints, estimate)}
+    document = _answer(request, poses, estimate.status.name, estimate.reason)
+    return document | {"notes": notes(dispatcher.places, hints, estimate)}
 
 
-def hints_of(request: Asked) -> Hints:
-    """Where the device roughly is: by the newest pose of before, or else by geolocation."""
+def hints_of(request: ProtocolRequest) -> Hints:
+    """Return the rough position of the device: by the newest pose of before, or else by geolocation."""
     if request.poses:
         prior = request.poses[-1]
         at = prior["position"]
@@ -333,7 +335,9 @@ def camera_of(reading: dict[str, Any], photo: Photo) -> Camera | None:
     return model_camera("modelParams", model, photo.size, numbers)
 
 
-def _answer(request: Asked, poses: list[EarthPose], status: str, reason: str) -> dict[str, Any]:
+def _answer(
+    request: ProtocolRequest, poses: list[EarthPose], status: str, reason: str
+) -> dict[str, Any]:
     """The response: the protocol's keys, and beside them status, reason and all modes."""
     modes = [
         pose.geopose() | {"building": pose.building, "level": pose.level, "room": pose.room}
@@ -360,7 +364,7 @@ def _answer(request: Asked, poses: list[EarthPose], status: str, reason: str) ->
     }  # fmt: skip
 
 
-def _fallback(request: Asked, reason: str) -> dict[str, Any]:
+def _fallback(request: ProtocolRequest, reason: str) -> dict[str, Any]:
     """Pose of the geolocation reading alone; `RequestError` where there is none."""
     if not request.geolocation:
         raise RequestError(
@@ -372,10 +376,10 @@ def _fallback(request: Asked, reason: str) -> dict[str, Any]:
     fix = request.geolocation[-1]
     lon, lat = _lonlat(number(fix, "longitude"), number(fix, "latitude"))
     half = radians(number(fix, "heading", 0.0)) / 2.0
-    told = {"x": 0.0, "y": 0.0, "z": -sin(half), "w": cos(half)}
+    document = {"x": 0.0, "y": 0.0, "z": -sin(half), "w": cos(half)}
     return {
         "position": {"lat": lat, "lon": lon, "h": number(fix, "altitude", 0.0)},
-        "quaternion": told,
+        "quaternion": document,
         "accuracy": {"position": number(fix, "accuracy", 0.0) or GUESS, "orientation": None},
         "probability": 0.0,
         "unknown": ["orientation"],
@@ -386,10 +390,10 @@ def _degrees(orientation: float | None) -> float:
     return 180.0 if orientation is None else min(orientation, 180.0)
 
 
-def _quaternion(told: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
-    if not isinstance(told, dict):
+def _quaternion(document: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
+    if not isinstance(document, dict):
         return np.full(4, np.nan)
-    xyzw = np.array([number(told, axis, 0.0) for axis in "xyzw"])
+    xyzw = np.array([number(document, axis, 0.0) for axis in "xyzw"])
     length = float(np.linalg.norm(xyzw))
     return xyzw / length if length > 1e-6 else np.full(4, np.nan)
 

@@ -21,7 +21,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from placegraph.errors import InputError, RequestError
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import MEDIA_TYPE, problem
-from placegraph_serve.workers import dumped
+from placegraph_serve.workers import to_json
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -50,20 +50,20 @@ class Metrics:
 
     def note(self, path: str, status: int, seconds: float) -> None:
         """Count an answer."""
-        known = next((p for p in PATHS if path == p or path.startswith(f"{p}/")), "other")
-        self.requests.labels(known, str(status)).inc()
-        self.seconds.labels(known).observe(seconds)
+        secrets = next((p for p in PATHS if path == p or path.startswith(f"{p}/")), "other")
+        self.requests.labels(secrets, str(status)).inc()
+        self.seconds.labels(secrets).observe(seconds)
 
     def collect(self) -> list[Metric]:
         """Return the counts, and those of the moment (`now`)."""
         families: dict[str, Any] = {}
-        for (name, lane), value in self.now().items():
+        for (name, queue), value in self.now().items():
             kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
-            labels = ("lane",) if lane else ()
+            labels = ("lane",) if queue else ()
             family = families.setdefault(
                 name, kind(f"placegraph_{name}", "At this moment.", labels=labels)
             )
-            family.add_metric(labels and (lane,), value)
+            family.add_metric(labels and (queue,), value)
         return [*self.requests.collect(), *self.seconds.collect(), *families.values()]
 
     def text(self) -> bytes:
@@ -83,7 +83,7 @@ _MOST_BRACKETS = 200_000
 class Keys:
     """API keys."""
 
-    known: tuple[bytes, ...]
+    secrets: tuple[bytes, ...]
     """None: everybody may ask."""
 
     @classmethod
@@ -95,14 +95,14 @@ class Keys:
             lines = [line.strip() for line in path.read_text("utf-8").splitlines()]
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path} cannot be read ({error}); name a file of keys.") from error
-        known = tuple(line.encode() for line in lines if line and not line.startswith("#"))
-        if not known:
+        secrets = tuple(line.encode() for line in lines if line and not line.startswith("#"))
+        if not secrets:
             raise InputError(f"{path} holds no key; write one a line.")
-        return cls(known)
+        return cls(secrets)
 
     def let_in(self, scope: Scope) -> bool:
         """Whether a request has a key, in its header or, where there is none, as `key=`."""
-        if not self.known or not f"{scope['path']}/".startswith(CLOSED):
+        if not self.secrets or not f"{scope['path']}/".startswith(CLOSED):
             return True
         headers = {name: value for name, value in scope["headers"] if name in _HEADERS}
         given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(
@@ -111,13 +111,13 @@ class Keys:
         asked = parse_qs(scope["query_string"].decode("latin-1")).get("key", [""])[0]
         given = given or asked.encode()
         # all are compared, each in constant time
-        return sum(hmac.compare_digest(given.strip(), key) for key in self.known) > 0
+        return sum(hmac.compare_digest(given.strip(), key) for key in self.secrets) > 0
 
 
 _HEADERS = (b"x-api-key", b"authorization")
 
 
-class _Held:
+class HeldBytes:
     """Bytes of one body that are held in memory."""
 
     def __init__(self, guard: Guard) -> None:
@@ -126,8 +126,8 @@ class _Held:
     def more(self, count: int) -> None:
         """Hold some more; `RequestError` (503) where all bodies together would be too much."""
         self.bytes += count
-        self._guard.held += count
-        if self._guard.held > self._guard.options.held_bytes:
+        self._guard.held_bytes += count
+        if self._guard.held_bytes > self._guard.options.held_bytes:
             raise RequestError(
                 "Too much is sent at once by all who ask; ask again in a moment.",
                 status=503, code="busy", retry_after=2,
@@ -140,7 +140,7 @@ class Guard:
     def __init__(self, app: ASGIApp, options: ServeOptions, keys: Keys, metrics: Metrics) -> None:
         self.app, self.options, self.keys, self.metrics = app, options, keys, metrics
         self.sockets = 0
-        self.held = 0
+        self.held_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request through, or answer it with a problem."""
@@ -148,13 +148,13 @@ class Guard:
             return await self.app(scope, receive, send)
         start, status = perf_counter(), 0
 
-        async def noted(message: Message) -> None:
+        async def send_counted(message: Message) -> None:
             nonlocal status
             status = message.get("status", status)
             await send(message)
 
         try:
-            return await self._guarded(scope, receive, noted)
+            return await self._guarded(scope, receive, send_counted)
         finally:
             if scope["type"] == "http":
                 self.metrics.note(scope["path"], status, perf_counter() - start)
@@ -165,15 +165,15 @@ class Guard:
         except RequestError as error:
             return await refuse(scope, receive, send, error)
         if scope["type"] == "http":
-            return await self._answered(scope, receive, send)
+            return await self._answer(scope, receive, send)
         self.sockets += 1
         try:
             return await self.app(scope, receive, send)
         finally:
             self.sockets -= 1
 
-    async def _answered(self, scope: Scope, receive: Receive, send: Send) -> None:
-        holds = _Held(self)
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        holds = HeldBytes(self)
         try:
             try:
                 receive = await self._body(scope, receive, holds)
@@ -181,7 +181,7 @@ class Guard:
                 return await refuse(scope, receive, send, error)
             return await self.app(scope, receive, send)
         finally:
-            self.held -= holds.bytes
+            self.held_bytes -= holds.bytes
 
     def _check(self, scope: Scope) -> None:
         if not self.keys.let_in(scope):
@@ -189,7 +189,7 @@ class Guard:
                 "The key is missing or unknown; send it as `Authorization: Bearer KEY`.",
                 status=401, code="key",
             )  # fmt: skip
-        check_host(scope, self.options.names, keyed=bool(self.keys.known))
+        check_host(scope, self.options.names, has_keys=bool(self.keys.secrets))
         check_origin(scope, self.options.names)
         if scope["type"] == "websocket" and self.sockets >= self.options.sockets:
             raise RequestError(
@@ -197,7 +197,7 @@ class Guard:
                 status=503, code="busy", retry_after=10,
             )  # fmt: skip
 
-    async def _body(self, scope: Scope, receive: Receive, holds: _Held) -> Receive:
+    async def _body(self, scope: Scope, receive: Receive, holds: HeldBytes) -> Receive:
         """Check a small body whole, and count a large one while it is read."""
         headers = dict(scope["headers"])
         large = scope["path"].startswith(LARGE)
@@ -225,18 +225,20 @@ class Guard:
 
 async def refuse(scope: Scope, receive: Receive, send: Send, error: RequestError) -> None:
     """Answer with a problem, in place of the application."""
-    told = problem(error)
+    reply = problem(error)
     if scope["type"] == "websocket":
         await receive()
-        return await send({"type": "websocket.close", "code": 1008, "reason": told["detail"][:120]})
+        return await send(
+            {"type": "websocket.close", "code": 1008, "reason": reply["detail"][:120]}
+        )
     headers = [(b"content-type", MEDIA_TYPE.encode()), (b"connection", b"close")]
     if error.retry_after is not None:
         headers.append((b"retry-after", str(error.retry_after).encode()))
-    await send({"type": "http.response.start", "status": told["status"], "headers": headers})
-    return await send({"type": "http.response.body", "body": dumped(told)})
+    await send({"type": "http.response.start", "status": reply["status"], "headers": headers})
+    return await send({"type": "http.response.body", "body": to_json(reply)})
 
 
-def check_host(scope: Scope, names: tuple[str, ...], *, keyed: bool) -> None:
+def check_host(scope: Scope, names: tuple[str, ...], *, has_keys: bool) -> None:
     """Refuse to be asked under a strange name, unless a key is asked for anyway.
 
     A page of a strange host may bend its own name to this machine's address (DNS rebinding), and
@@ -244,7 +246,7 @@ def check_host(scope: Scope, names: tuple[str, ...], *, keyed: bool) -> None:
     """
     host = _header(scope, b"host")
     name = _host_of(f"//{host}")
-    if not keyed and host and not (_is_plain(name) or name in names):
+    if not has_keys and host and not (_is_plain(name) or name in names):
         raise RequestError(
             f"This server is not known as {name[:80]!r}; ask by its address, or start it with --name.",
             status=421, code="host",
@@ -360,24 +362,24 @@ class HeadTimeoutProtocol(H11Protocol):
         """Take bytes; those before a head is whole let nobody wait longer."""
         super().data_received(data)
         if self.cycle is not None and not self.cycle.response_complete:
-            self._rest()
+            self._stop_waiting()
         elif self.cycle is not None and self._end is None:
             self._wait()
 
     def send_400_response(self, _msg: str) -> None:
         """Answer what is no HTTP with a problem, as everything else."""
-        told = problem(
+        reply = problem(
             RequestError("This is no HTTP; send a request as RFC 9112 has it.", code="http")
         )
         headers = [("content-type", MEDIA_TYPE), ("connection", "close")]
-        start = Response(status_code=told["status"], headers=headers)
-        for event in (start, Data(data=dumped(told)), EndOfMessage()):
+        start = Response(status_code=reply["status"], headers=headers)
+        for event in (start, Data(data=to_json(reply)), EndOfMessage()):
             self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
     def handle_websocket_upgrade(self, event: Request) -> None:
         """Hand the connection on; from now on it may be silent."""
-        self._rest()
+        self._stop_waiting()
         keys = [value for name, value in event.headers if name == b"sec-websocket-key"]
         if not all(map(bytes.isascii, keys)):  # websockets would fail of it, and log where
             self.send_400_response("")
@@ -386,13 +388,13 @@ class HeadTimeoutProtocol(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End, and wait no more."""
-        self._rest()
+        self._stop_waiting()
         super().connection_lost(exc)
 
     def _wait(self) -> None:
         self._end = self.loop.call_later(self._seconds, self.transport.close)
 
-    def _rest(self) -> None:
+    def _stop_waiting(self) -> None:
         if self._end is not None:
             self._end.cancel()
             self._end = None

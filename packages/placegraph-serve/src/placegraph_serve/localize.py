@@ -17,7 +17,7 @@ from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.status import diagnostics_of
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
-from placegraph_serve.locate import answered, given_answer, on_earth, options_in
+from placegraph_serve.locate import describe_answer, on_earth, options_in, read_answer
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.requests import (
     LEVEL,
@@ -27,7 +27,7 @@ from placegraph_serve.requests import (
     camera_of,
     capture_in,
     check_focal,
-    fitted,
+    fit_size,
     image_bytes,
     images_of,
     read_depth,
@@ -41,32 +41,32 @@ MOST_ALONE = 8
 """Images at most that no odometry joins."""
 
 
-def warm(_desk: Dispatcher, _asked: None) -> dict[str, Any]:
+def warm(_dispatcher: Dispatcher, _request: None) -> dict[str, Any]:
     """Load what every image needs; a scene is opened when it is asked for."""
     import_module("placegraph.indoor.localize")
     return {}
 
 
-def plan(desk: Dispatcher, asked: dict[str, Any]) -> bytes:
+def plan(dispatcher: Dispatcher, request: dict[str, Any]) -> bytes:
     """Plan of a scene as PNG."""
     from placegraph.view import draw_scene
 
-    scene = desk.places.scene(asked["map"])
+    scene = dispatcher.places.scene(request["map"])
     with TemporaryDirectory(prefix="placegraph-") as folder:
         return Path(draw_scene(scene, Path(folder) / "plan.png")).read_bytes()
 
 
-def localize(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
-    """Where images were taken; `asked`: `folder` of the files, their names, and `request`."""
-    places, folder = desk.places, Path(asked["folder"])
+def localize(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Localize images; `request`: `folder` of the files, their names, and `request`."""
+    places, folder = dispatcher.places, Path(request["folder"])
     try:
-        images, hints = read(folder, asked, desk.options)
-        record = "animation" in asked["request"]["pictures"]
-        estimate, frames = found(places, images, hints, record=record)
+        images, hints = read(folder, request, dispatcher.options)
+        record = "animation" in request["request"]["pictures"]
+        estimate, frames = find_best(places, images, hints, record=record)
         pose, where = pose_estimate(estimate), scene_name(places, hints, estimate)
         pictures = {
             name: picture(places, pose, where, frames, folder / f"{name}.png")
-            for name in asked["request"]["pictures"]
+            for name in request["request"]["pictures"]
         }
     except PlacegraphError as error:
         if str(folder) not in str(error):
@@ -82,40 +82,42 @@ def localize(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def read(folder: Path, asked: dict[str, Any], options: ServeOptions) -> tuple[Images, Hints]:
+def read(folder: Path, request: dict[str, Any], options: ServeOptions) -> tuple[Images, Hints]:
     """Frames and hints of what was sent."""
-    known = asked["request"]
-    near = known["near"]
-    if asked["capture"]:
+    parameters = request["request"]
+    near = parameters["near"]
+    if request["capture"]:
         (folder / "capture").mkdir()
-        capture = capture_in(folder / asked["capture"], folder / "capture", options)
+        capture = capture_in(folder / request["capture"], folder / "capture", options)
         images = Images(tuple(capture), moved=True, leveled=True)
     else:
         photos = [
             read_photo((folder / name).read_bytes(), f"images[{i}]", options)
-            for i, name in enumerate(asked["images"])
+            for i, name in enumerate(request["images"])
         ]
         depths = [
-            read_depth((folder / name).read_bytes(), f"depth[{i}]", known["depth_scale"], options)
-            for i, name in enumerate(asked["depth"])
+            read_depth(
+                (folder / name).read_bytes(), f"depth[{i}]", parameters["depth_scale"], options
+            )
+            for i, name in enumerate(request["depth"])
         ]
-        images = images_of(photos, depths, known)
+        images = images_of(photos, depths, parameters)
         near = near or next((photo.fix[:2] for photo in photos if photo.fix), None)
     if not images.moved and len(images.frames) > MOST_ALONE:
         raise OptionError(
             f"odometry: {len(images.frames)} images without it are {MOST_ALONE} at most; tell how the "
             "camera moved, or send fewer."
         )
-    heading, prior = known["heading_deg"], known["prior"]
+    heading, prior = parameters["heading_deg"], parameters["prior"]
     return images, Hints(
-        map=known["map"], description=known["description"] or None, near=near,
-        radius=known["radius"], seed=known["seed"],
+        map=parameters["map"], description=parameters["description"] or None, near=near,
+        radius=parameters["radius"], seed=parameters["seed"],
         heading=None if heading is None else radians(heading),
         prior=None if prior is None else Prior(**in_radians(prior)),
     )  # fmt: skip
 
 
-def found(
+def find_best(
     places: Places, images: Images, hints: Hints, *, record: bool = False
 ) -> tuple[Any, list[Frame]]:
     """The best of the answers to what may be tried, and the frames that it is of."""
@@ -128,9 +130,9 @@ def found(
             if best is None and i == len(trials) - 1:
                 raise
             continue
-        if best is None or worth(estimate) > worth(best[0]):
+        if best is None or rank_answer(estimate) > rank_answer(best[0]):
             best = estimate, frames
-        if worth(estimate) >= (1, 0.0):
+        if rank_answer(estimate) >= (1, 0.0):
             break
     assert best is not None  # noqa: S101  # the last trial raises
     return best
@@ -163,8 +165,8 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
     )  # fmt: skip
 
 
-def worth(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
-    """What one answer is worth against those to other tilts and images: settled, and how well it fits."""
+def rank_answer(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
+    """Rank an answer among those to other tilts and images: whether it is certain, and how well it fits."""
     pose = pose_estimate(estimate)
     refined = pose is not None and pose.refinement is not None and pose.refinement.accepted
     settled = estimate.status is Status.OK or refined
@@ -172,7 +174,7 @@ def worth(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
 
 
 def pose_estimate(estimate: Any) -> PoseEstimate | None:  # noqa: ANN401
-    """What was found in the best mode's scene."""
+    """Return the estimate in the scene of the best mode."""
     if isinstance(estimate, PoseEstimate):
         return estimate
     if estimate.best is None:
@@ -189,7 +191,7 @@ def scene_name(places: Places, hints: Hints, estimate: Any) -> str | None:  # no
 
 
 def notes(places: Places, hints: Hints, estimate: Any) -> list[str]:  # noqa: ANN401
-    """What of a question could not be used, and why."""
+    """Return which parts of a request could not be used, and why."""
     name = hints.map or places.only
     if name is None or places.entry(name).kind != "scene":
         return list(getattr(estimate, "notes", ()))
@@ -222,35 +224,35 @@ def picture(
     return f"data:image/{path.suffix[1:]};base64,{b64encode(path.read_bytes()).decode()}"
 
 
-def begin(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
-    """Make the tracker of a session; `asked`: `session`, and what `schema.Begin` has."""
-    name = asked["map"] or desk.places.only
+def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Make the tracker of a session; `request`: `session`, and what `schema.Begin` has."""
+    name = request["map"] or dispatcher.places.only
     if name is None:
         raise OptionError("map: several are served; name one.")
-    kind = desk.places.entry(name).kind
+    kind = dispatcher.places.entry(name).kind
     if kind == "city":
-        tracker: Any = desk.places.city(name).track(**options_in(asked))
+        tracker: Any = dispatcher.places.city(name).track(**options_in(request))
     else:
-        camera = camera_of(asked["camera"], None)
+        camera = camera_of(request["camera"], None)
         if camera is None:
             raise OptionError("camera: missing; give fx, width and height of the images to come.")
         check_focal(camera, "camera")
-        scene = desk.places.scene(name)
-        camera = camera.resized(*fitted((camera.width, camera.height)))
-        tracker = scene.tracker(camera, seed=asked["seed"], description=asked["description"])
-    desk.trackers[asked["session"]] = name, tracker
+        scene = dispatcher.places.scene(name)
+        camera = camera.resized(*fit_size((camera.width, camera.height)))
+        tracker = scene.tracker(camera, seed=request["seed"], description=request["description"])
+    dispatcher.trackers[request["session"]] = name, tracker
     return {"map": name}
 
 
-def step(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
-    """One step of a session; `asked`: `session`, and what `schema.Step` has."""
-    if asked["session"] not in desk.trackers:
+def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """One step of a session; `request`: `session`, and what `schema.Step` has."""
+    if request["session"] not in dispatcher.trackers:
         raise RequestError("The session is over; begin a new one.", status=410, code="session_over")
-    name, tracker = desk.trackers[asked["session"]]
+    name, tracker = dispatcher.trackers[request["session"]]
     if isinstance(tracker, CityTracker):
-        estimate: Any = _walked(tracker, asked)
-        return answered(name, estimate, estimate.next_question(tracker.city))
-    estimate = tracker.update(_frame(desk, tracker.camera, asked))
+        estimate: Any = _walked(tracker, request)
+        return describe_answer(name, estimate, estimate.next_question(tracker.city))
+    estimate = tracker.update(_frame(dispatcher, tracker.camera, request))
     return {
         "map": name,
         "estimate": estimate.to_dict(),
@@ -259,24 +261,24 @@ def step(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def end(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
+def end(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """Forget a session."""
-    desk.trackers.pop(asked["session"], None)
+    dispatcher.trackers.pop(request["session"], None)
     return {}
 
 
-def _walked(tracker: CityTracker, asked: dict[str, Any]) -> Any:  # noqa: ANN401  # an estimate
-    bearing = asked["bearing_deg"]
+def _walked(tracker: CityTracker, request: dict[str, Any]) -> Any:  # noqa: ANN401  # an estimate
+    bearing = request["bearing_deg"]
     estimate: Any = None
-    if asked["east"] is not None and asked["north"] is not None:
-        estimate = tracker.move(asked["east"], asked["north"], sigma=asked["sigma"])
-    if asked["distance"] is not None:
+    if request["east"] is not None and request["north"] is not None:
+        estimate = tracker.move(request["east"], request["north"], sigma=request["sigma"])
+    if request["distance"] is not None:
         bearing = None if bearing is None else radians(bearing)
-        estimate = tracker.walk(asked["distance"], bearing)
-    if asked["text"] is not None:
-        estimate = tracker.tell(asked["text"])
-    for answer in asked["answers"]:
-        estimate = tracker.answer(given_answer(answer))
+        estimate = tracker.walk(request["distance"], bearing)
+    if request["text"] is not None:
+        estimate = tracker.tell(request["text"])
+    for answer in request["answers"]:
+        estimate = tracker.answer(read_answer(answer))
     if estimate is None:
         raise OptionError(
             "step: nothing is said or moved; give text, answers, east and north, or distance."
@@ -284,18 +286,18 @@ def _walked(tracker: CityTracker, asked: dict[str, Any]) -> Any:  # noqa: ANN401
     return estimate
 
 
-def _frame(desk: Dispatcher, camera: Any, asked: dict[str, Any]) -> Frame:  # noqa: ANN401  # Camera
-    if asked["image"] is None:
+def _frame(dispatcher: Dispatcher, camera: Any, request: dict[str, Any]) -> Frame:  # noqa: ANN401  # Camera
+    if request["image"] is None:
         raise OptionError("image: missing; give one in base64, JPEG or PNG.")
-    photo: Photo = read_photo(image_bytes(asked["image"]), "image", desk.options)
+    photo: Photo = read_photo(image_bytes(request["image"]), "image", dispatcher.options)
     depth = None
-    if asked["depth"] is not None:
-        data = image_bytes(asked["depth"])
-        depth = read_depth(data, "depth", asked["depth_scale"], desk.options)
-    gravity = asked["gravity"]
-    if gravity is None and asked["odometry"] is None:
+    if request["depth"] is not None:
+        data = image_bytes(request["depth"])
+        depth = read_depth(data, "depth", request["depth_scale"], dispatcher.options)
+    gravity = request["gravity"]
+    if gravity is None and request["odometry"] is None:
         gravity = LEVEL
     return Frame.from_arrays(
-        photo.rgb, camera, depth=depth, odometry=asked["odometry"], gravity=gravity,
-        stamp=asked["stamp"] or 0.0, index=asked["number"],
+        photo.rgb, camera, depth=depth, odometry=request["odometry"], gravity=gravity,
+        stamp=request["stamp"] or 0.0, index=request["number"],
     )  # fmt: skip

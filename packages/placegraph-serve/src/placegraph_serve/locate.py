@@ -26,58 +26,58 @@ if TYPE_CHECKING:
     from placegraph_serve.places import Dispatcher, Places
 
 
-def warm(desk: Dispatcher, _asked: None) -> dict[str, Any]:
+def warm(dispatcher: Dispatcher, _request: None) -> dict[str, Any]:
     """Open all maps and ask something, so that the first who asks waits for neither."""
-    places = desk.places
+    places = dispatcher.places
     names = [entry.name for entry in places.entries() if entry.kind == "city"]
     said = {"text": "A bakery is north of me. A church is east of me. I am in the kitchen."}
     with suppress(PlacegraphError):  # it is told to who asks for that map
         for name in names:
             places.open(name)
         if names:
-            locate(desk, said | {"map": names[0]})
+            locate(dispatcher, said | {"map": names[0]})
         if places.only is None:  # the world's scenes are compared with each other once
-            locate(desk, said)
+            locate(dispatcher, said)
     return {}
 
 
-def locate(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
-    """Where something was said; `asked` has the fields of `schema.Locate`."""
-    text = asked["text"]
-    most, places = desk.options.text, desk.places
+def locate(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Locate a sentence; `request` has the fields of `requests.Locate`."""
+    text = request["text"]
+    most, places = dispatcher.options.text, dispatcher.places
     if len(text) > most:
         raise DescriptionError(f"text: {len(text)} characters; say it in at most {most}.")
-    name = asked.get("map") or places.only
+    name = request.get("map") or places.only
     if name is not None and places.entry(name).kind == "city":
-        return in_city(places.city(name), name, asked)
+        return in_city(places.city(name), name, request)
     if name is not None and places.entry(name).kind == "library":
-        found = places.open(name).search(text, most=asked.get("top") or 5)  # type: ignore[union-attr]
-        return answered(name, found, None)
-    return in_world(places, name, asked)
+        found = places.open(name).search(text, most=request.get("top") or 5)  # type: ignore[union-attr]
+        return describe_answer(name, found, None)
+    return in_world(places, name, request)
 
 
-def in_city(city: CityMap, name: str, asked: dict[str, Any]) -> dict[str, Any]:
-    """Where in a city something was said, and what to ask back."""
+def in_city(city: CityMap, name: str, request: dict[str, Any]) -> dict[str, Any]:
+    """Locate a sentence in a city, and return the question to ask back."""
     estimate: CityEstimate = city.locate(
-        asked["text"], answers=answers_in(asked), **options_in(asked)
+        request["text"], answers=answers_in(request), **options_in(request)
     )
-    return answered(name, estimate, estimate.next_question(city))
+    return describe_answer(name, estimate, estimate.next_question(city))
 
 
-def in_world(places: Places, name: str | None, asked: dict[str, Any]) -> dict[str, Any]:
-    """Where in all maps something was said, or in one scene alone."""
+def in_world(places: Places, name: str | None, request: dict[str, Any]) -> dict[str, Any]:
+    """Locate a sentence in all maps, or in one scene alone."""
     world = places.world(name)
-    estimate = world.locate(asked["text"], answers=answers_in(asked), **options_in(asked))
-    return answered(name, estimate, estimate.next_question(world))
+    estimate = world.locate(request["text"], answers=answers_in(request), **options_in(request))
+    return describe_answer(name, estimate, estimate.next_question(world))
 
 
-def options_in(asked: dict[str, Any]) -> dict[str, Any]:
+def options_in(request: dict[str, Any]) -> dict[str, Any]:
     """Return arguments of `locate` in a body; those that are null or missing take their defaults."""
     names = ("top", "near", "radius", "heading_deg", "language")
-    return in_radians({name: asked.get(name) for name in names})
+    return in_radians({name: request.get(name) for name in names})
 
 
-def answered(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
+def describe_answer(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
     """The body of an answer."""
     from placegraph.core.estimate import CityEstimate
     from placegraph.view.city.page import page_estimate as as_drawn
@@ -87,13 +87,13 @@ def answered(name: str | None, estimate: Any, question: Question | None) -> dict
     return {
         "map": name,
         **(as_drawn(estimate) if of_city else {"estimate": estimate.to_dict()}),
-        **({"support": heat(estimate)} if isinstance(estimate, WorldEstimate) else {}),
-        "question": None if question is None else told(question),
+        **({"support": support_points(estimate)} if isinstance(estimate, WorldEstimate) else {}),
+        "question": None if question is None else describe_question(question),
         "geojson": on_earth(estimate.geojson),
     }
 
 
-def heat(estimate: WorldEstimate) -> list[list[float]]:
+def support_points(estimate: WorldEstimate) -> list[list[float]]:
     """Longitude, latitude [deg], probability: heaviest points of the towns, each by its town's share."""
     points = []
     for city in estimate.cities.values():
@@ -108,14 +108,14 @@ def heat(estimate: WorldEstimate) -> list[list[float]]:
 
 
 def on_earth(tell: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
-    """What an estimate says of Earth; None where its map stands nowhere on it."""
+    """Return an estimate as GeoJSON or GeoPose; None if its map is not anchored."""
     try:
         return tell()
     except GeoPoseError:
         return None
 
 
-def told(question: Question) -> dict[str, Any]:
+def describe_question(question: Question) -> dict[str, Any]:
     """A question as JSON, which a client sends back with its answer."""
     things = [{"words": t.words, "label": t.label, "wind": t.wind} for t in question.subjects]
     return {
@@ -126,22 +126,22 @@ def told(question: Question) -> dict[str, Any]:
     }
 
 
-def answers_in(asked: dict[str, Any]) -> list[Answer]:
+def answers_in(request: dict[str, Any]) -> list[Answer]:
     """Return the answers in a body to earlier questions."""
-    return [given_answer(answer) for answer in asked.get("answers") or ()]
+    return [read_answer(answer) for answer in request.get("answers") or ()]
 
 
-def given_answer(answer: dict[str, Any]) -> Answer:
+def read_answer(answer: dict[str, Any]) -> Answer:
     """An answer ``{"question": ..., "option": ...}`` that a client sends back."""
     from placegraph.outdoor.search.ask import COMPASS, NONE, Question, Subject
 
-    asked = answer["question"]
-    things = tuple(Subject(t["words"], t["label"], t["wind"]) for t in asked["things"])
-    options = tuple(asked["options"])
+    request = answer["question"]
+    things = tuple(Subject(t["words"], t["label"], t["wind"]) for t in request["things"])
+    options = tuple(request["options"])
     known = len(things) == 1 or options == (*(t.words for t in things), NONE)
     if not things or not known or any(t.wind and t.wind not in COMPASS for t in things):
         raise OptionError("answers: a question is not as it was asked; send it back unchanged.")
-    return Question(asked["text"], options, things, 0.0).answer(answer["option"])
+    return Question(request["text"], options, things, 0.0).answer(answer["option"])
 
 
 CLOSE = 80.0
@@ -156,23 +156,31 @@ _PLACES = {"city": "city", "town": "city", "village": "city", "suburb": "distric
 """Photon's types of a place; all else is a house."""
 
 
-def search(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
+def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """Features of names that begin so or nearly so, of kinds of things, or of what a sentence describes."""
-    near = None if asked["lat"] is None or asked["lon"] is None else (asked["lon"], asked["lat"])
+    near = (
+        None
+        if request["lat"] is None or request["lon"] is None
+        else (request["lon"], request["lat"])
+    )
     found: list[tuple[float, dict[str, Any]]] = []
-    cities = [e.name for e in desk.places.entries() if e.kind == "city"]
+    cities = [e.name for e in dispatcher.places.entries() if e.kind == "city"]
     if not cities:
         raise RequestError("No city is served here; serve one.", status=404, code="map_unknown")
     for name in cities:
-        city = desk.places.city(name)
+        city = dispatcher.places.city(name)
         found += [
-            (score, feature(city, row)) for row, score in rows_of(city, asked["q"], near).items()
+            (score, feature(city, row)) for row, score in rows_of(city, request["q"], near).items()
         ]
     found.sort(key=lambda pair: -pair[0])
-    features = [told for _, told in found[: asked["limit"]]]
+    features = [feature for _, feature in found[: request["limit"]]]
     if not features:
-        features = [told for name in cities for told in described(desk, name, asked, near)]
-    return {"type": "FeatureCollection", "features": features[: asked["limit"]]}
+        features = [
+            feature
+            for name in cities
+            for feature in find_described(dispatcher, name, request, near)
+        ]
+    return {"type": "FeatureCollection", "features": features[: request["limit"]]}
 
 
 def rows_of(city: CityMap, text: str, near: tuple[float, float] | None) -> dict[int, float]:
@@ -247,12 +255,14 @@ def _objects(city: CityMap, tokens_of: dict[int, float], first: int) -> dict[int
     return found
 
 
-def described(
-    desk: Dispatcher, name: str, asked: dict[str, Any], near: tuple[float, float] | None
+def find_described(
+    dispatcher: Dispatcher, name: str, request: dict[str, Any], near: tuple[float, float] | None
 ) -> Iterable[dict[str, Any]]:
     """Places that a sentence describes, as features."""
     try:
-        estimate = desk.places.city(name).locate(asked["q"], near=near, top=asked["limit"])
+        estimate = dispatcher.places.city(name).locate(
+            request["q"], near=near, top=request["limit"]
+        )
     except PlacegraphError:
         return
     for mode in estimate.modes:
@@ -260,7 +270,7 @@ def described(
             return
         properties = {
             "osm_type": "N", "osm_id": 0, "osm_key": "placegraph", "osm_value": "described",
-            "type": "house", "name": asked["q"], "probability": mode.probability,
+            "type": "house", "name": request["q"], "probability": mode.probability,
         }  # fmt: skip
         yield _feature([mode.longitude, mode.latitude], properties)
 

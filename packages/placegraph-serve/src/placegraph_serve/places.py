@@ -65,25 +65,25 @@ class Places:
     def __init__(self, paths: Sequence[str | PathLike[str]], scheduler: str | None = None) -> None:
         self.paths = tuple(Path(path) for path in paths)
         self.scheduler = scheduler
-        self._held: dict[Path, tuple[State, Any]] = {}
+        self._cached: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
         if not check_map_files(self.paths).paths["world"] and scheduler is not None:
             raise OptionError(
                 "scheduler: its workers search worlds in shards, and here is none; leave it out, or name "
                 "one that `placegraph world build` wrote."
             )
-        self._entries = self._found()
+        self._entries = self._find_entries()
 
     def entries(self) -> tuple[Entry, ...]:
         """All maps that are there now."""
-        self._entries = self._found()
+        self._entries = self._find_entries()
         return tuple(self._entries.values())
 
     def entry(self, name: str) -> Entry:
         """Map of a name; `RequestError` (404) where there is none."""
         entries = self._entries  # others may replace it meanwhile
         if name not in entries:
-            entries = self._entries = self._found()
+            entries = self._entries = self._find_entries()
         if name not in entries:
             known = ", ".join(entries) or "none"
             raise RequestError(
@@ -95,18 +95,18 @@ class Places:
 
     def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
         """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""
-        open_map_or_world: CityMap | SceneMap | SceneLibrary = self._opened(self.entry(name).path)
-        return open_map_or_world
+        found: CityMap | SceneMap | SceneLibrary = self._open_cached(self.entry(name).path)
+        return found
 
-    def _opened(self, path: Path) -> Any:  # noqa: ANN401  # any map
+    def _open_cached(self, path: Path) -> Any:  # noqa: ANN401  # any map
         state = state_of(path)
-        held = self._held.get(path)
-        if held is None or held[0] != state:
+        cached = self._cached.get(path)
+        if cached is None or cached[0] != state:
             try:
-                held = self._held[path] = state, open_map_or_world(path, self.scheduler)
+                cached = self._cached[path] = state, open_map_or_world(path, self.scheduler)
             except PlacegraphError as error:
                 raise type(error)(without_folder(error, path)) from error
-        return held[1]
+        return cached[1]
 
     def city(self, name: str) -> CityMap:
         """A map that must be a city; `RequestError` where it is none."""
@@ -144,13 +144,13 @@ class Places:
         entries = self.entries() if name is None else (self.entry(name),)
         kinds = find_map_files([entry.path for entry in entries]).paths.values()
         states = {path: state_of(path) for paths in kinds for path in paths.values()}
-        held = self._worlds.get(name)
-        if held is None or held[0] != states:
-            held = self._worlds[name] = states, open_world(list(states), opener=self._opened)
-        return held[1]
+        cached = self._worlds.get(name)
+        if cached is None or cached[0] != states:
+            cached = self._worlds[name] = states, open_world(list(states), opener=self._open_cached)
+        return cached[1]
 
-    def listed(self) -> list[dict[str, Any]]:
-        """What `GET /v1/maps` says of each; of a map that cannot be opened the reason."""
+    def describe_maps(self) -> list[dict[str, Any]]:
+        """Return the entries of `GET /v1/maps`; of a map that cannot be opened the reason."""
         return [self._facts(entry) for entry in self.entries()]
 
     def _facts(self, entry: Entry) -> dict[str, Any]:
@@ -182,7 +182,7 @@ class Places:
             "anchors": [{key: anchor.get(key) for key in ANCHOR} for anchor in anchors],
         }
 
-    def _found(self) -> dict[str, Entry]:
+    def _find_entries(self) -> dict[str, Entry]:
         """Entries by name, which is the stem of the file, or all of its name where two share one."""
         found = find_map_files(self.paths).paths
         stems = Counter(itertools.chain.from_iterable(found.values()))
@@ -195,7 +195,7 @@ class Places:
 
 
 def _of_shards(folder: Path) -> dict[str, Any]:
-    """What is listed of a world in shards; the reason where it cannot be opened."""
+    """Describe a world in shards; if it cannot be opened, the reason."""
     try:
         found: dict[str, Any] = folder_kind(folder).summarize(folder)
     except PlacegraphError as error:
@@ -204,12 +204,12 @@ def _of_shards(folder: Path) -> dict[str, Any]:
 
 
 def without_folder(error: PlacegraphError, path: Path) -> str:
-    """What an error says; where the file lies is no client's business."""
+    """Return the message of an error without the folder of the file."""
     return str(error).replace(f"{path.parent}/", "")
 
 
 def state_of(path: Path) -> State:
-    """What changes when a file is replaced; `RequestError` where it is gone."""
+    """Return the time, size and inode of a file; raise `RequestError` if it is gone."""
     try:
         stat = (path / WORLD if is_world(path) else path).stat()
     except OSError:

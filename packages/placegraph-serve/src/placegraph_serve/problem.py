@@ -49,13 +49,13 @@ def problem(error: Exception) -> dict[str, Any]:
 
 
 def mend_of(detail: str) -> str:
-    """What to do, as our messages end: after the last semicolon, or in the last sentence."""
+    """Return the advice of a message: the part after the last semicolon, or the last sentence."""
     told = re.split(r"; |(?<=[.?!]) (?=[A-Z])", detail.strip())[-1]
     return told[:1].upper() + told[1:]
 
 
 def refused(errors: Any, name: str = "body") -> RequestError:  # noqa: ANN401  # pydantic's
-    """What pydantic found wrong with what is named so, first things first."""
+    """Return the first error that pydantic found, as a `RequestError`."""
     first = errors[0]
     if first["type"] == "json_invalid":
         why = first["ctx"]["error"]

@@ -64,27 +64,27 @@ class _Body(BaseModel):
             raise refused(error.errors(), name) from None
 
 
-class Thing(_Body):
-    """What a question is about."""
+class QuestionObject(_Body):
+    """Object of a question."""
 
     words: str = Field(max_length=200)
     label: str = Field("", max_length=200)
     wind: str = Field("", max_length=10)
 
 
-class Asked(_Body):
+class QuestionBody(_Body):
     """A question of an earlier answer, as it came."""
 
     text: str = Field(max_length=1000)
     options: list[str] = Field(max_length=20)
-    things: list[Thing] = Field(max_length=20)
+    things: list[QuestionObject] = Field(max_length=20)
     gain: float = 0.0
 
 
-class Answered(_Body):
+class AnswerBody(_Body):
     """An answer to a question."""
 
-    question: Asked
+    question: QuestionBody
     option: str = Field(max_length=200)
 
 
@@ -96,13 +96,13 @@ class Locate(_Body):
     near: Near = None
     radius: float | None = option_field("radius")
     heading_deg: Finite | None = option_field("heading_deg")
-    answers: list[Answered] = Field(default=[], max_length=30)
+    answers: list[AnswerBody] = Field(default=[], max_length=30)
     language: str | None = Field(None, max_length=20)
     top: int | None = option_field("top", le=50)
 
 
 class Intrinsics(_Body):
-    """Of images as they are shown upright; width and height may be those of larger ones."""
+    """Intrinsics of upright images; width and height may be those of larger ones."""
 
     fx: Positive
     fy: Positive | None = None
@@ -126,7 +126,7 @@ class PriorPose(_Body):
 
 
 class Localize(_Body):
-    """What is known of images, in order of time."""
+    """Request to localize images, in order of time."""
 
     map: str | None = Field(None, description="Name of a map; all of them where not given.")
     intrinsics: Intrinsics | None = Field(None, description="Of EXIF where not given.")
@@ -147,7 +147,7 @@ class Localize(_Body):
     seed: int = Field(0, ge=0)
 
 
-class Begin(_Body):
+class BeginSession(_Body):
     """Whom to follow: somebody in a city, or a camera in a scene."""
 
     map: str | None = None
@@ -163,7 +163,7 @@ class Step(_Body):
     """One step: words and way in a city, a frame in a scene."""
 
     text: str | None = Field(None, max_length=2000)
-    answers: list[Answered] = Field(default=[], max_length=30)
+    answers: list[AnswerBody] = Field(default=[], max_length=30)
     east: Finite | None = None
     north: Finite | None = None
     sigma: Finite | None = None
@@ -260,7 +260,7 @@ def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> N
     return np.where(units > 0, units / np.float32(scale), np.float32(np.nan))
 
 
-def fitted(size: tuple[int, int]) -> tuple[int, int]:
+def fit_size(size: tuple[int, int]) -> tuple[int, int]:
     """Width and height of an image once it is no larger than what is localized."""
     share = min(1.0, LONGEST / max(size))
     return max(1, round(size[0] * share)), max(1, round(size[1] * share))
@@ -296,7 +296,7 @@ def _pixels(image: Image) -> NDArray[np.uint8]:
     from PIL import ImageOps
     from PIL.Image import Resampling
 
-    wanted = fitted(image.size)
+    wanted = fit_size(image.size)
     if wanted != image.size:
         image.draft("RGB", (2 * wanted[0], 2 * wanted[1]))  # a JPEG is decoded at a fraction
         exif = image.getexif()
@@ -331,7 +331,7 @@ HALF = sqrt(2.0 * log(2.0))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hints:
-    """What is known of the place, besides images."""
+    """Location prior, besides images."""
 
     map: str | None = None
     description: str | None = None
@@ -363,7 +363,7 @@ class Hints:
         )
 
     def notes(self, name: str, anchors: Sequence[Anchor]) -> list[str]:
-        """What of it could not be used in a map, and why."""
+        """Return which hints could not be used in a map, and why."""
         if self.prior is not None or self.near is None or not anchors:
             return []
         away, swapped = (
@@ -423,24 +423,26 @@ def camera_of(given: dict[str, Any] | None, photo: Photo | None) -> Camera | Non
     )
 
 
-def images_of(photos: Sequence[Photo], depths: Sequence[Any], known: dict[str, Any]) -> Images:
-    """Frames of photos, depth images and what `schema.Localize` says of them.
+def images_of(photos: Sequence[Photo], depths: Sequence[Any], parameters: dict[str, Any]) -> Images:
+    """Return frames of photos and depth images, with the parameters of `Localize`.
 
     Raises `InputError` where intrinsics or depth are of other images, `OptionError` where there are
     more or fewer of one than of another.
     """
     count = len(photos)
     for name in ("gravity", "odometry", "stamps"):
-        if known.get(name) is not None and len(known[name]) != count:
-            raise OptionError(f"{name}: {len(known[name])} for {count} images; give one an image.")
+        if parameters.get(name) is not None and len(parameters[name]) != count:
+            raise OptionError(
+                f"{name}: {len(parameters[name])} for {count} images; give one an image."
+            )
     if depths and len(depths) != count:
         raise OptionError(f"depth: {len(depths)} for {count} images; give one an image, or none.")
     cameras = [
-        photo.camera(camera_of(known.get("intrinsics"), photo), f"images[{i}]")
+        photo.camera(camera_of(parameters.get("intrinsics"), photo), f"images[{i}]")
         for i, photo in enumerate(photos)
     ]
-    gravity, odometry = known.get("gravity"), known.get("odometry")
-    stamps = known.get("stamps") or list(range(count))
+    gravity, odometry = parameters.get("gravity"), parameters.get("odometry")
+    stamps = parameters.get("stamps") or list(range(count))
     frames = [
         Frame.from_arrays(
             photo.rgb, camera,

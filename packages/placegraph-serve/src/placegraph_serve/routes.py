@@ -24,9 +24,9 @@ from placegraph_serve.geopose import version_of
 from placegraph_serve.limits import MEDIA_TYPE_METRICS, check_depth
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import problem
-from placegraph_serve.requests import Begin, Live, Localize, Locate, Step
+from placegraph_serve.requests import BeginSession, Live, Localize, Locate, Step
 from placegraph_serve.server import Server, response_of
-from placegraph_serve.workers import WorkerQueue, dumped
+from placegraph_serve.workers import WorkerQueue, to_json
 
 _FORM = {
     "requestBody": {
@@ -70,7 +70,7 @@ def _add_state(app: FastAPI, server: Server) -> None:
     @app.get("/healthz")
     async def healthz() -> Response:
         """Whether all that is asked can be answered yet."""
-        ready = all(lane.ready for lane in server.lanes)
+        ready = all(queue.ready for queue in server.queues)
         return JSONResponse({"status": "ok" if ready else "starting"}, 200 if ready else 503)
 
     @app.get("/docs", include_in_schema=False)
@@ -85,7 +85,7 @@ def _add_state(app: FastAPI, server: Server) -> None:
     @app.get("/v1/maps")
     def maps() -> dict[str, Any]:
         """All maps."""
-        return {"maps": server.places.listed()}
+        return {"maps": server.places.describe_maps()}
 
     @app.get("/v1/maps/{name}/plan.png")
     async def plan(name: str) -> Response:
@@ -100,9 +100,9 @@ def _add_state(app: FastAPI, server: Server) -> None:
 
 def _add_questions(app: FastAPI, server: Server) -> None:
     @app.post("/v1/locate")
-    async def locate(asked: Locate) -> Response:
-        """Where a sentence was said: estimate, next question, GeoJSON."""
-        return await server.ask(server.sentences, "locate", asked.model_dump())
+    async def locate(body: Locate) -> Response:
+        """Locate a sentence: estimate, next question, GeoJSON."""
+        return await server.ask(server.sentences, "locate", body.model_dump())
 
     @app.get("/api")
     async def search(
@@ -112,21 +112,21 @@ def _add_questions(app: FastAPI, server: Server) -> None:
         limit: Annotated[int, Query(ge=1, le=50)] = 15,
     ) -> Response:
         """Names, kinds of things, or a sentence, as a search box asks; answered as Photon does."""
-        asked = {"q": q, "lat": lat, "lon": lon, "limit": limit}
-        return await server.ask(server.sentences, "search", asked)
+        body = {"q": q, "lat": lat, "lon": lon, "limit": limit}
+        return await server.ask(server.sentences, "search", body)
 
     @app.post("/v1/localize", openapi_extra=_FORM)
     async def localize(request: Request) -> Response:
-        """Where images, or a capture as a ZIP, were taken."""
-        async with uploaded(request, server.options) as asked:
-            return await server.ask(server.captures, "localize", asked)
+        """Localize images, or a capture as a ZIP."""
+        async with uploaded(request, server.options) as body:
+            return await server.ask(server.captures, "localize", body)
 
     @app.post("/geopose", openapi_extra=_OSCP)
     async def geopose(request: Request) -> Response:
         """The Open AR Cloud's GeoPose protocol, versions 1 and 2."""
         version = version_of(request.headers.get("accept", ""))
-        asked = {"body": await request.body(), "version": version}
-        answer = await server.ask(server.captures, "geopose", asked)
+        body = {"body": await request.body(), "version": version}
+        answer = await server.ask(server.captures, "geopose", body)
         if answer.status_code == 200 and version is not None:
             answer.headers["content-type"] = f"application/vnd.oscp+json; version={version}.0"
         return answer
@@ -141,15 +141,15 @@ def _add_sessions(app: FastAPI, server: Server) -> None:
     sessions = server.sessions
 
     @app.post("/v1/sessions", status_code=201)
-    async def begin(asked: Begin) -> Response:
+    async def begin_session(body: BeginSession) -> Response:
         """Begin to follow somebody who walks and speaks, or a camera."""
-        told, trouble = await sessions.begin(asked)
-        return JSONResponse(told, 201) if trouble is None else response_of(None, trouble)
+        reply, trouble = await sessions.open(body)
+        return JSONResponse(reply, 201) if trouble is None else response_of(None, trouble)
 
     @app.post("/v1/sessions/{session}")
-    async def step(session: str, asked: Step) -> Response:
+    async def step(session: str, body: Step) -> Response:
         """One step: what was said or walked, or a frame."""
-        return response_of(*await sessions.step(session, asked))
+        return response_of(*await sessions.step(session, body))
 
     @app.delete("/v1/sessions/{session}", status_code=204)
     async def end(session: str) -> None:
@@ -179,10 +179,10 @@ _HEADERS = {
 
 def listing(app: FastAPI) -> HTMLResponse:
     """The page, of the routes that the application has."""
-    told = app.openapi()
-    schemas = told.get("components", {}).get("schemas", {})
+    reply = app.openapi()
+    schemas = reply.get("components", {}).get("schemas", {})
     parts = [_HEAD]
-    for path, methods in told["paths"].items():
+    for path, methods in reply["paths"].items():
         for method, what in methods.items():
             parts += [f"<h2><code>{method.upper()} {escape(path)}</code></h2>"]
             parts += [f"<p>{escape(what.get('description') or what.get('summary', ''))}</p>"]
@@ -234,7 +234,7 @@ LONGEST = 1 << 16
 """Characters of a message."""
 
 
-async def live(socket: WebSocket, lane: WorkerQueue) -> None:
+async def live(socket: WebSocket, queue: WorkerQueue) -> None:
     """Answer what is typed until the socket is closed."""
     await socket.accept()
     running: asyncio.Task[None] | None = None
@@ -243,7 +243,7 @@ async def live(socket: WebSocket, lane: WorkerQueue) -> None:
             text = await socket.receive_text()
             if running is not None:
                 running.cancel()
-            running = asyncio.create_task(_answer(socket, lane, text))
+            running = asyncio.create_task(_answer(socket, queue, text))
     except (WebSocketDisconnect, KeyError):  # gone, or bytes, which nothing here sends
         pass
     finally:
@@ -251,21 +251,21 @@ async def live(socket: WebSocket, lane: WorkerQueue) -> None:
             running.cancel()
 
 
-async def _answer(socket: WebSocket, lane: WorkerQueue, text: str) -> None:
+async def _answer(socket: WebSocket, queue: WorkerQueue, text: str) -> None:
     number: int | str | None = None
     try:
-        asked = _asked(text)
-        number = asked.id
-        body, trouble = await lane.ask("locate", asked.model_dump(exclude={"id"}))
+        message = _read_message(text)
+        number = message.id
+        body, trouble = await queue.ask("locate", message.model_dump(exclude={"id"}))
     except PlacegraphError as error:
         body, trouble = None, problem(error)
     head = json.dumps(number)
-    told = f'"result":{body.decode()}' if body else f'"problem":{dumped(trouble).decode()}'
+    reply = f'"result":{body.decode()}' if body else f'"problem":{to_json(trouble).decode()}'
     if socket.client_state is WebSocketState.CONNECTED:
-        await socket.send_text(f'{{"id":{head},{told}}}')
+        await socket.send_text(f'{{"id":{head},{reply}}}')
 
 
-def _asked(text: str) -> Live:
+def _read_message(text: str) -> Live:
     if len(text) > LONGEST:
         raise RequestError(f"message: {len(text)} characters; send at most {LONGEST}.", status=413)
     return Live.read(text, "message")
@@ -273,7 +273,7 @@ def _asked(text: str) -> Live:
 
 @asynccontextmanager
 async def uploaded(request: Request, options: ServeOptions) -> AsyncIterator[dict[str, Any]]:
-    """What `localize` is asked: the folder with what was sent, its files by name, the request.
+    """Save an upload in a temporary folder; yield the folder, its files by name, and the request.
 
     Raises
     ------
@@ -285,7 +285,7 @@ async def uploaded(request: Request, options: ServeOptions) -> AsyncIterator[dic
     """
     form = request.form(max_files=2 * options.images + 2, max_fields=20, max_part_size=1 << 20)
     async with form as fields:
-        known = await _known(fields, options)
+        parameters = await _read_form_request(fields, options)
         files: dict[str, list[UploadFile]] = {
             name: [f for f in fields.getlist(name) if isinstance(f, UploadFile)]
             for name in ("images", "depth", "capture")
@@ -305,17 +305,17 @@ async def uploaded(request: Request, options: ServeOptions) -> AsyncIterator[dic
                 "images: send one or more as multipart form data, or else one `capture` as a ZIP."
             )
         with TemporaryDirectory(prefix="placegraph-") as folder:
-            names = await run_in_threadpool(_laid, files, Path(folder))
+            names = await run_in_threadpool(_copy_files, files, Path(folder))
             yield {
                 "folder": folder,
                 "images": names["images"],
                 "depth": names["depth"],
                 "capture": names["capture"][0] if captures else None,
-                "request": known.model_dump(),
+                "request": parameters.model_dump(),
             }
 
 
-async def _known(form: FormData, options: ServeOptions) -> Localize:
+async def _read_form_request(form: FormData, options: ServeOptions) -> Localize:
     """The form's field `request`, whether it came as text or as a file."""
     field = form.get("request") or "{}"
     text = await field.read() if isinstance(field, UploadFile) else field.encode()
@@ -328,7 +328,7 @@ async def _known(form: FormData, options: ServeOptions) -> Localize:
     return Localize.read(text, "request")
 
 
-def _laid(files: dict[str, list[UploadFile]], folder: Path) -> dict[str, list[str]]:
+def _copy_files(files: dict[str, list[UploadFile]], folder: Path) -> dict[str, list[str]]:
     """Copy files into a folder, under names of our own."""
     names: dict[str, list[str]] = {}
     for field, sent in files.items():

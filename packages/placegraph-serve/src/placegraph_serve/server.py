@@ -1,4 +1,4 @@
-"""What the routes of a server share: maps, limits, lanes, sessions, counts."""
+"""Server state that the routes share: maps, limits, queues, sessions, counts."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from placegraph_serve.limits import Metrics, check_depth
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Places
 from placegraph_serve.problem import MEDIA_TYPE, problem
-from placegraph_serve.requests import Begin, Step
-from placegraph_serve.workers import Answer, Setting, WorkerQueue, dumped
+from placegraph_serve.requests import BeginSession, Step
+from placegraph_serve.workers import Answer, Setting, WorkerQueue, to_json
 
 
 class Server:
-    """Maps, limits, lanes, sessions, counts."""
+    """Maps, limits, queues, sessions, counts."""
 
     def __init__(self, places: Places, options: ServeOptions) -> None:
         self.places, self.options = places, options
@@ -36,22 +36,22 @@ class Server:
         self.sessions = Sessions(self.steps, options)
 
     @property
-    def lanes(self) -> tuple[WorkerQueue, ...]:
-        """All lanes."""
+    def queues(self) -> tuple[WorkerQueue, ...]:
+        """All queues."""
         return self.sentences, self.captures, self.steps
 
-    async def ask(self, lane: WorkerQueue, verb: str, asked: dict[str, Any]) -> Response:
-        """Answer of a lane as a response."""
-        return response_of(*await lane.ask(verb, asked))
+    async def ask(self, queue: WorkerQueue, verb: str, request: dict[str, Any]) -> Response:
+        """Answer of a worker queue as a response."""
+        return response_of(*await queue.ask(verb, request))
 
     def now(self) -> dict[tuple[str, str], float]:
-        """Return the values of this moment, by name and lane."""
+        """Return the values of this moment, by name and queue."""
         values: dict[tuple[str, str], float] = {("sessions", ""): len(self.sessions)}
-        for lane in self.lanes:
-            values["waiting", lane.name] = lane.waiting
-            values["running", lane.name] = lane.running
-            values["answered_total", lane.name] = lane.answered
-            values["workers_replaced_total", lane.name] = lane.replaced
+        for queue in self.queues:
+            values["waiting", queue.name] = queue.waiting
+            values["running", queue.name] = queue.running
+            values["answered_total", queue.name] = queue.answered
+            values["workers_replaced_total", queue.name] = queue.replaced
         return values
 
 
@@ -64,10 +64,10 @@ def response_of(body: bytes | None, trouble: dict[str, Any] | None) -> Response:
 
 
 class Sessions:
-    """Sessions by id; their trackers stand in the lane's one process."""
+    """Sessions by id; their trackers stand in the one process of the queue."""
 
-    def __init__(self, lane: WorkerQueue, options: ServeOptions) -> None:
-        self._lane, self._options = lane, options
+    def __init__(self, queue: WorkerQueue, options: ServeOptions) -> None:
+        self._queue, self._options = queue, options
         self._ends: dict[str, asyncio.TimerHandle] = {}
         self._steps: dict[str, int] = {}
         self._ending: set[asyncio.Task[Answer]] = set()
@@ -75,7 +75,9 @@ class Sessions:
     def __len__(self) -> int:
         return len(self._ends)
 
-    async def begin(self, asked: Begin) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+    async def open(
+        self, request: BeginSession
+    ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
         """Begin a session: its id and seconds to live, or a problem."""
         if len(self) >= self._options.sessions:
             raise RequestError(
@@ -84,24 +86,24 @@ class Sessions:
             )  # fmt: skip
         session = secrets.token_urlsafe(16)
         self._alive(session)
-        body, trouble = await self._lane.ask("begin", asked.model_dump() | {"session": session})
+        body, trouble = await self._queue.ask("begin", request.model_dump() | {"session": session})
         if trouble is not None:
             self._forget(session)
             return None, trouble
         self._alive(session)
-        told = {"session": session, "expires_s": self._options.session_seconds}
-        return told | json.loads(body or b"{}"), None
+        reply = {"session": session, "expires_s": self._options.session_seconds}
+        return reply | json.loads(body or b"{}"), None
 
-    async def step(self, session: str, asked: Step) -> Answer:
+    async def step(self, session: str, request: Step) -> Answer:
         """One step; `RequestError` (404) where there is no such session."""
         self._check(session)
         self._alive(session)
         self._steps[session] += 1
-        given = asked.model_dump() | {"session": session, "number": self._steps[session]}
-        told = await self._lane.ask("step", given)
-        if told[1] is not None and told[1]["code"] in {"session_over", "worker_died", "too_long"}:
+        given = request.model_dump() | {"session": session, "number": self._steps[session]}
+        reply = await self._queue.ask("step", given)
+        if reply[1] is not None and reply[1]["code"] in {"session_over", "worker_died", "too_long"}:
             self._forget(session)
-        return told
+        return reply
 
     async def end(self, session: str) -> None:
         """End a session; `RequestError` (404) where there is none."""
@@ -119,7 +121,7 @@ class Sessions:
                     body, trouble = await self.step(session, Step.read(text, "message"))
                 except PlacegraphError as error:
                     body, trouble = None, problem(error)
-                await socket.send_text((body or dumped(trouble)).decode())
+                await socket.send_text((body or to_json(trouble)).decode())
         except (WebSocketDisconnect, KeyError):
             pass
 
@@ -140,7 +142,7 @@ class Sessions:
 
     def _over(self, session: str) -> None:
         self._forget(session)
-        ending = asyncio.ensure_future(self._lane.ask("end", {"session": session}))
+        ending = asyncio.ensure_future(self._queue.ask("end", {"session": session}))
         self._ending.add(ending)
         ending.add_done_callback(self._ending.discard)
 

@@ -36,7 +36,7 @@ VERBS = {
     "search": "locate:search",
     "localize": "localize:localize",
     "geopose": "geopose:geopose",
-    "begin": "localize:begin",
+    "begin": "localize:begin_session",
     "step": "localize:step",
     "end": "localize:end",
 }
@@ -47,7 +47,7 @@ Answer = tuple[bytes | None, dict[str, Any] | None]
 
 
 class Setting(NamedTuple):
-    """What a process needs to begin."""
+    """Settings of a worker process."""
 
     paths: tuple[Path, ...]
     options: ServeOptions
@@ -57,15 +57,15 @@ class Setting(NamedTuple):
     """Folder of compiled code, where one was chosen."""
 
 
-def answer(desk: Dispatcher, verb: str, asked: Any) -> Answer:  # noqa: ANN401
+def answer(dispatcher: Dispatcher, verb: str, request: Any) -> Answer:  # noqa: ANN401
     """Answer one request; whatever goes wrong becomes a problem."""
     module, function = VERBS[verb].split(":")
     start = perf_counter()
     try:
-        made = getattr(import_module(f"placegraph_serve.{module}"), function)(desk, asked)
+        made = getattr(import_module(f"placegraph_serve.{module}"), function)(dispatcher, request)
         if isinstance(made, bytes):
             return made, None
-        return dumped(made | {"seconds": round(perf_counter() - start, 4)}), None
+        return to_json(made | {"seconds": round(perf_counter() - start, 4)}), None
     except Exception as error:  # noqa: BLE001  # a server goes on
         if not isinstance(error, PlacegraphError | MemoryError):
             # without its message, whose words may be the asker's
@@ -78,9 +78,9 @@ def answer(desk: Dispatcher, verb: str, asked: Any) -> Answer:  # noqa: ANN401
         return None, problem(error)
 
 
-def dumped(told: object) -> bytes:
+def to_json(value: object) -> bytes:
     """JSON, which has no NaN and no infinity: they become null."""
-    return orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
+    return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 
 
 def run(connection: Connection, setting: Setting) -> None:
@@ -92,12 +92,12 @@ def run(connection: Connection, setting: Setting) -> None:
     warnings.simplefilter("ignore")
     cache.FOLDERS.choose(setting.compiled)
     try:
-        desk = Dispatcher(Places(setting.paths, setting.options.scheduler), setting.options)
-        answer(desk, setting.warm, None)
+        dispatcher = Dispatcher(Places(setting.paths, setting.options.scheduler), setting.options)
+        answer(dispatcher, setting.warm, None)
         connection.send((b"", None))
         while True:
-            verb, asked = connection.recv()
-            connection.send(answer(desk, verb, asked))
+            verb, request = connection.recv()
+            connection.send(answer(dispatcher, verb, request))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass
     except PlacegraphError as error:
@@ -119,36 +119,36 @@ class Worker:
     def __init__(self, name: str, setting: Setting) -> None:
         context = get_context("spawn")
         self.connection: Connection
-        self.connection, theirs = context.Pipe()
+        self.connection, other_end = context.Pipe()
         self.process: SpawnProcess = context.Process(
-            target=run, args=(theirs, setting), name=f"placegraph {name}", daemon=True
+            target=run, args=(other_end, setting), name=f"placegraph {name}", daemon=True
         )
         self.process.start()
-        theirs.close()
+        other_end.close()
 
-    async def ask(self, asked: tuple[str, Any], seconds: float) -> Answer:
+    async def ask(self, request: tuple[str, Any], seconds: float) -> Answer:
         """Send a request, and wait for its answer; raises EOFError, OSError or TimeoutError."""
-        self.connection.send(asked)
-        return await self.told(seconds)
+        self.connection.send(request)
+        return await self.receive(seconds)
 
-    async def told(self, seconds: float) -> Answer:
+    async def receive(self, seconds: float) -> Answer:
         """Wait for what the process says next."""
         loop = asyncio.get_running_loop()
-        there = loop.create_future()
+        arrived = loop.create_future()
         number = self.connection.fileno()
 
-        def heard() -> None:
-            if not there.done():
-                there.set_result(None)
+        def notify() -> None:
+            if not arrived.done():
+                arrived.set_result(None)
 
-        loop.add_reader(number, heard)
+        loop.add_reader(number, notify)
         try:
             async with asyncio.timeout(seconds):
-                await there
+                await arrived
         finally:
             loop.remove_reader(number)
-        told: Answer = self.connection.recv()
-        return told
+        reply: Answer = self.connection.recv()
+        return reply
 
     def end(self) -> None:
         """End it, whatever it does."""
@@ -160,7 +160,7 @@ class Worker:
 class WorkerQueue:
     """Processes of one kind.
 
-    Made within a running loop's server, begun by `begin`; `ask` may be called by many at once.
+    Made within a running loop's server, begun by `start`; `ask` may be called by many at once.
     """
 
     def __init__(self, name: str, count: int, seconds: float, setting: Setting) -> None:
@@ -182,19 +182,21 @@ class WorkerQueue:
         """Whether a process has opened its maps."""
         return self.running > 0 or not self._idle.empty()
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start all processes; they become ready one by one."""
         for _ in range(self.count):
             self._keep(self._start())
 
-    async def ask(self, verb: str, asked: Any) -> Answer:  # noqa: ANN401  # of the verb
+    async def ask(self, verb: str, request: Any) -> Answer:  # noqa: ANN401  # of the verb
         """Answer of a process; a problem where it died or took too long, or too many wait already.
 
         Who is cancelled while waiting costs nothing; a request that runs is let run, for nobody.
         """
-        if self.setting.options.log_queries and isinstance(asked, dict):
-            told = asked.get("request") or asked
-            said = {k: told[k] for k in ("text", "q", "description", "near", "map") if told.get(k)}
+        if self.setting.options.log_queries and isinstance(request, dict):
+            fields = request.get("request") or request
+            said = {
+                k: fields[k] for k in ("text", "q", "description", "near", "map") if fields.get(k)
+            }
             QUERIES.info("%s %s", verb, said)
         if self.waiting >= self.setting.options.queue:
             return None, self._busy()
@@ -206,7 +208,7 @@ class WorkerQueue:
             return None, self._problem or self._busy()
         finally:
             self.waiting -= 1
-        return await asyncio.shield(self._keep(self._run(worker, verb, asked)))
+        return await asyncio.shield(self._keep(self._run(worker, verb, request)))
 
     async def end(self) -> None:
         """End all processes."""
@@ -229,10 +231,10 @@ class WorkerQueue:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    async def _run(self, worker: Worker, verb: str, asked: Any) -> Answer:  # noqa: ANN401
+    async def _run(self, worker: Worker, verb: str, request: Any) -> Answer:  # noqa: ANN401
         self.running += 1
         try:
-            told = await worker.ask((verb, asked), self.seconds)
+            reply = await worker.ask((verb, request), self.seconds)
         except TimeoutError:
             return self._replace(
                 worker,
@@ -249,7 +251,7 @@ class WorkerQueue:
             self.running -= 1
         self._idle.put_nowait(worker)
         self.answered += 1
-        return told
+        return reply
 
     def _replace(self, worker: Worker, why: str, status: int, code: str) -> Answer:
         self._drop(worker)
@@ -268,7 +270,7 @@ class WorkerQueue:
             worker = Worker(self.name, self.setting)
             self._workers.add(worker)
             with suppress(EOFError, OSError, TimeoutError):
-                _, self._problem = await worker.told(STARTING)
+                _, self._problem = await worker.receive(STARTING)
                 if self._problem is None:
                     self._idle.put_nowait(worker)
                     return

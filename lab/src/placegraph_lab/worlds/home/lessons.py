@@ -11,7 +11,7 @@ from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.home import CAMERA, changed, home, record, scene_of, visit
-from placegraph_learn.scenegraphloc.lessons import Material, Surveyed, World, placed
+from placegraph_learn.scenegraphloc.lessons import Material, Surveyed, World, place_capture
 
 
 def homes(
@@ -49,7 +49,7 @@ def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes:
         taken = record(
             interior, way, rng, camera=camera or CAMERA, daylight=lit, labels=None
         )  # fmt: skip
-        return placed(taken, way.map_from_camera)
+        return place_capture(taken, way.map_from_camera)
 
     earlier = Surveyed(scene_of(then), (walk(then),)) if changes else None
     return Material(Surveyed(scene_of(now), (walk(now),)), (walk(now),), earlier)

@@ -51,7 +51,7 @@ class PairBatch(NamedTuple):
     """(P, n) how rare a mention is on the map, 0 to about 1."""
     ends: Rows
     """(P, S, 2) source and target of the statements."""
-    said: Floats
+    channels: Floats
     """(P, S, R + 1) channels, and whether it is negated."""
     spoken: Floats
     """(P, S) 1 where there is a statement."""
@@ -80,9 +80,9 @@ def pair_batch(
     s = max(1, int(counts.max()))
     edge, at = list_nodes(texts.edge_starts[text_rows], counts, s)
     ends = np.zeros((len(text_rows), s, 2), np.int64)
-    said = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
+    channels = np.zeros((len(text_rows), s, len(CHANNELS) + 1), np.float32)
     ends.reshape(-1, 2)[at] = texts.ends[edge]
-    said.reshape(-1, len(CHANNELS) + 1)[at] = np.column_stack(
+    channels.reshape(-1, len(CHANNELS) + 1)[at] = np.column_stack(
         [texts.channels[edge], texts.negated[edge]]
     )
     nodes = texts.starts[text_rows + 1] - texts.starts[text_rows]
@@ -97,7 +97,7 @@ def pair_batch(
     things = places.starts[place_rows + 1] - places.starts[place_rows]
     sizes = things[place] + 1
     said_literally = literal(
-        agreement, holds, rarity[text], ends[text], said[text], counts[text], sizes
+        agreement, holds, rarity[text], ends[text], channels[text], counts[text], sizes
     )
     return PairBatch(
         text,
@@ -105,7 +105,7 @@ def pair_batch(
         agreement,
         rarity[text],
         ends[text],
-        said[text],
+        channels[text],
         make_mask(counts, s)[text],
         holds,
         said_literally,
@@ -120,18 +120,18 @@ class Lessons:
     pool: ExamplePool
     subwords: float = 1.0
     """As the network's `Shape` has it."""
-    known: WordVectors | None = None
+    word_vectors: WordVectors | None = None
     """Word vectors that stand for the words they know."""
 
     @cached_property
     def text_bags(self) -> SubwordBags:
         """Parts of the words of the texts."""
-        return SubwordBags.of(self.pool.texts.vocabulary, self.subwords, self.known)
+        return SubwordBags.of(self.pool.texts.vocabulary, self.subwords, self.word_vectors)
 
     @cached_property
     def place_bags(self) -> SubwordBags:
         """Parts of the words of the map."""
-        return SubwordBags.of(self.city.words, self.subwords, self.known)
+        return SubwordBags.of(self.city.words, self.subwords, self.word_vectors)
 
     @cached_property
     def right(self) -> NDArray[np.int8]:

@@ -107,25 +107,25 @@ class Speaker:
 
     city: CityMap
     vocabulary: Vocabulary
-    held: bool = False
+    held_out: bool = False
     """Whether it speaks in tiles that are `held_out`, but not `evaluated`, or in those that are not."""
 
     def mine(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether positions (n, 2) [m] lie in its tiles."""
         held = held_out(*positions.T)
-        return held & ~evaluated(*positions.T) if self.held else ~held
+        return held & ~evaluated(*positions.T) if self.held_out else ~held
 
     def may_see(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether places at positions (n, 2) [m] may stand beside its own to be told from them."""
-        return np.full(len(positions), True) if self.held else ~held_out(*positions.T)
+        return np.full(len(positions), True) if self.held_out else ~held_out(*positions.T)
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Viewpoints in its tiles with enough in sight to speak of."""
         views = self.city.views
-        seen = self.city.in_sight(np.arange(len(views)))
-        close = np.hypot(*seen.offsets.T) <= SIGHT
-        enough = np.add.reduceat(close, seen.starts[:-1]) >= FEWEST
+        surroundings = self.city.in_sight(np.arange(len(views)))
+        close = np.hypot(*surroundings.offsets.T) <= SIGHT
+        enough = np.add.reduceat(close, surroundings.starts[:-1]) >= FEWEST
         places = np.flatnonzero(enough & self.mine(views.positions))
         if not len(places):
             raise OptionError(
@@ -142,13 +142,15 @@ class Speaker:
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
             if not self.mine(position[None])[0]:
                 continue
-            seen = look_around(self.city, self.city.in_sight(np.array([view])).objects, position)
-            description = self.describe(seen, position, rng)
+            surroundings = look_around(
+                self.city, self.city.in_sight(np.array([view])).objects, position
+            )
+            description = self.describe(surroundings, position, rng)
             if description is not None:
                 yield Example(description, position)
 
     def describe(
-        self, seen: _Surroundings, position: NDArray[np.float64], rng: Generator
+        self, surroundings: _Surroundings, position: NDArray[np.float64], rng: Generator
     ) -> Description | None:
         """Return a description given at a position (2,) [m]; None where too little is visible."""
         habits = draw_habits(rng)
@@ -160,7 +162,7 @@ class Speaker:
             kind = habits.about
             if kind == "mixed":
                 kind = str(rng.choice(["pairs", "me", "near", "stand", "there", "missing"]))
-            getattr(told, kind)(seen)
+            getattr(told, kind)(surroundings)
         return told.description() if len(told.statements) >= 3 else None
 
     def word_for(self, label: str, habits: _Habits, rng: Generator) -> str:
@@ -192,61 +194,72 @@ class _DescriptionBuilder:
     def description(self) -> Description:
         return Description("", tuple(self.mentions), tuple(self.statements))
 
-    def pairs(self, seen: _Surroundings) -> None:
-        """How one thing lies, seen from another."""
-        near = np.flatnonzero(seen.close <= SIGHT)
+    def pairs(self, surroundings: _Surroundings) -> None:
+        """Add a statement about an object, relative to another."""
+        near = np.flatnonzero(surroundings.close <= SIGHT)
         if len(near) < 2:
             return
         a, b = self.rng.choice(near, 2, replace=False)
-        delta = seen.at[a] - seen.at[b]
+        delta = surroundings.at[a] - surroundings.at[b]
         if not 1.0 <= np.hypot(*delta) <= (50.0 if self.rng.random() < 0.1 else SIGHT):
             return
-        self.add(Relation.DIRECTION, self.node(seen, a), self.node(seen, b), self.bearing(delta))
+        self.add(
+            Relation.DIRECTION,
+            self.node(surroundings, a),
+            self.node(surroundings, b),
+            self.bearing(delta),
+        )
 
-    def me(self, seen: _Surroundings) -> None:
-        """How a thing lies, seen from the speaker."""
-        a = self.pick(seen)
-        delta = seen.at[a] - self.position
+    def me(self, surroundings: _Surroundings) -> None:
+        """Add a statement about an object, relative to the speaker."""
+        a = self.pick(surroundings)
+        delta = surroundings.at[a] - self.position
         if np.hypot(*delta) >= 1.0:
-            self.add(Relation.DIRECTION, self.node(seen, a), SPEAKER, self.bearing(delta))
+            self.add(Relation.DIRECTION, self.node(surroundings, a), SPEAKER, self.bearing(delta))
 
-    def near(self, seen: _Surroundings) -> None:
+    def near(self, surroundings: _Surroundings) -> None:
         """A thing close by, or two things close to each other."""
-        a = int(np.argmin(seen.close + self.rng.exponential(6.0, len(seen.close))))
-        others = np.hypot(*(seen.at - seen.at[a]).T)
+        a = int(np.argmin(surroundings.close + self.rng.exponential(6.0, len(surroundings.close))))
+        others = np.hypot(*(surroundings.at - surroundings.at[a]).T)
         others[a] = np.inf
         b = int(np.argmin(others + self.rng.exponential(4.0, len(others))))
         if self.rng.random() < 0.5 and others[b] < 15.0:
-            self.add(Relation.NEAR, self.node(seen, a), self.node(seen, b))
-        elif seen.close[a] < 20.0:
-            self.add(Relation.NEAR, SPEAKER, self.node(seen, a))
+            self.add(Relation.NEAR, self.node(surroundings, a), self.node(surroundings, b))
+        elif surroundings.close[a] < 20.0:
+            self.add(Relation.NEAR, SPEAKER, self.node(surroundings, a))
 
-    def stand(self, seen: _Surroundings) -> None:
-        """Where the speaker stands: in an area, or on a line."""
-        kinds = self.speaker.city.objects.kind[seen.objects]
-        inside, lines = np.flatnonzero(seen.around), np.flatnonzero(
-            (kinds == LINE) & (seen.close < 8.0)
+    def stand(self, surroundings: _Surroundings) -> None:
+        """Add a statement about where the speaker stands: in an area, or on a line."""
+        kinds = self.speaker.city.objects.kind[surroundings.objects]
+        inside, lines = np.flatnonzero(surroundings.around), np.flatnonzero(
+            (kinds == LINE) & (surroundings.close < 8.0)
         )  # fmt: skip
         if len(inside) and (self.rng.random() < 0.5 or not len(lines)):
-            self.add(Relation.INSIDE, SPEAKER, self.node(seen, int(self.rng.choice(inside))))
+            self.add(
+                Relation.INSIDE, SPEAKER, self.node(surroundings, int(self.rng.choice(inside)))
+            )
         elif len(lines):
-            self.add(Relation.ALONG, SPEAKER, self.node(seen, int(self.rng.choice(lines))))
+            self.add(Relation.ALONG, SPEAKER, self.node(surroundings, int(self.rng.choice(lines))))
 
-    def there(self, seen: _Surroundings) -> None:
+    def there(self, surroundings: _Surroundings) -> None:
         """A thing is in sight, or several."""
-        self.add(Relation.VISIBLE, self.node(seen, self.pick(seen), counted=True), SPEAKER)
+        self.add(
+            Relation.VISIBLE,
+            self.node(surroundings, self.pick(surroundings), counted=True),
+            SPEAKER,
+        )
 
-    def missing(self, seen: _Surroundings) -> None:
+    def missing(self, surroundings: _Surroundings) -> None:
         """A thing is not in sight."""
         city = self.speaker.city
-        here = {city.objects.label(i) for i in seen.objects}
+        here = {city.objects.label(i) for i in surroundings.objects}
         label = city.objects.label(int(self.rng.integers(len(city.objects))))
         if label not in here and len(self.statements) > 1:
             self.add(Relation.VISIBLE, self.mention(label, ""), SPEAKER, negated=True)
 
-    def pick(self, seen: _Surroundings) -> int:
-        near = np.flatnonzero(seen.close <= SIGHT)
-        return int(self.rng.choice(near if len(near) else len(seen.close)))
+    def pick(self, surroundings: _Surroundings) -> int:
+        near = np.flatnonzero(surroundings.close <= SIGHT)
+        return int(self.rng.choice(near if len(near) else len(surroundings.close)))
 
     def bearing(self, delta: NDArray[np.float64]) -> float:
         """Return bearing [rad] that is said of a vector: mostly one of the four winds, sometimes wrong."""
@@ -257,9 +270,9 @@ class _DescriptionBuilder:
             return float(np.round(angle / (np.pi / 4)) * (np.pi / 4) % (2 * np.pi))
         return BEARING[name_direction(delta)]
 
-    def node(self, seen: _Surroundings, i: int, *, counted: bool = False) -> int:
+    def node(self, surroundings: _Surroundings, i: int, *, counted: bool = False) -> int:
         """Return mention of thing i, or, of what is not there, of any other."""
-        objects, row = self.speaker.city.objects, int(seen.objects[i])
+        objects, row = self.speaker.city.objects, int(surroundings.objects[i])
         if self.rng.random() < self.habits.absent:
             row = int(self.rng.integers(len(objects)))
         labels = objects.label_values[objects.label_starts[row] : objects.label_starts[row + 1]]
@@ -268,7 +281,7 @@ class _DescriptionBuilder:
         label = objects.labels[labels[rank]]
         count = 0
         if counted and not name and self.rng.random() < 0.5:
-            count = sum(objects.label(int(o)) == label for o in seen.objects)
+            count = sum(objects.label(int(o)) == label for o in surroundings.objects)
         return self.mention(label, name, count)
 
     def mention(self, label: str, name: str, count: int = 0) -> int:

@@ -45,7 +45,7 @@ class Pairs(NamedTuple):
     """(P, n) how rare a mention is on the map."""
     ends: Tensor
     """(P, S, 2) source and target of the statements of the text."""
-    said: Tensor
+    channels: Tensor
     """(P, S, R + 1) channels, and whether it is negated."""
     spoken: Tensor
     """(P, S) 1 where there is a statement."""
@@ -194,7 +194,7 @@ class Cross(nn.Module):
         self.statements = shape.statements
         if shape.statements:
             self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
-            self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
+            self.channels = nn.Linear(shape.evidence, 2 * d, bias=False)
             self.verdict = nn.Linear(shape.evidence, 2, bias=False)
             nn.init.zeros_(self.verdict.weight)
         self.norm_text, self.norm_place = nn.LayerNorm(d), nn.LayerNorm(d)
@@ -227,7 +227,7 @@ class Cross(nn.Module):
         meant = m_packing.pack((to_text @ values).transpose(1, 2).reshape(p, -1, d))
         t, verdict = t + self.out_text(seen), t.new_zeros(p, 2)
         if self.statements:
-            heard, verdict = self._heard(to_place, pairs)
+            heard, verdict = self._attend_statements(to_place, pairs)
             t = t + t_packing.pack(heard)
         t = self.norm_text(t)
         m = self.norm_place(m + self.out_place(meant))
@@ -239,8 +239,8 @@ class Cross(nn.Module):
         nothing = self.nothing[side, None, :, None, None].expand(*logits.shape[:3], 1)
         return torch.cat([nothing, logits], -1).softmax(-1)[..., 1:]
 
-    def _heard(self, weights: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """What the statements say once their ends are attended to: for nodes (P, n, d), in all (P, 2)."""
+    def _attend_statements(self, weights: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
+        """Return what statements say after attention to their ends: for nodes (P, n, d), in all (P, 2)."""
         p, _, n, _ = weights.shape
         by_node = weights.transpose(1, 2)  # (P, n, H, m)
         rows = torch.arange(p, device=weights.device)[:, None]
@@ -249,10 +249,10 @@ class Cross(nn.Module):
         there = source.sum(-1) * target.sum(-1)
         rare = torch.stack([pairs.rarity[rows, pairs.ends[..., i]] for i in range(2)], -1)
         ratio = held / (there + 0.05)
-        features = torch.cat([held, there, ratio, pairs.literal, pairs.said, rare], -1)
+        features = torch.cat([held, there, ratio, pairs.literal, pairs.channels, rare], -1)
         evidence = F.relu(self.evidence(features)) * pairs.spoken[..., None]
         verdict = self.verdict(evidence).sum(1)
-        to_source, to_target = self.said(evidence).chunk(2, -1)
+        to_source, to_target = self.channels(evidence).chunk(2, -1)
         heard = weights.new_zeros(p, n, to_source.shape[-1])
         for end, message in ((0, to_source), (1, to_target)):
             index = pairs.ends[..., end, None].expand_as(message)
@@ -263,14 +263,14 @@ class Cross(nn.Module):
 class Network(nn.Module):
     """Graph encoders of both sides, and the joint model (Eq. 9-19).
 
-    `known` is the length of the word vectors that stand for words; 0 where there are none.
+    `vector_size` is the length of the word vectors that stand for words; 0 where there are none.
     """
 
-    def __init__(self, shape: Shape, known: int = 0) -> None:
+    def __init__(self, shape: Shape, vector_size: int = 0) -> None:
         super().__init__()
         self.shape = shape
-        if known:
-            self.meaning = nn.Linear(known, shape.width, bias=False)
+        if vector_size:
+            self.meaning = nn.Linear(vector_size, shape.width, bias=False)
         self.table = nn.Parameter(torch.randn(BUCKETS, shape.width) * shape.width**-0.5)
         self.text, self.place = Side(2, shape), Side(7, shape)
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))

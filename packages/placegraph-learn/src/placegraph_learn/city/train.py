@@ -200,10 +200,10 @@ def score_viewpoints(network: Network, lessons: Lessons, device: str) -> Viewpoi
     )
 
 
-def mean_recalls(judged: Sequence[ViewpointScores]) -> dict[str, float]:
+def mean_recalls(scored: Sequence[ViewpointScores]) -> dict[str, float]:
     """Return Recall@1 within 50 m among what relational matching finds, mean over cities."""
     found: dict[str, list[float]] = {}
-    for j in judged:
+    for j in scored:
         asked = np.isfinite(j.relational)
         for name, scores in (
             ("relational", j.relational),
@@ -215,41 +215,41 @@ def mean_recalls(judged: Sequence[ViewpointScores]) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
-def recall(scores: NDArray[np.float64], judged: ViewpointScores) -> float:
+def recall(scores: NDArray[np.float64], scored: ViewpointScores) -> float:
     """Return share of texts whose best place, of summed probability, is near the truth."""
     p = np.exp(scores - scores.max(axis=1, keepdims=True))
-    summed = (judged.together @ p[..., None])[..., 0] * (scores > NEVER) + 1e-3 * p
-    return float(judged.near[np.arange(len(p)), summed.argmax(axis=1)].mean())
+    summed = (scored.together @ p[..., None])[..., 0] * (scores > NEVER) + 1e-3 * p
+    return float(scored.near[np.arange(len(p)), summed.argmax(axis=1)].mean())
 
 
 SCALES, WEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Of relational matching and of what the network adds, that are tried together."""
 
 
-def fit_prior(judged: Sequence[ViewpointScores], scale: float) -> tuple[float, float]:
+def fit_prior(scored: Sequence[ViewpointScores], scale: float) -> tuple[float, float]:
     """Return scale of relational matching, and weight of what the network adds, of greatest likelihood.
 
-    `judged` are texts from where nothing was trained, with the weight still 1 and this `scale`.
+    `scored` are texts from where nothing was trained, with the weight still 1 and this `scale`.
     """
     best, found = -np.inf, (1.0, 0.0)  # nothing told: as relational matching has it
-    if not any(j.near.any() for j in judged):
+    if not any(j.near.any() for j in scored):
         return found
     for new in SCALES:
         for weight in WEIGHTS:
-            likelihood = np.mean([_likelihood(j, scale, new, weight) for j in judged])
+            likelihood = np.mean([_likelihood(j, scale, new, weight) for j in scored])
             if likelihood > best:
                 best, found = float(likelihood), (new, weight)
     return found
 
 
-def _likelihood(judged: ViewpointScores, scale: float, new: float, weight: float) -> float:
+def _likelihood(scored: ViewpointScores, scale: float, new: float, weight: float) -> float:
     """Return mean log probability of being near the truth, where anything is."""
-    asked = np.isfinite(judged.relational)
-    relational = np.where(asked, judged.relational, 0.0)
-    added = np.where(asked, judged.fused, 0.0) - scale * relational
+    asked = np.isfinite(scored.relational)
+    relational = np.where(asked, scored.relational, 0.0)
+    added = np.where(asked, scored.fused, 0.0) - scale * relational
     scores = np.where(asked, new * relational + weight * added, NEVER)
-    near = judged.near.any(axis=1)
-    right = np.where(judged.near, scores, NEVER)
+    near = scored.near.any(axis=1)
+    right = np.where(scored.near, scores, NEVER)
     log_p = np.logaddexp.reduce(right, axis=1) - np.logaddexp.reduce(scores, axis=1)
     return float(log_p[near].mean()) if near.any() else 0.0
 
@@ -263,13 +263,13 @@ class Trainer:
     """Network in training, with the scales of its losses and the optimizer."""
 
     def __init__(
-        self, options: TrainOptions, device: str, progress: Progress, known: int = 0
+        self, options: TrainOptions, device: str, progress: Progress, word_vectors: int = 0
     ) -> None:
         self.options, self.device, self.progress = options, device, progress
         self.epochs = 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
-            self.network = Network(options.shape, known)
+            self.network = Network(options.shape, word_vectors)
         self.network.eval()
         self.module = torch.nn.Module()
         self.module.network = self.network
@@ -395,40 +395,44 @@ def train(
         raise OptionError("There is no city to train on; name at least one map.")
     device = str(select_device(torch, device))
     vocabulary = vocabulary or Vocabulary.default()
-    known = None
+    word_vectors = None
     if options.word_vectors is not None:
         labels = {*vocabulary.english, *(word for city in cities.values() for word in city.words)}
         wanted = {word for label in labels for word in words_of(label)}
-        known = read_word2vec(options.word_vectors, wanted)
+        word_vectors = read_word2vec(options.word_vectors, wanted)
     plan: dict[str, Any] = {
         "cities": {name: len(city.objects) for name, city in cities.items()},
         "options": asdict(options),
     }
-    if known is not None:  # another file of the same name is another training
-        plan["words"] = hash_weights(known.words, {"vectors": known.vectors})[:16]
+    if word_vectors is not None:  # another file of the same name is another training
+        plan["words"] = hash_weights(word_vectors.words, {"vectors": word_vectors.vectors})[:16]
     at = Path(folder)
     plan = open_folder(at, plan)
-    trainer = Trainer(options, device, progress, known.vectors.shape[1] if known else 0)
+    trainer = Trainer(
+        options, device, progress, word_vectors.vectors.shape[1] if word_vectors else 0
+    )
     trainer.read(at / "state")
-    examples = Examples(cities, vocabulary, options, progress, Path(pools or at / "pools"), known)
-    held = examples.held_out()
+    examples = Examples(
+        cities, vocabulary, options, progress, Path(pools or at / "pools"), word_vectors
+    )
+    held_out = examples.held_out()
     past = [lessons for epoch in range(trainer.epochs) for lessons in examples.lessons(epoch)]
 
     def learn(epoch: int) -> dict[str, float]:
         past.extend(examples.lessons(epoch))
         means = trainer.epoch(epoch, past)
-        judged = [score_viewpoints(trainer.network, lessons, device) for lessons in held]
-        return means | mean_recalls(judged)
+        scored = [score_viewpoints(trainer.network, lessons, device) for lessons in held_out]
+        return means | mean_recalls(scored)
 
     run_epochs(trainer, options.epochs, learn, at / "state", progress)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
     fitted = fit_prior(
-        [score_viewpoints(trainer.network, lessons, device) for lessons in held], scale
+        [score_viewpoints(trainer.network, lessons, device) for lessons in held_out], scale
     )
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": plan, "curves": rows_of(at)}
-    weights = round_weights(options.shape, state, training, known)
+    weights = round_weights(options.shape, state, training, word_vectors)
     write_weights(out, weights)
     return weights
 
@@ -442,23 +446,23 @@ class Examples:
     options: TrainOptions
     progress: Progress
     folder: Path
-    known: WordVectors | None = None
+    word_vectors: WordVectors | None = None
 
     def lessons(self, epoch: int) -> list[Lessons]:
         """Return examples of an epoch, one pool a city."""
         return [
-            self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held=False)
+            self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held_out=False)
             for name in self.cities
         ]
 
     def held_out(self) -> list[Lessons]:
         """Return examples from the tiles that are never trained on."""
         return [
-            self._made(name, f"{name}-check", 1 << 20, self.options.check, held=True)
+            self._made(name, f"{name}-check", 1 << 20, self.options.check, held_out=True)
             for name in self.cities
         ]
 
-    def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
+    def _made(self, name: str, file: str, epoch: int, n: int, *, held_out: bool) -> Lessons:
         city, seed = self.cities[name], self.options.descriptions
         seed = self.options.seed if seed is None else seed
         file = f"{file}-{seed}-{n}-{city.fingerprint[:8]}"
@@ -474,7 +478,7 @@ class Examples:
                 done += 1
                 self.progress.filling(epoch, name, done, n)
 
-            pool = make_pool(Speaker(city, self.vocabulary, held=held), n, rng, tick)
+            pool = make_pool(Speaker(city, self.vocabulary, held_out=held_out), n, rng, tick)
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
@@ -482,7 +486,7 @@ class Examples:
                     f"{self.folder}: no folder for examples ({error}); name another."
                 ) from error
             write_pool(path, pool)
-        return Lessons(city, pool, self.options.shape.subwords, self.known)
+        return Lessons(city, pool, self.options.shape.subwords, self.word_vectors)
 
 
 def write_pool(path: Path, pool: ExamplePool) -> None:

@@ -51,7 +51,7 @@ class ImageFeatures(Protocol):
 
     @property
     def key(self) -> str:
-        """What decides the features: they compare only where keys are equal."""
+        """Cache key of the features, which are comparable only with equal keys."""
 
     @property
     def dimension(self) -> int:

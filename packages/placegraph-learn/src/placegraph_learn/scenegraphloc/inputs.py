@@ -113,7 +113,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
     return camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
 
 
-def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32]:
+def vote_patches(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32]:
     """Return object (rows, columns) that most pixels (h, w) of each patch see, -1 none.
 
     None too where the most frequent, which may itself be none, covers at most `LEAST` of it.
@@ -458,12 +458,12 @@ def _counts(rows: NDArray[np.int64], words: NDArray[np.int64], count: int) -> ND
 
 
 def _attributes(
-    said: Sequence[Mapping[str, str]], words: Sequence[str], count: int
+    attributes: Sequence[Mapping[str, str]], words: Sequence[str], count: int
 ) -> NDArray[np.float32]:
     """Return counts (n, A) of the words in all groups of attributes: color, material, state, ..."""
     column = {word: k for k, word in enumerate(words)}
-    table = np.zeros((len(said), max(count, len(words))), np.float32)
-    for row, groups in enumerate(said):
+    table = np.zeros((len(attributes), max(count, len(words))), np.float32)
+    for row, groups in enumerate(attributes):
         for text in groups.values():
             for word in text.lower().split(","):
                 if word.strip() in column:

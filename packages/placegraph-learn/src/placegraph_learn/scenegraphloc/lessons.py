@@ -1,4 +1,4 @@
-"""What the network is trained on: rooms, pictures taken in them, and what each patch shows."""
+"""Training data of the network: rooms, pictures taken in them, and what each patch shows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from placegraph_learn.scenegraphloc.inputs import (
     quarter_turns,
     rooms_of,
     seen_objects,
-    shown,
+    vote_patches,
 )
 from placegraph_learn.scenegraphloc.network import ATTRIBUTES
 
@@ -108,7 +108,9 @@ class Teacher:
             grid = self.features.grid(np.ascontiguousarray(np.rot90(frame.rgb(), -turns)))
             seen = np.rot90(seen_objects(scene, frame), -turns)
             features.append(grid)
-            marks.append(shown(seen, (grid.shape[0], grid.shape[1])).ravel().astype(np.int64) + 1)
+            marks.append(
+                vote_patches(seen, (grid.shape[0], grid.shape[1])).ravel().astype(np.int64) + 1
+            )
         if not any(m.any() for m in marks):
             raise OptionError(
                 f"{world.name}: no picture shows an object of the map; give captures whose poses are "
@@ -184,13 +186,13 @@ def read_lesson(path: Path) -> Lesson:
     )
 
 
-def split(lessons: Sequence[Any], held: int) -> tuple[list[Any], list[Any]]:
-    """Return those that are learned, and `held` others, spread evenly, that are only asked about."""
-    rows = np.linspace(0, len(lessons) - 1, held + 2)[1:-1].round().astype(int).tolist()
+def split(lessons: Sequence[Any], held_out: int) -> tuple[list[Any], list[Any]]:
+    """Return those that are learned, and `held_out` others, spread evenly, that are only asked about."""
+    rows = np.linspace(0, len(lessons) - 1, held_out + 2)[1:-1].round().astype(int).tolist()
     return [x for i, x in enumerate(lessons) if i not in rows], [lessons[i] for i in rows]
 
 
-def placed(capture: Capture, map_from_camera: NDArray[np.float64]) -> Capture:
+def place_capture(capture: Capture, map_from_camera: NDArray[np.float64]) -> Capture:
     """Return capture whose odometry (T, 4, 4) is map_from_camera: one of the map itself."""
     frames = zip(capture.frames, map_from_camera, strict=True)
     return replace(capture, frames=tuple(replace(f, odometry=pose) for f, pose in frames))
@@ -218,10 +220,10 @@ def folder(path: str | PathLike[str]) -> list[World]:
             f"{path}: no NAME.scene with captures in a folder NAME beside it; build maps with "
             "`placegraph scene build`."
         )
-    return [World(file.stem, partial(_opened, file)) for file in known]
+    return [World(file.stem, partial(_open_material, file)) for file in known]
 
 
-def _opened(file: Path) -> Material:
+def _open_material(file: Path) -> Material:
     from placegraph.indoor.scene_map import SceneMap
 
     at = file.with_suffix("")

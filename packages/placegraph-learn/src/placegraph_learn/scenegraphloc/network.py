@@ -1,4 +1,4 @@
-"""How wide the layers of the network are; the defaults are those of the published one."""
+"""Network of SceneGraphLoc and the sizes of its layers; the defaults are those of the published one."""
 
 from __future__ import annotations
 
@@ -395,11 +395,11 @@ class ObjectEncoder(nn.Module):
             self.structure_embedding(graph),
             self.meta_embedding_rel(objects.relations),
             self.meta_embedding_attr(objects.attributes),
-            self.img_patch_embedding(self._seen(objects)),
+            self.img_patch_embedding(self._encode_views(objects)),
         ])  # fmt: skip
         return out
 
-    def _seen(self, objects: Objects) -> Tensor:
+    def _encode_views(self, objects: Objects) -> Tensor:
         """Return views of each object, joined (N, view)."""
         view = self.img_patch_encoder(objects.views) + self.pose_encoder(objects.poses)
         told = self.multiview_norm(self.multiview_encoder(view, objects.owner))

@@ -414,7 +414,7 @@ def train(
     out: str | PathLike[str],
     *,
     folder: str | PathLike[str],
-    held: int = 1,
+    held_out: int = 1,
     teacher: Teacher | None = None,
     widths: Widths | None = None,
     options: TrainOptions | None = None,
@@ -461,11 +461,11 @@ def train(
     teacher = teacher or Teacher(ColourFeatures())
     widths = widths or Widths.small(teacher.features.dimension, teacher.attribute_count)
     device = str(select_device(torch, device))
-    _check(worlds, Path(out), held, teacher, widths)
+    _check(worlds, Path(out), held_out, teacher, widths)
     at = Path(folder)
     plan = {
         "places": [world.name for world in worlds],
-        "held": held,
+        "held": held_out,
         "features": teacher.features.key,
         "rotate": teacher.rotate,
         "points_from": teacher.points,
@@ -474,7 +474,7 @@ def train(
         "options": asdict(options),
     }
     open_folder(at, plan)
-    learned, asked = split(_lessons(worlds, at, teacher, progress), held)
+    learned, asked = split(_lessons(worlds, at, teacher, progress), held_out)
     trainer = Trainer(learned, widths, options, device)
     trainer.read(at / SNAPSHOT)
 
@@ -515,10 +515,12 @@ def _lessons(
     return lessons
 
 
-def _check(worlds: Sequence[World], out: Path, held: int, teacher: Teacher, widths: Widths) -> None:
-    if held < 1 or len(worlds) - held < 2:
+def _check(
+    worlds: Sequence[World], out: Path, held_out: int, teacher: Teacher, widths: Widths
+) -> None:
+    if held_out < 1 or len(worlds) - held_out < 2:
         raise OptionError(
-            f"{len(worlds)} places, {held} held out: at least two are learned and one is held out."
+            f"{len(worlds)} places, {held_out} held out: at least two are learned and one is held out."
         )
     refuse_twins([world.name for world in worlds])
     if widths.feature != teacher.features.dimension:

@@ -62,35 +62,35 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     return Weights(network, notes, digest_of(network))
 
 
-def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
+def read_state(path: Path, advice: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Return tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
         check_regular(path).open("rb").close()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; {mend}.") from error
+        raise InputError(f"{path}: {error.strerror or error}; {advice}.") from error
     if path.suffix == ".safetensors":
-        return _safetensors(path, mend)
-    found = read_snapshot(path, mend)
+        return _safetensors(path, advice)
+    found = read_snapshot(path, advice)
     state = found.get("model", found)
     if not isinstance(state, dict) or not state:
-        raise InputError(f"{path}: `model` holds no weights by name; {mend}.")
+        raise InputError(f"{path}: `model` holds no weights by name; {advice}.")
     for key, value in state.items():
         if not isinstance(key, str) or not isinstance(value, Tensor):
-            raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {mend}.")
+            raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {advice}.")
     return dict(state), {}
 
 
-def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
+def read_snapshot(path: Path, advice: str = _MEND) -> dict[str, Any]:
     """Return the dict of a snapshot; `InputError` where the file is cut short or anything else."""
     try:
         found = load_torch_file(torch, path)
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise InputError(
-            f"{path}: cut short or no checkpoint ({why[:100]}); copy it again, or {mend}."
+            f"{path}: cut short or no checkpoint ({why[:100]}); copy it again, or {advice}."
         ) from error
     if not isinstance(found, dict):
-        raise InputError(f"{path}: holds a {type(found).__name__}, not a dict; {mend}.")
+        raise InputError(f"{path}: holds a {type(found).__name__}, not a dict; {advice}.")
     return found
 
 
@@ -149,7 +149,7 @@ def write_weights(
     write_file(path, [save(state, {NOTES: json.dumps(dict(notes), sort_keys=True)})])
 
 
-def _safetensors(path: Path, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+def _safetensors(path: Path, advice: str) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         with safe_open(path, "pt") as file:
             # copied: whoever cuts the file short later ends nobody
@@ -157,7 +157,7 @@ def _safetensors(path: Path, mend: str) -> tuple[dict[str, Tensor], dict[str, st
             notes = json.loads((file.metadata() or {}).get(NOTES, "{}"))
     except (SafetensorError, ValueError) as error:
         raise InputError(
-            f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {mend}."
+            f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {advice}."
         ) from error
     return state, {str(k): str(v) for k, v in dict(notes).items()}
 

@@ -63,9 +63,9 @@ class CandidateScenes(SceneShards):
         found = [shard for s in every for shard in s.shards]
         if len(library):
             listed = [NamedEntry(name, library.entry(name)) for name in library]
-            found.insert(0, Shard(*pack_shard(listed, keys), first.usual))
+            found.insert(0, Shard(*pack_shard(listed, keys), first.background))
         return cls(
-            first.encoders, first.usual, tuple(found), first.beside,
+            first.encoders, first.background, tuple(found), first.beside,
             sum(s.missing for s in every), tuple(note for s in every for note in s.notes),
             library=library,
         )  # fmt: skip

@@ -77,7 +77,7 @@ class Background:
     arrays: Mapping[str, NDArray[Any]]
     keys: Sequence[str]
 
-    def seen(self, i: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def common_vectors(self, i: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return vectors (B, d) that are seen anywhere, and the share (B,) of each, to encoder i."""
         return self.arrays[f"vectors_{i}"], self.arrays[f"common_{i}"]
 
@@ -88,7 +88,7 @@ class Background:
 
     def vocabulary(self, i: int, own: NDArray[np.float32], code: NDArray[np.int32]) -> Vocabulary:
         """Return the vocabulary of objects with rows (M,) of vectors (U, d); what is usual comes last."""
-        vectors, common = self.seen(i)
+        vectors, common = self.common_vectors(i)
         every = np.concatenate([own, vectors])
         unknown = np.flatnonzero(~every.any(axis=1))
         return Vocabulary(every, unknown, code, np.arange(len(own), len(every)), common)
@@ -98,7 +98,7 @@ class Background:
         if not self.keys:
             raise ValueError("no encoders")
         for i in range(len(self.keys)):
-            vectors, common = self.seen(i)
+            vectors, common = self.common_vectors(i)
             shape = (len(vectors),)
             if vectors.ndim != 2 or common.shape != shape or not np.isfinite(vectors).all():
                 raise ValueError(f"vectors_{i}")
@@ -114,7 +114,7 @@ class Shard:
 
     meta: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
-    usual: Background
+    background: Background
     folder: Path = Path()
     """To which paths of maps are relative."""
     watch: FileWatch | None = None
@@ -123,7 +123,7 @@ class Shard:
     """Of encoders with few vectors, unpacked."""
 
     @classmethod
-    def open(cls, path: Path, usual: Background) -> Shard:
+    def open(cls, path: Path, background: Background) -> Shard:
         """Map a shard; its checksum is compared, and what its columns point to.
 
         Raises `InputError` where it is not there, `MapError` where it is damaged, newer or none.
@@ -131,9 +131,9 @@ class Shard:
         file = read_map(path, KIND, VERSION, [b.name for b in read_header(path).blocks])
         with check_contents(path, MEND):
             # compiled code takes what is written to as any array; these are small
-            own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
+            own = ("share", "starts", *(f"code_{i}" for i in range(len(background.keys))))
             arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
-            shard = cls(file.meta, arrays, usual, path.parent, file.watch)
+            shard = cls(file.meta, arrays, background, path.parent, file.watch)
             _check_shard(shard)
         return shard
 
@@ -172,15 +172,15 @@ class Shard:
         for number, unit_ in enumerate(range(first, last)):
             own = a["order"][a["starts"][unit_] : a["starts"][unit_ + 1]]
             part[own] = number
-            seen = a["panoramas"][a["place_starts"][unit_] : a["place_starts"][unit_ + 1]]
-            panoramas.append(np.append(own, len(order))[seen].astype(np.uint16))
+            rows = a["panoramas"][a["place_starts"][unit_] : a["place_starts"][unit_ + 1]]
+            panoramas.append(np.append(own, len(order))[rows].astype(np.uint16))
         back = np.argsort(order)
         share = np.square(a["share"][objects])[back]
         counts = np.diff(a["place_starts"])[first:last]
         return Signature(
             graph=replace(scene.graph, embeddings=None),
             attributes=with_colours(scene),
-            vectors={k: self.vectors(i, objects)[back] for i, k in enumerate(self.usual.keys)},
+            vectors={k: self.vectors(i, objects)[back] for i, k in enumerate(self.background.keys)},
             share=share / share.sum(),
             places=np.array(a["places"][views]),
             panoramas=np.concatenate(panoramas),
@@ -204,13 +204,13 @@ class Shard:
         a = self.arrays
         few: NDArray[Any] | None = None
         many: NDArray[Any] | None = None
-        for i, key in enumerate(self.usual.keys):
+        for i, key in enumerate(self.background.keys):
             for words in (s for s in query.parts if s.key == key):
                 code = a[f"code_{i}"]
                 if len(a[f"vectors_{i}"]) <= FEW:
                     if i not in self._vocabularies:
                         own = unit(dequantize_vectors(a[f"vectors_{i}"], a[f"scales_{i}"]))
-                        self._vocabularies[i] = self.usual.vocabulary(i, own, code)
+                        self._vocabularies[i] = self.background.vocabulary(i, own, code)
                     ratios = words.ratios(self._vocabularies[i], options)
                     weight = words.word_weights(len(query), options)
                     units = score_mixtures(
@@ -219,9 +219,9 @@ class Shard:
                     few = units if few is None else few + units
                 else:
                     counts = np.bincount(words.word, minlength=len(words.words))
-                    vectors, common = self.usual.seen(i)
-                    seen = counts @ words.words / len(words.word) - np.asarray(common @ vectors)
-                    near = a[f"means_{i}"] @ seen.astype(np.float32)
+                    vectors, common = self.background.common_vectors(i)
+                    excess = counts @ words.words / len(words.word) - np.asarray(common @ vectors)
+                    near = a[f"means_{i}"] @ excess.astype(np.float32)
                     many = near if many is None else many + near
         first = a["unit_starts"][:-1]
         best = [w if w is None else np.maximum.reduceat(w, first) for w in (few, many)]
@@ -237,7 +237,7 @@ class Shard:
 
 def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
     """Return the index of some scenes (rows ascending) of several shards, in this order."""
-    usual = picks[0][0].usual
+    background = picks[0][0].background
     parts: list[dict[str, NDArray[Any]]] = []
     vectors: list[list[NDArray[np.float32]]] = []
     for shard, rows in picks:
@@ -252,7 +252,7 @@ def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
             "places": a["places"][places],
             "panoramas": a["panoramas"][places],
         })  # fmt: skip
-        vectors.append([shard.vectors(i, objects) for i in range(len(usual.keys))])
+        vectors.append([shard.vectors(i, objects) for i in range(len(background.keys))])
     whole = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     every = [np.concatenate(own) for own in zip(*vectors, strict=True)]
     return Index(
@@ -260,8 +260,8 @@ def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
         starts=compute_offsets(whole["objects"]),
         share=whole["share"],
         vocabularies={
-            key: usual.vocabulary(i, every[i], np.arange(len(every[i]), dtype=np.int32))
-            for i, key in enumerate(usual.keys)
+            key: background.vocabulary(i, every[i], np.arange(len(every[i]), dtype=np.int32))
+            for i, key in enumerate(background.keys)
         },
         place_starts=compute_offsets(whole["views"]),
         places=whole["places"],
@@ -299,8 +299,8 @@ def _check_shard(shard: Shard) -> None:
     _check_runs(a["starts"], objects, least=1)
     _check_runs(a["place_starts"], views)
     shapes = {"panoramas": (views, BANDS, TURNS), "places": (views, 2), "share": (objects,)}
-    for i in range(len(shard.usual.keys)):
-        known, d = len(a[f"scales_{i}"]), shard.usual.seen(i)[0].shape[1]
+    for i in range(len(shard.background.keys)):
+        known, d = len(a[f"scales_{i}"]), shard.background.common_vectors(i)[0].shape[1]
         shapes |= {f"vectors_{i}": (known, d), f"means_{i}": (units, d), f"code_{i}": (objects,)}
         _check_rows(f"code_{i}", a[f"code_{i}"], known)
     if "order" in a:  # scenes, not the homes beside them
@@ -369,7 +369,7 @@ class SceneShards(SceneCollection):
     """
 
     encoders: tuple[Encoder, ...]
-    usual: Background
+    background: Background
     shards: tuple[Shard, ...]
     beside: Shard
     """Homes that no library has."""
@@ -377,7 +377,7 @@ class SceneShards(SceneCollection):
     """Scenes of shards that are not there, damaged, or of another version."""
     notes: tuple[str, ...] = ()
     """Which these are, and how to mend it."""
-    _opened: OrderedDict[int, tuple[Entry, SceneMap]] = field(default_factory=OrderedDict)
+    _scene_cache: OrderedDict[int, tuple[Entry, SceneMap]] = field(default_factory=OrderedDict)
 
     @classmethod
     def open(
@@ -405,24 +405,24 @@ class SceneShards(SceneCollection):
         head = read_map(folder / HEAD, KIND, VERSION)
         made = tuple(match_encoders(head, encoders))
         with check_contents(folder / HEAD, MEND):
-            usual = Background(head.meta, head.arrays, [e.key for e in made])
-            usual.check()
+            background = Background(head.meta, head.arrays, [e.key for e in made])
+            background.check()
             listed = [(str(s["file"]), int(s["scenes"])) for s in head.meta["shards"]]
             if not listed or any(Path(name).name != name or count < 1 for name, count in listed):
                 raise ValueError("no shards")
         found: list[Shard] = []
         notes, missing = [], 0
 
-        def opened(name: str, count: int) -> Shard | str:
+        def open_shard(name: str, count: int) -> Shard | str:
             try:
-                shard = Shard.open(folder / name, usual)
+                shard = Shard.open(folder / name, background)
             except PlacegraphError as error:
                 return str(error)
             other = f"{folder / name} holds {len(shard):,} scenes, not {count:,}. {MEND}"
             return shard if len(shard) == count else other
 
         with ThreadPoolExecutor(2) as pool:
-            every = pool.map(lambda s: opened(*s), listed)
+            every = pool.map(lambda s: open_shard(*s), listed)
             for (_, count), shard in zip(listed, every, strict=True):
                 if isinstance(shard, Shard):
                     found.append(shard)
@@ -431,8 +431,8 @@ class SceneShards(SceneCollection):
                     missing += count
         if not found:
             raise MapError(f"{folder}: no shard can be read. {' '.join(notes)}")
-        beside = Shard.open(folder / BESIDE, usual)
-        return cls(made, usual, tuple(found), beside, missing, tuple(notes))
+        beside = Shard.open(folder / BESIDE, background)
+        return cls(made, background, tuple(found), beside, missing, tuple(notes))
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
@@ -475,15 +475,15 @@ class SceneShards(SceneCollection):
         Raises `InputError` where a map is not there, `MapError` where it is another than was added.
         """
         out = SceneLibrary(self.encoders)
-        out.usual = self.usual.columns
+        out.usual = self.background.columns
         for row, name in zip(rows, names or map(self.name, rows), strict=True):
             out.insert(name, *self._entry(row))
         return out
 
     def _entry(self, row: int) -> tuple[Entry, SceneMap]:
-        if row in self._opened:
-            self._opened.move_to_end(row)
-            return self._opened[row]
+        if row in self._scene_cache:
+            self._scene_cache.move_to_end(row)
+            return self._scene_cache[row]
         path, (shard, own) = self.path(row), self._find(row)
         if path is None:
             raise InputError(f"{self.name(row)}: the shards know no map file of it.")
@@ -492,9 +492,9 @@ class SceneShards(SceneCollection):
             raise MapError(f"{path} is another map than was added. {MEND}")
         scene = SceneMap.open(path)
         entry = Entry(shard.signature(own, scene), path, digest, self.earth(row))
-        self._opened[row] = entry, scene
-        while len(self._opened) > _OPEN:
-            self._opened.popitem(last=False)
+        self._scene_cache[row] = entry, scene
+        while len(self._scene_cache) > _OPEN:
+            self._scene_cache.popitem(last=False)
         return entry, scene
 
     def score_frames(self, query: Query, options: SearchOptions) -> Scores:
@@ -537,25 +537,25 @@ class SceneShards(SceneCollection):
     def score_text(self, sentence: Sentence) -> NDArray[np.float64]:
         """Return the log-likelihood ratio of a text for each scene (n,), against what is usual."""
         self.check()
-        usual = self.usual.columns
+        background = self.background.columns
         parts = [
-            of_scenes(sentence, s.columns, compared(sentence, s.columns, usual).sum(axis=0))[0]
+            of_scenes(sentence, s.columns, compared(sentence, s.columns, background).sum(axis=0))[0]
             for s in self.shards
         ]
         return np.concatenate(parts)
 
     def explain(
-        self, row: int, asked: Query | Sentence, options: SearchOptions
+        self, row: int, query: Query | Sentence, options: SearchOptions
     ) -> tuple[Evidence, ...]:
         """Return the evidence for a scene, by its map, where that is there."""
         path = self.path(row)
         if path is None or not path.exists():
             return ()
-        if isinstance(asked, Query):
+        if isinstance(query, Query):
             library = self.open_scenes([row])
             signature = self._entry(row)[0].signature
-            return explain_frames(library.index, 0, signature, asked, options)
-        return score(asked, self.open_map(row)).evidence
+            return explain_frames(library.index, 0, signature, query, options)
+        return score(query, self.open_map(row)).evidence
 
     def _find(self, row: int) -> tuple[Shard, int]:
         if not 0 <= row < len(self):

@@ -118,23 +118,23 @@ class ShardPosterior:
         return np.array(points, np.float64).reshape(-1, 3)
 
 
-def compute_posterior(found: CandidatePool, beyond: float, searched: float) -> ShardPosterior:
+def compute_posterior(pool: CandidatePool, beyond: float, searched: float) -> ShardPosterior:
     """Apply Bayes to all that was scored and looked at; as `viewpoints.closer`.
 
     `beyond` is the log weight of shards that were not looked into; `searched` the share of the world
     that probabilities can speak of.
     """
-    ranked, scores = found.ranked, found.values()
+    ranked, scores = pool.ranked, pool.values()
     weights = scores + ranked.log_prior
     order = np.argsort(-weights, kind="stable")
     stack = PlaneStack()
     parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))]
     # the heaviest shard's plane is the first
     for row in dict.fromkeys(ranked.shard[order[weights[order] > -np.inf]].tolist()):
-        stack.add(found.proposals[row].origin, np.zeros((0, 2)))
-    for row, proposal in sorted(found.proposals.items()):
+        stack.add(pool.proposals[row].origin, np.zeros((0, 2)))
+    for row, proposal in sorted(pool.proposals.items()):
         mine = np.flatnonzero((ranked.shard == row) & (weights > -np.inf))
-        look = found.looks.get(row)
+        look = pool.refinements.get(row)
         if look is not None:
             mine = mine[~np.isin(ranked.at[mine], look.at)]
             share = np.repeat(
@@ -142,10 +142,10 @@ def compute_posterior(found: CandidatePool, beyond: float, searched: float) -> S
             )
             at = stack.add(proposal.origin, look.positions.reshape(-1, 2))
             parts.append((at, look.scores.ravel(), share, np.full(len(share), row)))
-        at = stack.add(proposal.origin, found.positions[row][ranked.at[mine]])
+        at = stack.add(proposal.origin, pool.positions[row][ranked.at[mine]])
         parts.append((at, scores[mine], ranked.log_prior[mine], np.full(len(mine), row)))
     positions, scored, priors, rows = map(np.concatenate, zip(*parts, strict=True))
-    rest = float(np.logaddexp(found.rest(), beyond))
+    rest = float(np.logaddexp(pool.unscored_weight(), beyond))
     made = apply_bayes(positions, scored, priors, rest)
     if searched < 1.0:
         shares = made.probabilities * searched
@@ -159,7 +159,7 @@ class ShardsMatch(TownMatch):
     """Result of a search in the shards of a world."""
 
     search: Search
-    asked: ShardQuery
+    shard_query: ShardQuery
     cores: Floats
     """(N, 4) of all shards [deg]."""
 
@@ -183,7 +183,8 @@ class ShardsMatch(TownMatch):
             if away.min() <= MAX_CITY_DISTANCE:
                 of_shard.setdefault(int(away.argmin()), []).append(k)
         tasks = [
-            (row, (self.asked, [corners[k] for k in of])) for row, of in sorted(of_shard.items())
+            (row, (self.shard_query, [corners[k] for k in of]))
+            for row, of in sorted(of_shard.items())
         ]
         out: list[BuildingMatch | None] = [None] * len(corners)
         for row, scores in self.search.each("judge", tasks):
@@ -194,21 +195,21 @@ class ShardsMatch(TownMatch):
 
     def _explain(self, row: int, lonlat: tuple[float, float]) -> tuple[Evidence, ...]:
         """Return the evidence for a place, from its shard."""
-        found = self.search.restart().each("explain", [(row, (self.asked, [lonlat]))])
+        found = self.search.restart().each("explain", [(row, (self.shard_query, [lonlat]))])
         return next((evidence for _, (evidence,) in found), ())
 
 
 def make_estimate(
-    search: Search, asked: ShardQuery, found: ShardPosterior, top: int
+    search: Search, shard_query: ShardQuery, posterior: ShardPosterior, top: int
 ) -> tuple[CityEstimate, dict[str, CityEstimate]]:
     """Make the estimate over all shards, and the part of each shard that has a mode, to be asked about."""
-    peaks = find_modes(found.posterior, top, SPACING)
-    query = asked.query
+    peaks = find_modes(posterior.posterior, top, SPACING)
+    query = shard_query.query
     description = query.description
-    diagnostics = diagnose(found.posterior, peaks, infer_claim(description), query)
-    post, peaks = shrink(found.posterior, peaks, diagnostics)
-    found = replace(found, posterior=post)
-    places = _make_places(search, asked, found, peaks)
+    diagnostics = diagnose(posterior.posterior, peaks, infer_claim(description), query)
+    post, peaks = shrink(posterior.posterior, peaks, diagnostics)
+    posterior = replace(posterior, posterior=post)
+    places = _make_places(search, shard_query, posterior, peaks)
     contradiction = find_contradiction(places[0][1] if places else None, query)
     status, reason = decide(replace(diagnostics, contradiction=contradiction))
     parts = {}
@@ -216,19 +217,19 @@ def make_estimate(
         mine = tuple(place for r, place in places if r == row)
         parts[search.sources[row].key] = CityEstimate(
             Status.AMBIGUOUS, mine, "A part of the answer of a world in shards.", description,
-            found.support(row),
+            posterior.support(row),
         )  # fmt: skip
     return CityEstimate(status, tuple(place for _, place in places), reason, description), parts
 
 
 def _make_places(
-    search: Search, asked: ShardQuery, found: ShardPosterior, peaks: Sequence[Mode]
+    search: Search, shard_query: ShardQuery, posterior: ShardPosterior, peaks: Sequence[Mode]
 ) -> list[tuple[int, Place]]:
     """Make places of modes, each with the row of its shard."""
-    at = [found.stack.lonlat(peak.position) for peak in peaks]
-    positions = found.posterior.positions
+    at = [posterior.stack.lonlat(peak.position) for peak in peaks]
+    positions = posterior.posterior.positions
     shards = [
-        int(found.shards[np.argmin(((positions - p.position) ** 2).sum(axis=1))]) for p in peaks
+        int(posterior.shards[np.argmin(((positions - p.position) ** 2).sum(axis=1))]) for p in peaks
     ]
     of = {row: [k for k, mine in enumerate(shards) if mine == row] for row in dict.fromkeys(shards)}
     tasks = [(row, ([at[k] for k in mine],)) for row, mine in of.items()]
@@ -240,7 +241,9 @@ def _make_places(
 
     @cache
     def explain() -> dict[int, tuple[Evidence, ...]]:  # of all of them in one go
-        answers = search.restart().each("explain", [(row, (asked, *args)) for row, args in tasks])
+        answers = search.restart().each(
+            "explain", [(row, (shard_query, *args)) for row, args in tasks]
+        )
         return dict(chain(*(zip(of[row], e, strict=True) for row, e in answers)))
 
     return [
@@ -301,11 +304,11 @@ class Planet:
             t.kind == LINE and t.label.startswith("highway") for t in things
         )
 
-    def match(self, said: Description, query: WorldQuery) -> TownMatch | str:
+    def match(self, parsed: Description, query: WorldQuery) -> TownMatch | str:
         """Search for a description; shards that do not answer are named in the `notes` of the match."""
         table = self.words.table
         table.watch.check()
-        search, description = self._search(query.budget), said
+        search, description = self._search(query.budget), parsed
         for answer in query.answers:
             description = answer.added_to(description)
         things = RareObjects(table.labels, [])
@@ -322,17 +325,19 @@ class Planet:
             return ""
         words = tuple(table.text(int(token)) for token in compiled.mentions.tokens)
         size = int(table.viewpoints.sum())
-        asked = ShardQuery(compiled, words, tuple(things.rows), size, fixed)
-        pool = search.run(asked, log_mass, self.cores)
+        shard_query = ShardQuery(compiled, words, tuple(things.rows), size, fixed)
+        pool = search.run(shard_query, log_mass, self.cores)
         missing = search.missing(pool, log_mass)
         gap = search.explain_gap(missing)
         search.deadline = None
         beyond = -np.inf if missing > 0.0 else search.remaining()
         found = compute_posterior(pool, beyond, 1.0 - missing)
-        made, parts = make_estimate(search, asked, found, query.top)
+        made, parts = make_estimate(search, shard_query, found, query.top)
         name = self.file.folder.resolve().name
         named = {f"{name}//{key}": part for key, part in parts.items()}
-        return ShardsMatch(compiled, found.posterior, made, named, gap, search, asked, self.cores)
+        return ShardsMatch(
+            compiled, found.posterior, made, named, gap, search, shard_query, self.cores
+        )
 
     def explain_prior(self, near: Sequence[float], radius: float) -> str | None:
         """Return None where the location prior is on the map; else a hint, which may be empty."""
@@ -344,12 +349,12 @@ class Planet:
             return ""
         return f" Swapped, it lies on the map: longitude comes first, {latitude},{longitude}."
 
-    def ask(self, part: str, found: CityEstimate) -> Question | None:
+    def ask(self, part: str, estimate: CityEstimate) -> Question | None:
         """Return the question that tells the places of a part apart."""
         key = part.partition("//")[2]
         rows = [row for row, source in enumerate(self.sources) if source.key == key]
-        asked = self._search().each("ask", [(row, (found,)) for row in rows])
-        return next((question for _, question in asked), None)
+        questions = self._search().each("ask", [(row, (estimate,)) for row in rows])
+        return next((question for _, question in questions), None)
 
     def _search(self, budget: float | None = None) -> Search:
         deadline = None if budget is None else monotonic() + budget

@@ -112,21 +112,21 @@ def bound_weights(query: Query, table: WordTable, *, even: bool) -> Floats:
 
     Of the best viewpoint, where they are not all as likely beforehand (`even`).
     """
-    seen, columns, pairs = Visibility.of_query(query, table), query.statements, []
+    visibility, columns, pairs = Visibility.of_query(query, table), query.statements, []
     for s, gain in enumerate(columns.gain.tolist()):  # statements that can speak for a place
         a, b = int(columns.source[s]), int(columns.target[s])
         if columns.op[s] == OPERATION[Relation.BETWEEN] and a == ME:
             a = int(columns.target2[s])
         if not columns.negated[s] and a != b:
             pairs.append((gain, a, b))
-    patterns, which = np.unique(seen.peaks > 0.0, axis=0, return_inverse=True)
+    patterns, which = np.unique(visibility.peaks > 0.0, axis=0, return_inverse=True)
     found = np.full(len(table), -np.inf)
     for k, there in enumerate(patterns):
         rows = np.flatnonzero(which.ravel() == k)
         used = [s for s in pairs if all(m == ME or there[m] for m in s[1:3])]
         if used:
             pull = float(table.pull[rows].max())
-            found[rows] = _bound_dual(seen, rows, _gains(used, len(there), pull), even=even)
+            found[rows] = _bound_dual(visibility, rows, _gains(used, len(there), pull), even=even)
     return found + query.statements.floor + BOUND_SLACK
 
 
@@ -142,18 +142,20 @@ def _gains(used: list[tuple[float, int, int]], mentions: int, pull: float) -> Fl
     return out
 
 
-def _bound_dual(seen: Visibility, rows: NDArray[np.int64], gains: Floats, *, even: bool) -> Floats:
+def _bound_dual(
+    visibility: Visibility, rows: NDArray[np.int64], gains: Floats, *, even: bool
+) -> Floats:
     """Return bounds of the shards in `rows`, all of which have the same mentions."""
     best = np.empty(len(rows))
-    paid = gains - _PRICES[:, None, None] * _BELOW * seen.labelled[:, None]
+    paid = gains - _PRICES[:, None, None] * _BELOW * visibility.labelled[:, None]
     for part in (slice(k, k + _TOGETHER) for k in range(0, len(rows), _TOGETHER)):
         mine = rows[part]
-        at = np.minimum(np.searchsorted(_SHARES, seen.peaks[mine]), len(_SHARES) - 1).T
+        at = np.minimum(np.searchsorted(_SHARES, visibility.peaks[mine]), len(_SHARES) - 1).T
         largest = _take_largest(paid, at)
-        total = _PRICES[:, None] * seen.budget[mine] + largest.sum(axis=1)
+        total = _PRICES[:, None] * visibility.budget[mine] + largest.sum(axis=1)
         best[part] = total.min(axis=0)
         for k in _NORMS if even else ():
-            saved = np.maximum(largest - _bound_norms(paid, at, seen.means[mine].T, k), 0.0)
+            saved = np.maximum(largest - _bound_norms(paid, at, visibility.means[mine].T, k), 0.0)
             saved = np.sort(saved, axis=1)[:, -k:].sum(axis=1)
             best[part] = np.minimum(best[part], (total - saved).min(axis=0))
     return best
@@ -206,7 +208,7 @@ class Ranked(NamedTuple):
 class CandidatePool:
     """Candidates of many shards, ranked and scored together as those of one city."""
 
-    asked: ShardQuery
+    shard_query: ShardQuery
     proposals: dict[int, Proposal] = field(default_factory=dict)
     scores: dict[int, Floats] = field(default_factory=dict)
     """Of each candidate of a shard; -inf where it was not scored."""
@@ -214,7 +216,7 @@ class CandidatePool:
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not scored."""
     drawn: int = MIN_SAMPLES
     """Number of candidates that stand for others and are scored."""
-    looks: dict[int, CloserLook] = field(default_factory=dict)
+    refinements: dict[int, CloserLook] = field(default_factory=dict)
     """Closer look in each shard."""
 
     def add(self, row: int, proposal: Proposal) -> None:
@@ -230,13 +232,13 @@ class CandidatePool:
         """Drop shards that are lost after all."""
         for row in rows:
             of: dict[int, Any]
-            for of in (self.proposals, self.scores, self.positions, self.looks):
+            for of in (self.proposals, self.scores, self.positions, self.refinements):
                 of.pop(row, None)
         self.__dict__.pop("ranked", None)
 
-    def set_scores(self, row: int, at: NDArray[np.int64], found: CandidateScores) -> None:
+    def set_scores(self, row: int, at: NDArray[np.int64], scores: CandidateScores) -> None:
         """Store the scores of candidates of a shard."""
-        self.scores[row][at], self.positions[row][at] = found
+        self.scores[row][at], self.positions[row][at] = scores
 
     @cached_property
     def ranked(self) -> Ranked:
@@ -289,13 +291,13 @@ class CandidatePool:
         positions = self.positions[row][self.ranked.at[mine]]
         delta = positions - self.positions[row][self.ranked.at[best]]
         near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= MODE_RADIUS)
-        weights, count = self._others()
+        weights, count = self._represented()
         if are_samples_enough(np.exp(weights - self.weight), count, float(near)):
             return False
         self.drawn *= 4
         return True
 
-    def _others(self) -> tuple[Floats, int]:
+    def _represented(self) -> tuple[Floats, int]:
         """Return log weights of scored candidates that stand for others, and how many there are."""
         ranked, others = self.ranked, self.ranked.multiplicity > 0.0
         scores = self._join_ranked(self.scores)[others][: self.drawn]
@@ -318,14 +320,14 @@ class CandidatePool:
             return -np.inf
         return float(np.logaddexp.reduce(self.values() + self.ranked.log_prior, initial=-np.inf))
 
-    def rest(self) -> float:
+    def unscored_weight(self) -> float:
         """Return the log weight of all other viewpoints of these shards; as of `viewpoints.score`."""
-        weights, count = self._others()
+        weights, count = self._represented()
         scale = np.log(count / max(1, len(weights))) if count else 0.0
         ranked = self.ranked
         counts = np.where(ranked.multiplicity > 0.0, ranked.multiplicity, 1.0)
         share = float(np.exp(ranked.log_prior) @ counts)
-        unseen = self.asked.query.statements.floor + np.log(max(1e-12, 1.0 - share))
+        unseen = self.shard_query.query.statements.floor + np.log(max(1e-12, 1.0 - share))
         return float(np.logaddexp.reduce(weights + scale, initial=unseen))
 
 
@@ -375,64 +377,72 @@ class Search:
         """Whether the time is over."""
         return self.deadline is not None and monotonic() >= self.deadline
 
-    def run(self, asked: ShardQuery, log_mass: Floats, cores: Floats) -> CandidatePool:
+    def run(self, shard_query: ShardQuery, log_mass: Floats, cores: Floats) -> CandidatePool:
         """Score candidates of all shards that matter; `log_mass` (N,) is the shards' prior."""
-        self.reach = log_mass + bound_weights(asked.query, self.table, even=asked.fix is None)
-        self.reach[self._near_rare(asked, cores) & (log_mass > -np.inf)] = np.inf
+        self.reach = log_mass + bound_weights(
+            shard_query.query, self.table, even=shard_query.fix is None
+        )
+        self.reach[self._near_rare(shard_query, cores) & (log_mass > -np.inf)] = np.inf
         order = np.argsort(-self.reach, kind="stable")
         order = order[self.reach[order] > -np.inf]
-        found, first, size = CandidatePool(asked), 0, FIRST
+        candidates, first, size = CandidatePool(shard_query), 0, FIRST
         while first < len(order) and not self.late:
-            if self._log_share(found, self.remaining()) <= np.log(NEGLIGIBLE):
+            if self._log_share(candidates, self.remaining()) <= np.log(NEGLIGIBLE):
                 break
-            last = min(first + size, self._enough(found, order))
+            last = min(first + size, self._enough(candidates, order))
             if last <= first:  # what is missing are shards that did not answer
                 break
-            rows, least = order[first:last], found.least
+            rows, least = order[first:last], candidates.least
             # the more a shard may weigh, the more of its viewpoints stand for all others
             reach = self.reach[self.left()]
-            total = np.logaddexp.reduce(reach[reach < np.inf], initial=found.weight)
+            total = np.logaddexp.reduce(reach[reach < np.inf], initial=candidates.weight)
             share = np.exp(np.minimum(self.reach[rows] - total, 0.0))
             drawn = np.clip(EVENLY * MAX_SAMPLES * share, FEWEST_DRAWN, MAX_SAMPLES)
             counts = [1 << k for k in np.ceil(np.log2(drawn)).astype(int).tolist()]
-            tasks = [(row, (asked, least, n)) for row, n in zip(rows.tolist(), counts, strict=True)]
+            tasks = [
+                (row, (shard_query, least, n)) for row, n in zip(rows.tolist(), counts, strict=True)
+            ]
             for row, proposal in self.each("propose", tasks):
-                found.add(row, proposal)
+                candidates.add(row, proposal)
                 self.searched.add(row)
-            self._compare(found, found.list_unscored(0))
+            self._compare(candidates, candidates.list_unscored(0))
             first, size = last, GROWTH * size
         late, self.deadline = self.deadline, None
-        self._compare(found, found.list_unscored(found.drawn), found.list_best())
+        self._compare(
+            candidates, candidates.list_unscored(candidates.drawn), candidates.list_best()
+        )
         self.deadline = late
-        while not self.late and found.needs_more():
-            self._compare(found, found.list_unscored(found.drawn))
-        return found
+        while not self.late and candidates.needs_more():
+            self._compare(candidates, candidates.list_unscored(candidates.drawn))
+        return candidates
 
     def _compare(
-        self, found: CandidatePool, some: dict[int, NDArray[np.int64]],
+        self, candidates: CandidatePool, some: dict[int, NDArray[np.int64]],
         best: dict[int, NDArray[np.int64]] | None = None,
     ) -> None:  # fmt: skip
         """Score candidates by shard, and look more closely at the best."""
         steps = {"compare": some, "look": best or {}}
         tasks = [
-            (step, row, (found.asked, found.proposals[row].part(at)))
+            (step, row, (candidates.shard_query, candidates.proposals[row].part(at)))
             for step, rows in steps.items() for row, at in rows.items()
         ]  # fmt: skip
         for step, row, answer in self.all(tasks):
             if step == "compare":
-                found.set_scores(row, some[row], answer)
+                candidates.set_scores(row, some[row], answer)
             else:
-                found.looks[row] = CloserLook(steps[step][row], *answer)
-        found.drop(self.lost.keys() & {row for _, row, _ in tasks})
+                candidates.refinements[row] = CloserLook(steps[step][row], *answer)
+        candidates.drop(self.lost.keys() & {row for _, row, _ in tasks})
 
-    def _enough(self, found: CandidatePool, order: NDArray[np.int64]) -> int:
+    def _enough(self, candidates: CandidatePool, order: NDArray[np.int64]) -> int:
         """Return so many shards in `order` that all others are `NEGLIGIBLE`, as far as is known."""
         beyond = np.logaddexp.accumulate(self.reach[order[::-1]])[::-1]
-        return int(np.count_nonzero(self._log_share(found, beyond) > np.log(NEGLIGIBLE)))
+        return int(np.count_nonzero(self._log_share(candidates, beyond) > np.log(NEGLIGIBLE)))
 
-    def _log_share(self, found: CandidatePool, weight: Any) -> Any:  # noqa: ANN401  # a number or an array
+    def _log_share(self, candidates: CandidatePool, weight: Any) -> Any:  # noqa: ANN401  # a number or an array
         """Return the log of the largest share of the posterior of a log weight beside what was found."""
-        total = np.logaddexp(np.log1p(-PRIOR_ELSEWHERE) + found.weight, np.log(PRIOR_ELSEWHERE))
+        total = np.logaddexp(
+            np.log1p(-PRIOR_ELSEWHERE) + candidates.weight, np.log(PRIOR_ELSEWHERE)
+        )
         return weight + np.log1p(-PRIOR_ELSEWHERE) - total
 
     def remaining(self) -> float:
@@ -445,12 +455,12 @@ class Search:
         looked[list(self.searched - self.lost.keys())] = True
         return np.flatnonzero(~looked)
 
-    def missing(self, found: CandidatePool, log_mass: Floats) -> float:
+    def missing(self, candidates: CandidatePool, log_mass: Floats) -> float:
         """Return the prior probability of shards that might matter and were not searched."""
         left = self.left()
         left = left[np.argsort(self.reach[left], kind="stable")]
         beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
-        matters = self._log_share(found, beyond) > np.log(NEGLIGIBLE)
+        matters = self._log_share(candidates, beyond) > np.log(NEGLIGIBLE)
         return min(1.0, float(np.exp(log_mass[left[matters]]).sum()))  # but for rounding
 
     def explain_gap(self, missing: float) -> str:
@@ -462,17 +472,17 @@ class Search:
         share = f"{missing:.1%}" if missing >= 0.001 else "less than 0.1%"
         return f"{why}: {share} of the world, where it may be as well, was not searched."
 
-    def _near_rare(self, asked: ShardQuery, cores: Floats) -> NDArray[np.bool_]:
+    def _near_rare(self, shard_query: ShardQuery, cores: Floats) -> NDArray[np.bool_]:
         """Return shards (N,) from which a rare object out of sight may be mentioned."""
         near = np.zeros(len(cores), np.bool_)
-        far = asked.query.distant
+        far = shard_query.query.distant
         if far is None:
             return near
         reach = max(
             1.5 * DISTANT_REACH, 4.0 * float(far.scale.max(initial=0.0))
         )  # its corners count
         for row in np.unique(far.objects).tolist():
-            thing = asked.things[row]
+            thing = shard_query.rare_objects[row]
             center = np.broadcast_to(thing.center, (len(cores), 2))
             near |= distance(center, cores) <= reach + thing.extent
         return near

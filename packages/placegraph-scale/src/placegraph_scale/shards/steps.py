@@ -166,10 +166,10 @@ class ShardQuery:
     """A query against the whole world, as every shard gets it."""
 
     query: Query
-    """Its tokens are those of the world, its rare objects rows of `things`."""
+    """Its tokens are those of the world, its rare objects rows of `rare_objects`."""
     words: tuple[str, ...]
     """Text of each of its tokens (`WordTable.text`)."""
-    things: tuple[RareObject, ...]
+    rare_objects: tuple[RareObject, ...]
     viewpoints: int
     """Of the world."""
     fix: Fix | None
@@ -208,11 +208,11 @@ class Proposal(NamedTuple):
     scored: tuple[NDArray[np.int64], CandidateScores] | None = None
     """Rows of candidates (J,) that were scored already, and their scores."""
 
-    def part(self, kept: NDArray[np.int64]) -> Proposal:
+    def part(self, rows: NDArray[np.int64]) -> Proposal:
         """Return some of the candidates."""
         return self._replace(
-            rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
-            log_prior=self.log_prior[kept], multiplicity=self.multiplicity[kept], scored=None,
+            rows=self.rows[rows], bounds=self.bounds[rows], far=self.far[rows],
+            log_prior=self.log_prior[rows], multiplicity=self.multiplicity[rows], scored=None,
         )  # fmt: skip
 
     def candidates(self, statements: int) -> Candidates:
@@ -275,19 +275,21 @@ class Shard:
         """Tokens by text."""
         return {word: i for i, word in enumerate(self.texts)}
 
-    def request(self, asked: ShardQuery) -> Request:
+    def request(self, shard_query: ShardQuery) -> Request:
         """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints."""
-        if asked.key not in self.requests:
+        if shard_query.key not in self.requests:
             prior = np.full(len(self.inside), -np.inf)
-            if asked.fix is None:
-                prior[self.inside] = -np.log(asked.viewpoints)
+            if shard_query.fix is None:
+                prior[self.inside] = -np.log(shard_query.viewpoints)
             else:
-                prior[self.inside] = _log_prior(self, asked.fix) - asked.fix.norm
+                prior[self.inside] = _log_prior(self, shard_query.fix) - shard_query.fix.norm
             inside = partial(_holds, self.city.plane, self.key)  # not the shard, which holds this
-            city, query = _translate(self, asked)
+            city, query = _translate(self, shard_query)
             self.requests.clear()
-            self.requests[asked.key] = Request(city, query, _GivenPrior(inside=inside, given=prior))
-        return self.requests[asked.key]
+            self.requests[shard_query.key] = Request(
+                city, query, _GivenPrior(inside=inside, given=prior)
+            )
+        return self.requests[shard_query.key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,10 +323,10 @@ def _log_prior(shard: Shard, fix: Fix) -> Floats:
     return np.asarray(-0.5 * (((positions - near) / sigma) ** 2).sum(axis=1))
 
 
-def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
+def _translate(shard: Shard, shard_query: ShardQuery) -> tuple[City, Query]:
     """Return city and query with one another's tokens and objects."""
-    query = asked.query
-    rows = np.array([shard.tokens.get(word, -1) for word in asked.words], np.int32)
+    query = shard_query.query
+    rows = np.array([shard.tokens.get(word, -1) for word in shard_query.words], np.int32)
     known = rows >= 0
     before = np.concatenate(([0], np.cumsum(known))).astype(np.int64)
     mentions = MentionTokens(
@@ -334,7 +336,7 @@ def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
     city: City = shard.city
     if far is not None:
         reach = 4.0 * float(far.scale.max(initial=0.0))
-        city, at = add_objects(city, asked.things, shard.key, reach)
+        city, at = add_objects(city, shard_query.rare_objects, shard.key, reach)
         there = at[far.objects] >= 0
         before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
         anchors = at[far.anchors]
@@ -346,7 +348,7 @@ def _translate(shard: Shard, asked: ShardQuery) -> tuple[City, Query]:
 
 
 def add_objects(
-    city: City, things: Sequence[RareObject], key: str, reach: float
+    city: City, rare_objects: Sequence[RareObject], key: str, reach: float
 ) -> tuple[City, NDArray[np.int64]]:
     """Add the objects that a city lacks, where any lies within `reach` [m] of its core.
 
@@ -354,9 +356,9 @@ def add_objects(
     are there, since how many a mention has decides how it is understood. Added objects are in nobody's
     sight; one speaks of them from afar.
     """
-    o, rows = city.objects, np.full(len(things), -1, np.int64)
-    where = {(t.osm_type, t.osm_id): k for k, t in enumerate(things)}
-    wanted = np.array([t.osm_id for t in things], np.int64)
+    o, rows = city.objects, np.full(len(rare_objects), -1, np.int64)
+    where = {(t.osm_type, t.osm_id): k for k, t in enumerate(rare_objects)}
+    wanted = np.array([t.osm_id for t in rare_objects], np.int64)
     for row in np.flatnonzero(np.isin(o.osm_id, wanted)).tolist():
         k = where.get((int(o.osm_type[row]), int(o.osm_id[row])))
         if k is not None and rows[k] < 0:
@@ -365,12 +367,12 @@ def add_objects(
     core = np.array([tile_bounds(key)])
     near = any(
         float(distance(t.center[None], core)[0]) <= reach + t.extent
-        for t in (things[k] for k in lacks.tolist())
+        for t in (rare_objects[k] for k in lacks.tolist())
     )
-    if not len(lacks) or not (near or len(lacks) < len(things)):
+    if not len(lacks) or not (near or len(lacks) < len(rare_objects)):
         return city, rows
     rows[lacks] = len(o) + np.arange(len(lacks))
-    objects = _append(o, [things[k] for k in lacks.tolist()], city.plane)
+    objects = _append(o, [rare_objects[k] for k in lacks.tolist()], city.plane)
     made = replace(city, objects=objects)
     made.__dict__["_views"] = city.views
     made.__dict__["columns"] = columns_of(objects, city.tokens)
@@ -392,31 +394,31 @@ def distance(lonlat: Floats, cores: Floats) -> Floats:
     return found
 
 
-def _append(o: CityObjects, things: Sequence[RareObject], plane: LocalPlane) -> CityObjects:
+def _append(o: CityObjects, rare_objects: Sequence[RareObject], plane: LocalPlane) -> CityObjects:
     """Return objects of a city with more of them."""
 
     def extend(starts: NDArray[np.int32], counts: NDArray[np.generic]) -> NDArray[np.int32]:
         return np.append(starts, starts[-1] + np.cumsum(counts)).astype(starts.dtype)
 
-    parts = [plane.to_plane(part) for thing in things for part in thing.parts]
-    centers = plane.to_plane(np.array([thing.center for thing in things]))
-    named = np.array([bool(thing.name) for thing in things])
-    n = len(things)
+    parts = [plane.to_plane(part) for thing in rare_objects for part in thing.parts]
+    centers = plane.to_plane(np.array([thing.center for thing in rare_objects]))
+    named = np.array([bool(thing.name) for thing in rare_objects])
+    n = len(rare_objects)
     return replace(
         o,
-        osm_type=np.append(o.osm_type, [t.osm_type for t in things]).astype(o.osm_type.dtype),
-        osm_id=np.append(o.osm_id, [t.osm_id for t in things]),
-        kind=np.append(o.kind, [t.kind for t in things]).astype(o.kind.dtype),
+        osm_type=np.append(o.osm_type, [t.osm_type for t in rare_objects]).astype(o.osm_type.dtype),
+        osm_id=np.append(o.osm_id, [t.osm_id for t in rare_objects]),
+        kind=np.append(o.kind, [t.kind for t in rare_objects]).astype(o.kind.dtype),
         label_starts=extend(o.label_starts, np.ones(n, np.int32)),
         label_values=np.append(o.label_values, len(o.labels) + np.arange(n)).astype(np.int32),
         name_starts=extend(o.name_starts, named),
         name_values=np.append(o.name_values, len(o.names) + np.arange(named.sum())).astype(np.int32),
-        part_starts=extend(o.part_starts, np.array([len(thing.parts) for thing in things])),
+        part_starts=extend(o.part_starts, np.array([len(thing.parts) for thing in rare_objects])),
         point_starts=extend(o.point_starts, np.array([len(part) for part in parts])),
         points=np.concatenate([o.points, *parts]).astype(np.float32),
         center=np.concatenate([o.center, centers]).astype(np.float32),
-        labels=(*o.labels, *(t.label for t in things)),
-        names=(*o.names, *(t.name for t in things if t.name)),
+        labels=(*o.labels, *(t.label for t in rare_objects)),
+        names=(*o.names, *(t.name for t in rare_objects if t.name)),
     )  # fmt: skip
 
 
@@ -439,7 +441,7 @@ def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
     ]  # fmt: skip
 
 
-def weigh(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
+def weigh_fix(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
     """Return the largest and total log weight of a fix in the core, and whether it reaches any viewpoint."""
     off = _log_prior(shard, fix)
     if not len(off):
@@ -450,20 +452,20 @@ def weigh(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
     return float(off.max()), float(np.logaddexp.reduce(off)), reached
 
 
-def propose(shard: Shard, asked: ShardQuery, least: float, drawn: int) -> Proposal:
+def propose(shard: Shard, shard_query: ShardQuery, least: float, drawn: int) -> Proposal:
     """Propose the most promising viewpoints of the core.
 
     `least` is the log of a bound times the prior from which on they count; `drawn` stand for all others.
     """
-    request = shard.request(asked)
+    request = shard.request(shard_query)
     prior = request.log_prior
-    highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
+    highest, n = float(prior.max(initial=-np.inf)), len(shard_query.query.used)
     none = np.zeros(0)
     found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
     if highest > -np.inf:
         found = find_candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
     rows, far = found.rows, found.distant
-    if asked.query.distant is None:
+    if shard_query.query.distant is None:
         far = far[:, :0]
     origin = shard.city.plane.longitude, shard.city.plane.latitude
     return Proposal(
@@ -471,39 +473,41 @@ def propose(shard: Shard, asked: ShardQuery, least: float, drawn: int) -> Propos
     )
 
 
-def compare(shard: Shard, asked: ShardQuery, chosen: Proposal) -> CandidateScores:
+def compare(shard: Shard, shard_query: ShardQuery, chosen: Proposal) -> CandidateScores:
     """Score candidates."""
-    some = chosen.candidates(len(asked.query.used))
-    scores = score_of(shard.request(asked), some, NO_MARGIN).scores.astype(np.float64)
+    some = chosen.candidates(len(shard_query.query.used))
+    scores = score_of(shard.request(shard_query), some, NO_MARGIN).scores.astype(np.float64)
     return CandidateScores(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
 
 
-def look(shard: Shard, asked: ShardQuery, chosen: Proposal) -> tuple[Floats, Floats]:
+def refine_positions(
+    shard: Shard, shard_query: ShardQuery, chosen: Proposal
+) -> tuple[Floats, Floats]:
     """Look more closely around candidates; as `score_around`."""
-    some = chosen.candidates(len(asked.query.used))
-    return score_around(shard.request(asked), some.rows, some.distant)
+    some = chosen.candidates(len(shard_query.query.used))
+    return score_around(shard.request(shard_query), some.rows, some.distant)
 
 
 def explain(
-    shard: Shard, asked: ShardQuery, lonlats: list[tuple[float, float]]
+    shard: Shard, shard_query: ShardQuery, lonlats: list[tuple[float, float]]
 ) -> list[tuple[Evidence, ...]]:
     """Return the evidence for and against places [deg]."""
-    request = shard.request(asked)
+    request = shard.request(shard_query)
     places = map(shard.city.plane.to_plane, lonlats)
     return [find_evidence(at, request.city, request.query) for at in places]
 
 
 def score_buildings(
-    shard: Shard, asked: ShardQuery, buildings: list[Floats]
+    shard: Shard, shard_query: ShardQuery, buildings: list[Floats]
 ) -> list[BuildingScore | None]:
     """Score buildings by their corners (4, 2) [deg]; None for those off the map."""
-    scorer = BuildingScorer(shard.city, shard.request(asked))
+    scorer = BuildingScorer(shard.city, shard.request(shard_query))
     return [scorer.score(corners) for corners in buildings]
 
 
-def ask(shard: Shard, found: CityEstimate) -> Question | None:
+def ask(shard: Shard, estimate: CityEstimate) -> Question | None:
     """Return the question that tells the modes of an estimate apart."""
-    return shard.city.ask(found)
+    return shard.city.ask(estimate)
 
 
 def name_cells(shard: Shard, lonlats: list[tuple[float, float]]) -> list[str]:
@@ -512,7 +516,7 @@ def name_cells(shard: Shard, lonlats: list[tuple[float, float]]) -> list[str]:
 
 
 STEPS: dict[str, Callable[..., Any]] = {
-    "gather": gather, "weigh": weigh, "propose": propose, "compare": compare, "look": look,
+    "gather": gather, "weigh": weigh_fix, "propose": propose, "compare": compare, "look": refine_positions,
     "explain": explain, "name": name_cells, "judge": score_buildings, "ask": ask,
 }  # fmt: skip
 """Steps that can be asked for, by name."""

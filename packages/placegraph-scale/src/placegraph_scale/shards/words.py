@@ -315,7 +315,7 @@ class WorldNames(NameIndex):
 
     @cached_property
     def _postings(self) -> Mapping[str, Sequence[str]]:
-        """What names with a word are called, in the order of the names."""
+        """Names by each of their words, in order."""
 
         def find(word: str) -> Sequence[str] | None:
             found, by = self._entries(word), self.columns["postings"]
@@ -534,7 +534,7 @@ class WordTable:
 
 
 def write_table(
-    path: Path, found: Iterable[WordCounts], scratch: Path, at_once: int = AT_ONCE
+    path: Path, shards: Iterable[WordCounts], scratch: Path, at_once: int = AT_ONCE
 ) -> None:
     """Write the table of shards in this order, in one step; raises `MapError` where that fails.
 
@@ -544,18 +544,18 @@ def write_table(
     shutil.rmtree(scratch, ignore_errors=True)
     try:
         scratch.mkdir()
-        _write_table(path, found, scratch, at_once)
+        _write_table(path, shards, scratch, at_once)
     except OSError as error:
         raise write_error(scratch, error) from error
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _write_table(path: Path, found: Iterable[WordCounts], scratch: Path, at_once: int) -> None:
+def _write_table(path: Path, shards: Iterable[WordCounts], scratch: Path, at_once: int) -> None:
     made, words = ColumnFiles(scratch / "entries"), TextSorter(scratch / "words", at_once)
     of_shards: dict[str, list[float]] = {name: [] for name in OF_SHARDS}
     entries = 0
-    for i, c in enumerate(found):
+    for i, c in enumerate(shards):
         here = (c.objects > 0) | (c.mass > 0.0)
         numbers = (entries + np.cumsum(here) - 1).tolist()
         texts = chain((f"0{label}" for label in c.labels), (f"1{name}" for name in c.names))

@@ -50,7 +50,7 @@ class Failure(NamedTuple):
 
 
 class ShardSource(NamedTuple):
-    """Where a shard lies, and which file it is."""
+    """Core and file of a shard."""
 
     key: str
     path: Path
@@ -212,7 +212,7 @@ class Cluster:
     """All shards of the world."""
     _there: list[str] = field(default_factory=list)
     """Workers when they were last asked for ..."""
-    _seen: float = 0.0
+    _checked: float = 0.0
     """... and when that was [s]."""
     _ready: set[str] = field(default_factory=set)
     """Workers that have the handler."""
@@ -228,20 +228,20 @@ class Cluster:
         """Return results by row; `ServiceError` where the scheduler or all workers are gone."""
         if self.client.status == "closed":  # the scheduler went away, and may have come again
             self.client = connect(self.address, TIMEOUT)
-            self._seen = 0.0
+            self._checked = 0.0
         work = _Dispatch(self, tasks, deadline)
         self.client.sync(work.do)
-        return work.found
+        return work.results
 
     async def workers(self, age: float = LOOK) -> list[str]:
         """Return addresses of all workers that are there now, or were no longer ago [s]."""
-        if monotonic() - self._seen >= age:
+        if monotonic() - self._checked >= age:
             with _expecting_answer(self.address):
                 if self.client.scheduler is None:  # it is being left
                     raise OSError("the connection is closed")
                 scheduler: Any = self.client.scheduler
                 found = await scheduler.identity()
-            self._there, self._seen = sorted(found["workers"]), monotonic()
+            self._there, self._checked = sorted(found["workers"]), monotonic()
         return self._there
 
     async def ask(self, worker: str, tasks: list[ShardTask], seconds: float | None) -> list[Any]:
@@ -277,7 +277,7 @@ class _Dispatch:
     cluster: Cluster
     tasks: Sequence[ShardTask]
     deadline: float | None
-    found: dict[int, Any] = field(default_factory=dict)
+    results: dict[int, Any] = field(default_factory=dict)
     ends: Counter[int] = field(default_factory=Counter)
     """How many workers ended at a task; if any did, each is tried alone."""
     gone: set[str] = field(default_factory=set)
@@ -286,14 +286,14 @@ class _Dispatch:
     async def do(self) -> None:
         """Do all that can be done in time."""
         age, since = LOOK, monotonic()
-        while self.left() > 0.0 and len(self.found) < len(self.tasks):
+        while self.left() > 0.0 and len(self.results) < len(self.tasks):
             there = [w for w in await self.cluster.workers(age) if w not in self.gone]
             age = 0.0
             if not there:
                 await self._wait(monotonic() - since)
                 continue
             of, whose = dict[str, list[int]](), self.cluster.shares(tuple(there))
-            for row in (row for row in range(len(self.tasks)) if row not in self.found):
+            for row in (row for row in range(len(self.tasks)) if row not in self.results):
                 of.setdefault(whose[self.tasks[row].source.key], []).append(row)
             await asyncio.gather(*(self._by(worker, rows) for worker, rows in of.items()))
             since = monotonic()
@@ -321,7 +321,7 @@ class _Dispatch:
             except OSError as error:
                 self.gone.add(worker)
                 self.ends.update(part)
-                self.found |= {
+                self.results |= {
                     row: Failure(
                         f"{self.tasks[row].source.path}: every worker that opened it ended ({error}); "
                         "give workers more memory."
@@ -329,10 +329,10 @@ class _Dispatch:
                     for row in part if self.ends[row] >= ENDS
                 }  # fmt: skip
                 return
-            self.found |= zip(part, results, strict=False)  # fewer where it was late
+            self.results |= zip(part, results, strict=False)  # fewer where it was late
 
     async def _ask(self, worker: str, tasks: list[ShardTask]) -> list[Any]:
-        """As `Cluster.ask`; nothing where the time is over, `OSError` where the worker is gone."""
+        """Ask a worker; return nothing once the time is over, raise `OSError` if the worker is gone."""
         seconds = None if self.deadline is None else BEGIN * max(0.0, self.left())
         call = asyncio.ensure_future(self.cluster.ask(worker, tasks, seconds))
         try:
@@ -366,17 +366,17 @@ def _prepare(dask_worker: Worker) -> None:
     """Give a worker the handler that does steps."""
     cache = ShardCache()
 
-    def work(told: bytes) -> bytes:
+    def work(message: bytes) -> bytes:
         from distributed.protocol.pickle import dumps, loads
 
-        tasks, seconds = loads(told)
+        tasks, seconds = loads(message)
         deadline = None if seconds is None else monotonic() + seconds
         return bytes(dumps(cache.work(tasks, deadline)))
 
     async def do(
-        told: bytes,
+        message: bytes,
     ) -> bytes:  # in a thread, so that the worker goes on to say it is there
-        return await asyncio.to_thread(work, told)
+        return await asyncio.to_thread(work, message)
 
     dask_worker.handlers.setdefault(_STEPS, do)
 
