@@ -38,7 +38,7 @@ def test_no_shard_weighs_more_than_its_bound(sharded, monkeypatch):
                 one.add(row, proposed)
             one.drawn = 1 << 20
             self._compare(one, one.list_unscored(one.drawn))
-            weights, _ = one._others()
+            weights, _ = one._represented()
             seen.append((np.logaddexp.reduce([one.weight, *weights]), self.reach[row]))
         return found
 

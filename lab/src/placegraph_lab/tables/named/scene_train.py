@@ -90,7 +90,7 @@ def scene_train(
     start, busy = perf_counter(), process_time()
     worlds = draw_homes(homes, seed=seed, frames=frames)
     weights = train(
-        worlds, work / "trained.safetensors", folder=work, held=held, options=options,
+        worlds, work / "trained.safetensors", folder=work, held_out=held, options=options,
         device="cpu", progress=EpochLines(run.log),
     )  # fmt: skip
     seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}

@@ -251,11 +251,11 @@ class Cluster:
         rpc = self.client.rpc(worker)
         batch, answer = dumps((tasks, seconds)), None
         if worker in self._ready:
-            answer = await getattr(rpc, _STEPS)(told=batch)
+            answer = await getattr(rpc, _STEPS)(message=batch)
         if answer is None:  # it is new, or another one at the same address
             await rpc.run(function=dumps(_prepare))
             self._ready.add(worker)
-            answer = await getattr(rpc, _STEPS)(told=batch)
+            answer = await getattr(rpc, _STEPS)(message=batch)
         found: list[Any] = loads(answer)
         return found
 
