@@ -110,7 +110,7 @@ def test_what_holds_is_what_was_said_of_what_is_there(pool, paired):
     places, _, batch = paired
     there = make_place_batch(places, np.arange(len(places))).relations
     spoken = batch.spoken.astype(bool)
-    said = batch.said[..., : len(CHANNELS)]
+    said = batch.channels[..., : len(CHANNELS)]
     assert spoken.sum(1).tolist() == np.diff(pool.texts.edge_starts)[batch.text].tolist()
     assert np.allclose(batch.holds, np.einsum("psr,prij->psij", said, there), atol=1e-6)
     assert not batch.holds[~spoken].any()
@@ -133,7 +133,7 @@ def test_the_literal_reading_ends_in_a_likelihood_ratio(paired):
     for p in range(len(batch.text)):
         things = places.starts[p + 1] - places.starts[p]
         for s in np.flatnonzero(batch.spoken[p]):
-            ends, said = batch.ends[p, s], batch.said[p, s]
+            ends, said = batch.ends[p, s], batch.channels[p, s]
             a, b = batch.agreement[p, ends]
             held = a @ batch.holds[p, s] @ b
             chance = (said[:-1] * CHANNEL_CHANCE).sum() * np.exp(

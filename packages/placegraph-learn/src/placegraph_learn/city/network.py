@@ -194,7 +194,7 @@ class Cross(nn.Module):
         self.statements = shape.statements
         if shape.statements:
             self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
-            self.channels = nn.Linear(shape.evidence, 2 * d, bias=False)
+            self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
             self.verdict = nn.Linear(shape.evidence, 2, bias=False)
             nn.init.zeros_(self.verdict.weight)
         self.norm_text, self.norm_place = nn.LayerNorm(d), nn.LayerNorm(d)
@@ -252,7 +252,7 @@ class Cross(nn.Module):
         features = torch.cat([held, there, ratio, pairs.literal, pairs.channels, rare], -1)
         evidence = F.relu(self.evidence(features)) * pairs.spoken[..., None]
         verdict = self.verdict(evidence).sum(1)
-        to_source, to_target = self.channels(evidence).chunk(2, -1)
+        to_source, to_target = self.said(evidence).chunk(2, -1)
         heard = weights.new_zeros(p, n, to_source.shape[-1])
         for end, message in ((0, to_source), (1, to_target)):
             index = pairs.ends[..., end, None].expand_as(message)
@@ -263,14 +263,14 @@ class Cross(nn.Module):
 class Network(nn.Module):
     """Graph encoders of both sides, and the joint model (Eq. 9-19).
 
-    `vector_size` is the length of the word vectors that stand for words; 0 where there are none.
+    `known` is the length of the word vectors that stand for words; 0 where there are none.
     """
 
-    def __init__(self, shape: Shape, vector_size: int = 0) -> None:
+    def __init__(self, shape: Shape, known: int = 0) -> None:
         super().__init__()
         self.shape = shape
-        if vector_size:
-            self.meaning = nn.Linear(vector_size, shape.width, bias=False)
+        if known:
+            self.meaning = nn.Linear(known, shape.width, bias=False)
         self.table = nn.Parameter(torch.randn(BUCKETS, shape.width) * shape.width**-0.5)
         self.text, self.place = Side(2, shape), Side(7, shape)
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))
