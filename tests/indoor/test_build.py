@@ -111,9 +111,6 @@ def test_bad_options(options, says, ply, tmp_path):
     assert not (tmp_path / "a.scene").exists()
 
 
-# --- what is in the mesh ---
-
-
 def test_no_triangle(boxes, ply):
     with pytest.raises(InputError, match="is empty; a scene map needs a mesh"):
         scene_of_model(boxes({}))
@@ -231,9 +228,6 @@ def test_a_million_small_triangles(boxes, side):
     np.testing.assert_allclose(fewer.bounds, scene.bounds, atol=0.01)
 
 
-# --- textures ---
-
-
 def encoded(array, form="PNG", **options):
     file = io.BytesIO()
     Image.fromarray(np.asarray(array, np.uint8)).save(file, form, **options)
@@ -314,9 +308,6 @@ def test_light_and_srgb_are_inverse():
     steps = np.arange(256) / 255.0
     np.testing.assert_allclose(srgb_from_linear(linear_from_srgb(steps)), steps, atol=1e-9)
     assert linear_from_srgb(np.array([0.5]))[0] == pytest.approx(0.21404114)
-
-
-# --- the shared house, as it is ---
 
 
 @pytest.fixture(scope="module")

@@ -57,9 +57,6 @@ def hall(boxes):
     return points, triangles
 
 
-# --- units, axes, places ---
-
-
 @pytest.mark.parametrize(
     ("factor", "says"),
     [
@@ -113,9 +110,6 @@ def test_what_is_wide_or_far_is_told(ply, room):
     assert "exact to 2 mm" in notes[0]
     with pytest.raises(InputError, match=r"room\.ply reaches 5e\+05 m from its origin"):
         build_scene(ply(room.vertices + np.array([5e5, 0, 0])), None)
-
-
-# --- what a mesh may hold ---
 
 
 def test_numbers_that_are_none(ply, room):
@@ -179,9 +173,6 @@ def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
     assert (scene.bounds[0] >= used.min(axis=0) - slack).all()
     assert (scene.bounds[1] <= used.max(axis=0) + slack).all()
     assert len(scene) == len(set(soup.thing_of.tolist()))
-
-
-# --- files ---
 
 
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".glb", ".json"])
@@ -263,9 +254,6 @@ def test_interrupted_builds_leave_the_old_map(error, ply, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["room.ply", "room.scene"]
     build_scene(path, out, floor=1.0)
     assert out.read_bytes() != before, "the lock is free"
-
-
-# --- captures ---
 
 
 def test_captures_that_show_too_little(walk):

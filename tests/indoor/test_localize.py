@@ -70,9 +70,6 @@ def same(a, b):
         assert one.probability == other.probability
 
 
-# ---------------------------------------------------------------------------------- cues
-
-
 @pytest.mark.parametrize(
     "cues",
     [
@@ -92,7 +89,6 @@ def test_each_cue_finds_the_pose(cues, room, walk, truth):
 
 
 def test_colours_alone_are_not_believed_too_soon(room, walk, truth):
-    """Small, noisy pictures of one room: whatever is found, `OK` must mean it."""
     honest(room.localize(walk, options=OPTIONS.only(colour=True)), truth(walk)[-1])
 
 
@@ -134,9 +130,6 @@ def test_an_encoder_that_says_nothing_does_no_harm(room, walk, truth):
     right(room.localize(walk, frames=[1, 3, 4], encoder=Mute()), truth(walk)[4])
 
 
-# -------------------------------------------------------------------------------- answers
-
-
 TOLD = []
 RECORDED = FilterOptions(record=True)
 
@@ -150,7 +143,6 @@ def answer(room, walk):
 
 
 def test_the_answer_is_whole(answer, room, walk, truth):
-    """Pose, covariance, probability, trajectory and evidence fit each other."""
     true = truth(walk)
     right(answer, true[5], 0.1, 2.0)
     assert answer.status is Status.OK
@@ -228,9 +220,6 @@ def test_progress_was_told(answer):
     assert filtering == [(i + 1, total) for i in range(total)]
 
 
-# --------------------------------------------------------------- what must not be looked at
-
-
 def copied(capture, folder, leave=()):
     """Capture copied to another folder, without some of its files."""
     shutil.copytree(capture.path, folder, ignore=shutil.ignore_patterns(*leave))
@@ -238,7 +227,6 @@ def copied(capture, folder, leave=()):
 
 
 def test_the_truth_is_not_looked_at(room, walk, tmp_path):
-    """Without trajectory.tum, and with a false one, every number is the same."""
     blind = copied(walk, tmp_path / "blind", ["trajectory.tum"])
     assert not (blind.path / "trajectory.tum").exists()
     expected = room.localize(walk, frames=TWO)
@@ -248,7 +236,6 @@ def test_the_truth_is_not_looked_at(room, walk, tmp_path):
 
 
 def test_the_odometrys_frame_does_not_matter(room, walk, truth):
-    """Odometry begins anywhere, at any slant: only its steps count, and gravity."""
     slant = np.eye(4)
     slant[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # the map's up is the odometry's y
     slant[:3, 3] = (30, -20, 5)
@@ -278,9 +265,6 @@ def test_the_map_is_only_read(room_world, walk):
     assert estimate.best
     assert hashlib.sha256(path.read_bytes()).digest() == before
     assert [hashlib.sha256(c.tobytes()).digest() for c in columns] == held
-
-
-# --------------------------------------------------------------------------------- frames
 
 
 def test_frames_by_slice_list_or_capture(room, walk, truth):
@@ -325,7 +309,6 @@ def test_one_frame(room, walk, truth):
 
 
 def test_keyframes(room, walk, truth):
-    """At 5 Hz, one frame in 0.5 s; the last is always among them."""
     estimate = room.localize(walk, options=PoseSearchOptions(every=0.5))
     assert estimate.frames.tolist() == [0, 3, 6, 9]
     right(estimate, truth(walk)[9])
@@ -334,9 +317,6 @@ def test_keyframes(room, walk, truth):
     assert by_way.frames[-1] == 9
     assert 2 < len(by_way.frames) < 10
     right(by_way, truth(walk)[9])
-
-
-# ---------------------------------------------------------------------------------- prior
 
 
 def test_a_prior_saves_the_search(room, walk, truth):
@@ -348,14 +328,10 @@ def test_a_prior_saves_the_search(room, walk, truth):
 
 
 def test_a_prior_that_is_wrong_is_not_believed(flat, flat_walk, truth):
-    """The camera was in another room than the prior says."""
     pose, _ = split_pose(truth(flat_walk)[0])
     far = max(flat.visibility(OPTIONS).positions, key=lambda p: np.linalg.norm(p[:2] - pose[:2]))
     estimate = flat.localize(flat_walk, frames=FIVE, prior=Prior(*far[:2], spread=0.3))
     honest(estimate, truth(flat_walk)[4])
-
-
-# ------------------------------------------------------------------------- honest failures
 
 
 @pytest.mark.parametrize(
@@ -370,7 +346,6 @@ def test_a_prior_that_is_wrong_is_not_believed(flat, flat_walk, truth):
     ids="+".join,
 )
 def test_a_capture_of_another_place_is_not_ok(cues, room, flat, walk):
-    """A walk in the single room, on the map of the flat: its walls, desks and chairs are others."""
     options = OPTIONS.only(**cues)
     # objects of another map have no ids in this one, but labels
     encoder = Classes(room, flat)
@@ -399,14 +374,12 @@ def test_a_capture_of_a_larger_place_is_not_ok(room, flat_walk):
 
 @pytest.mark.parametrize("height", [0.3, 2.2])
 def test_a_camera_at_any_height(height, room, room_world, render, truth):
-    """A cleaning robot, a raised hand: nobody is asked."""
     walk = render(room_world, f"at {height}", 3, through="123", frames=6, height=height)
     right(room.localize(walk), truth(walk)[-1], 0.1, 2.0)
 
 
 @pytest.mark.all
 def test_a_height_that_frames_leave_open(room, room_world, render, truth):
-    """Near frames of one wall fit at another height nearly as well: right, or not believed."""
     walk = render(room_world, "at 0.9", 3, through="123", frames=6, height=0.9)
     found = [room.localize(walk, seed=seed) for seed in range(4)]
     for estimate in found:
@@ -425,9 +398,6 @@ def test_a_map_of_one_giant_triangle(walk):
     estimate = scene.localize(walk, frames=TWO, options=PoseSearchOptions(spacing=30.0))
     assert estimate.status is not Status.OK
     json.dumps(estimate.to_dict(), allow_nan=False)
-
-
-# ------------------------------------------------------------------------------- bad input
 
 
 def rebuilt(capture, **change):
@@ -512,9 +482,6 @@ def test_devices_that_are_none(device, room, walk):
         room.localize(walk, frames=FIVE, device=device)
 
 
-# ---------------------------------------------------------------------------- other recipes
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -556,8 +523,6 @@ def test_the_last_pass_at_full_resolution(room, walk, truth):
 
 
 def test_the_recipes_do_not_ask_the_table(room, walk, monkeypatch):
-    """Where a start is uniform its panoramas say which cells are free, and no more."""
-
     def ranks(*_):
         raise AssertionError
 
@@ -575,9 +540,6 @@ def test_labels_alone_are_judged_by_ratios(room, walk, truth):
     estimate = room.localize(walk, frames=FIVE, options=options, refine=False)
     assert estimate.status is not Status.LOST, estimate.reason
     right(estimate, truth(walk)[4], 0.8, 10.0)  # of any height
-
-
-# ------------------------------------------------------------------------------ many scenes
 
 
 @pytest.fixture(scope="module")
@@ -598,9 +560,6 @@ def test_the_right_scene_of_many(name, building, walk, flat_walk, truth):
     np.testing.assert_allclose(into @ best.map_from_camera, best.scene_from_camera, atol=1e-9)
 
 
-# ------------------------------------------------------------------------- shared real data
-
-
 @pytest.fixture(scope="module")
 def house(shared, tmp_path_factory):
     folder = tmp_path_factory.mktemp("house")
@@ -608,7 +567,6 @@ def house(shared, tmp_path_factory):
 
 
 def test_the_shared_house(house, shared, truth):
-    """Five frames of a sequence, from anywhere in the house."""
     capture = open_capture(shared / "data/house/seq00")
     estimate = house.localize(capture, frames=slice(5, 10))
     assert estimate.status is Status.OK, estimate.reason
@@ -618,6 +576,5 @@ def test_the_shared_house(house, shared, truth):
 
 @pytest.mark.all
 def test_the_shared_office_is_not_in_the_house(house, shared):
-    """Real frames of a place that this map does not have, with depth and colours."""
     office = open_capture(shared / "data/office")
     honest(house.localize(office, frames=slice(0, 10, 3)))

@@ -29,7 +29,6 @@ def modules_of(work):
 
 
 def test_a_window_passes_few_modules(room, walk):
-    """Map, capture and libraries are warm, as where many windows are localized."""
     room.localize(walk)
     estimate, modules = modules_of(lambda: room.localize(walk))
     assert estimate.status is Status.OK

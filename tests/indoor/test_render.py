@@ -19,12 +19,7 @@ from placegraph.core.geometry import (
 from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.render import (
-    SAMPLES,
-    Renderer,
-    camera_rays,
-    render,
-)
+from placegraph.indoor.render import SAMPLES, Renderer, camera_rays, render
 from placegraph.indoor.scene_map import SceneMap
 
 CAMERA = Camera(64, 48, 50.0, 52.0, 31.0, 25.0)
@@ -72,9 +67,6 @@ def same(one, other):
         np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
         for a, b in zip(vars(one).values(), vars(other).values(), strict=True)
     )
-
-
-# --- geometry ---
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -50.0])
@@ -161,9 +153,6 @@ def test_nothing_to_see(room):
     assert low[0] < high[0]
 
 
-# --- colours ---
-
-
 def test_colours_of_corners_are_blended():
     scene = scene_of(WALL)
     vertices = scene.mesh.vertices
@@ -217,9 +206,6 @@ def test_stripes_stay_on_a_slope():
     assert np.abs(drawn.colour[clear][:, 0] - side[clear].astype(float)).max() < 30
 
 
-# --- edges ---
-
-
 def _before_a_wall():
     tilt = 0.2
     scene = scene_of(WALL, ((2, -1.5, -8), (0, -9, 0), (0, 16 * tilt, 16), BLACK))
@@ -264,9 +250,6 @@ def test_where_the_map_ends_nothing_is_mixed_in():
     blue = drawn.colour[drawn.mask][:, 2]
     assert ((blue > 60) & (blue < 240)).any()
     assert (drawn.colour[drawn.mask][:, :2] == (200, 100)).all()
-
-
-# --- threads, cameras, refusals ---
 
 
 def test_threads_draw_the_same(room, walk, truth):

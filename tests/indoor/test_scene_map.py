@@ -144,9 +144,6 @@ def test_what_does_not_fit_is_refused(change, says):
         SceneMap.create(mesh, options.pop("ids"), options.pop("labels"), **options)
 
 
-# --- files that are not sound ---
-
-
 @pytest.fixture
 def forge(scene, tmp_path):
     """Write the map's own columns, some of them replaced, with good checksums."""
@@ -250,7 +247,6 @@ def test_attributes_and_textures_that_make_no_sense(forge):
 
 
 def test_textures_that_would_fill_memory_are_not_decoded(file, monkeypatch):
-    """One colour takes few bytes, in however many pictures."""
     pg.open_map(file)
     monkeypatch.setattr(textures, "FREE_PIXELS", 0)
     monkeypatch.setattr(textures, "PIXELS_A_BYTE", 0)
@@ -290,7 +286,6 @@ def test_a_city_is_no_scene(tmp_path):
 
 
 def test_opening_is_light(file):
-    """No compiler, no ray caster, no city: a command starts quickly."""
     code = "import sys, placegraph; placegraph.open_map(sys.argv[1]); print(*sys.modules)"
     done = subprocess.run(  # noqa: S603  # our own interpreter and code
         [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True

@@ -51,7 +51,6 @@ def test_all_agrees():
     ],
 )
 def test_fewer_cues_can_be_enough(cue):
-    """Where no more was there to be compared; but all of it at its worst is never enough."""
     agreed = replace(GOOD, **cue)
     assert decide_fit(agreed, modes(1.0), TOLD)[0] is Status.OK
     worst = {
@@ -79,7 +78,6 @@ def test_what_cannot_be_is_lost(change, says):
 
 
 def test_a_wall_and_a_floor_are_no_place():
-    """Labels alone must be those of several objects: large ones are seen everywhere."""
     few = np.where(np.arange(8) < 2, 5.0, 0.0)
     agreed = replace(GOOD, depth=math.nan, colour=math.nan, weights=few)
     answer, reason = decide_fit(agreed, modes(1.0), TOLD)
@@ -124,7 +122,6 @@ maybe = st.one_of(st.just(math.nan), shares)
     shares,
 )  # fmt: skip
 def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread, what, more):
-    """Each number raised by itself, the others as they are."""
     before = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
     if what == "probability":
         probability += more * (1 - probability)
@@ -165,7 +162,6 @@ def test_images_alone_must_be_clear(colour, status):
 
 @pytest.mark.parametrize("weights", [np.zeros(8), np.r_[5.0, np.zeros(7)]])
 def test_a_bare_wall_has_no_cliff(weights):
-    """Log odds grow with what colours tell, in small steps; one label lifts no more than its share."""
     bare = replace(GOOD, constraint=0.0, weights=weights)
     odds = [CONFIDENCE.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
     steps = np.diff(odds)
@@ -187,7 +183,6 @@ def test_tones_tell_a_place_whose_depth_has_changed():
 
 
 def test_only_one_file_sets_a_status():
-    """Other indoor files compare statuses, and read no public numbers to decide."""
     for path in INDOOR.rglob("*.py"):
         text = path.read_text()
         if path == INDOOR / "status.py" or not re.search(r"Status\.|\[\"", text):

@@ -110,7 +110,6 @@ def test_turns_of_a_square_are_told_until_an_entrance_tells(scenes, tmp_path):
 
 
 def test_a_rough_place_tells_the_turn_and_the_height(scenes, tmp_path):
-    """As fixes of a capture or a compass do: 3 m and 20 degrees off, of a square."""
     scene, corners = scenes[SQUARE], OUTLINES[SQUARE]
     file = extract(tmp_path / "a.osm", corners)
     spread = np.diag([9.0, 9.0, 4.0, 0.12])
@@ -126,7 +125,6 @@ def test_a_rough_place_tells_the_turn_and_the_height(scenes, tmp_path):
 
 
 def test_a_flat_of_a_row_may_stand_between_its_ends(scenes, tmp_path):
-    """Its building goes on at both sides, and nothing says how far; a fix does."""
     scene, far = scenes[SQUARE], 14.0
     (x0, y0), (x1, y1) = OUTLINES[SQUARE][0], OUTLINES[SQUARE][2]
     row = [(x0 - far, y0), (x1 + far, y0), (x1 + far, y1), (x0 - far, y1)]

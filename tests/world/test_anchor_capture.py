@@ -54,7 +54,6 @@ def error(anchor, point):
 
 @pytest.mark.parametrize("drifted", [False, True])
 def test_a_map_made_of_the_capture_is_not_localized_in(maps, tmp_path, drifted):
-    """Its poses are the frames' own, or those of trajectory.tum where odometry drifted."""
     points, rng = around(80), np.random.default_rng(5)
     fixes(tmp_path, points, 5.0, rng)
     scene = replace(maps["parlour"], viewpoints=np.round(points[::8], 2))

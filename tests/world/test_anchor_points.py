@@ -96,7 +96,6 @@ def test_fixes_are_worth_what_they_say():
 
 
 def test_fixes_that_err_alike_are_worth_fewer():
-    """Errors of a receiver wander; what is said of the anchor's error is true all the same."""
     rng, told, plain = np.random.default_rng(3), [], []
     which = np.ix_([0, 1, 3], [0, 1, 3])
     for _ in range(60):

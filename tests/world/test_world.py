@@ -50,7 +50,6 @@ def test_scenes_of_a_library_belong_to_the_world(folder, tmp_path):
 
 
 def test_a_map_that_changed_since_its_library_was_made_is_compared_anew(folder, films, tmp_path):
-    """As `scene anchor` changes it in its folder."""
     shutil.copy(folder / "reading.scene", tmp_path)
     library = pg.SceneLibrary()
     library.add("reading", tmp_path / "reading.scene")

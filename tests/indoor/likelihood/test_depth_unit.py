@@ -56,7 +56,6 @@ def _views(scene, frames):
 
 
 def test_metres_are_metres(room, flat, walk, flat_walk):
-    """In their own map, one by one, and in that of another place."""
     for scene, capture in ((room, walk), (flat, flat_walk), (flat, walk), (room, flat_walk)):
         assert suspected(scene, capture) is None
     for scene, capture in ((room, walk), (flat, flat_walk)):
@@ -87,9 +86,6 @@ def test_no_depth_no_suspicion(room, walk):
     few = [v._replace(depth=np.where(np.arange(len(v.depth)) < 9, v.depth, 0)) for v in blind]
     assert suspect_unit_factor(few, background) is None
     assert not describe_suspected_unit(blind, background, walk[0])
-
-
-# ------------------------------------------------------------------------------- refusing
 
 
 @pytest.mark.parametrize(
@@ -126,7 +122,6 @@ def rescaled(walk, tmp_path, scale):
 
 
 def test_a_hand_before_the_lens_is_no_unit(walk):
-    """Half a decimetre and more is a distance; so is the far end of a large map."""
     for metres, diagonal in ((0.08, 5.0), (25.0, 5.0), (80.0, 40.0)):
         seen = [observe_frame(f, None, OPTIONS) for f in walk[:2]]
         check_unit(diagonal, [replace(s, depth=np.full_like(s.depth, metres)) for s in seen])
@@ -144,9 +139,6 @@ def test_too_few_readings_say_nothing(walk):
         check_unit(5.0, [told])
     few = np.where(np.arange(told.depth.size).reshape(told.depth.shape) % 400, np.nan, told.depth)
     check_unit(5.0, [replace(told, depth=few.astype(np.float32))])
-
-
-# ------------------------------------------------------------------------------- telling
 
 
 @pytest.mark.parametrize(("scale", "says"), [(5000, "too short"), (200, "too long")])

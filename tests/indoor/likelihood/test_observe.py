@@ -74,16 +74,12 @@ def patches(grid, camera=CAMERA, rows=None, table=None):
     return Patches(camera, grid, np.array(rows, np.int32), np.array(table, np.float32))
 
 
-# -------------------------------------------------------------------------- sample points
-
-
 @given(
     st.integers(16, 400), st.integers(16, 400), st.floats(2, 60), st.booleans(),
     st.floats(0.5, 2), st.floats(-0.1, 0.1),
 )  # fmt: skip
 @settings(max_examples=20)
 def test_samples_fill_the_image_whatever_the_stride(width, height, stride, bent, focal, off):
-    """Every sample is the centre of a cell, and the cells are the image: nothing is cut off."""
     longer = max(width, height)
     camera = Camera(
         width, height, longer * focal, longer * focal, width * (0.5 + off), height * 0.5,
@@ -102,7 +98,6 @@ def test_samples_fill_the_image_whatever_the_stride(width, height, stride, bent,
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080), (1080, 1920), (641, 480)])
 def test_large_images_have_larger_pixels_not_more_samples(width, height):
-    """Strides are meant for images 640 wide; beyond, a stride is that share of the longer side."""
     longer = max(width, height)
     camera = Camera(width, height, longer * 0.7, longer * 0.7, width / 2, height / 2)
     small = camera.resized(round(width * 640 / longer), round(height * 640 / longer))
@@ -114,7 +109,6 @@ def test_large_images_have_larger_pixels_not_more_samples(width, height):
 
 
 def test_where_a_lens_cannot_be_undone_there_is_no_sample():
-    """Strong distortion folds the corners over: the fixed point leads elsewhere, or nowhere."""
     folded = Camera(160, 90, 60.0, 60.0, 80.0, 45.0, (-0.3, 0.0, 0.0, 0.0))
     view = view_of(frame(folded, depth=np.full((90, 160), 2.0)), 10.0)
     inside = view.patch >= 0
@@ -127,7 +121,6 @@ def test_where_a_lens_cannot_be_undone_there_is_no_sample():
 
 
 def test_samples_stand_in_tiles():
-    """Sixteen neighbours in a row, for packets of rays and for SSIM."""
     view = view_of(frame(), 10.0)  # 16 x 9 samples: the last tiles are filled up
     assert len(view.directions) == 16 * 12
     uv = points(view).reshape(-1, 16, 2)
@@ -147,8 +140,6 @@ def test_rays_have_length_one_along_the_optical_axis():
     assert axis[2] < -0.2
 
 
-# ------------------------------------------------------------------------- depth and labels
-
 OTHERS = [
     Camera(160, 90, 115.0, 112.0, 78.0, 47.0),  # the same
     Camera(80, 45, 57.5, 56.0, 39.0, 23.5),  # half
@@ -162,7 +153,6 @@ OTHERS = [
 @pytest.mark.parametrize("other", OTHERS)
 @pytest.mark.parametrize("stride", [13.7, 7.3])
 def test_depth_is_taken_where_the_ray_goes(camera, other, stride):
-    """Each pixel of the depth image has a number of its own: the sample's is that of its ray."""
     numbers = (np.arange(other.width * other.height) + 1.0).reshape(other.height, other.width)
     seen = frame(camera, depth=numbers, depth_camera=other)
     view = view_of(seen, stride)
@@ -249,11 +239,7 @@ def test_nothing_is_read_that_is_not_asked_for():
     assert observe_frame(frame(), encoder, OPTIONS.only(colour=True)).patches is None
 
 
-# ------------------------------------------------------------------------------- semantic
-
-
 def test_what_a_patch_says_by_hand():
-    """A third of patches may be wrong: then it could be any object, by their number."""
     rows = [0, 2, 1, -1]
     seen = patches((2, 2), rows=rows)
     view = view_of(frame(), encoder=Says(seen))
@@ -284,7 +270,6 @@ def test_similar_objects_share_by_how_similar_they_are():
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.floats(0.01, 0.99), st.floats(0.02, 1))
 @settings(max_examples=40)
 def test_ratios_average_to_one_over_the_map(seed, objects, wrong, sharpness):
-    """Against anywhere: what every place shows says nothing of this one."""
     rng = np.random.default_rng(seed)
     options = PoseSearchOptions(likelihood=Likelihood(wrong=wrong, sharpness=sharpness))
     shares = rng.dirichlet(np.ones(objects))
@@ -307,7 +292,6 @@ def test_eq_2_scores_agreement_by_its_cosine():
 
 
 def test_what_fills_many_patches_counts_in_part():
-    """A wall in 100 patches of a sequence is right or wrong in all of them together."""
     few = Likelihood(object_patches=9.0)
     options = PoseSearchOptions(likelihood=few)
     first = patches((6, 6), rows=[0] * 30 + [1] * 5 + [-1])
@@ -327,13 +311,7 @@ def test_what_fills_many_patches_counts_in_part():
     paper = Likelihood(kind="gaussian", object_patches=9.0)
     assert views(observations, 20.0, model_of(paper), background())[0].weight.tolist() == [
         1
-    ] * 35 + [
-        0,
-        0,
-    ]
-
-
-# ---------------------------------------------------------------------------------- depth
+    ] * 35 + [0, 0]
 
 
 def depth_ratio(expected, measured, model):
@@ -347,7 +325,6 @@ def depth_ratio(expected, measured, model):
 @given(st.floats(0.3, 12), st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_usual_readings_say_nothing(metres, seed):
-    """Over all places of the map the ratio averages to one, by the range along the ray."""
     ranges = np.random.default_rng(seed).random(64) + 0.05
     around = background(ranges=ranges)
     depth = np.full((45, 80), metres, np.float32)
@@ -382,15 +359,11 @@ def test_readings_are_compared_with_those_of_their_elevation():
 
 
 def test_steep_views_stay_within_the_bands():
-    """A camera that looks straight down or up sees beyond the table's elevations."""
     for gravity in ((0, 0, 1), (0, 0, -1)):
         depth = np.full((45, 80), 1.5, np.float32)
         view = view_of(frame(depth=depth, gravity=gravity), 20.0)
         assert np.isfinite(view.background_depth).all()
         assert (view.background_depth[view.depth > 0] != 0).all()
-
-
-# --------------------------------------------------------------------------------- colour
 
 
 def test_colours_are_means_of_cells():
@@ -404,9 +377,6 @@ def test_colours_are_means_of_cells():
         expected = opponent_colour(*mean.astype(np.float32))
         np.testing.assert_allclose(view.colour[r], expected, atol=0.02)
     assert np.ptp(view.colour[:, 1]) > 0.05
-
-
-# ----------------------------------------------------------------------------- likelihoods
 
 
 def test_scores_add_up():

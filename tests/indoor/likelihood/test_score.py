@@ -220,9 +220,6 @@ def agree(got, expected, share=1.0):
     assert error[:, :2].max() < (1e-4 if share == 1.0 else 0.1)
 
 
-# ------------------------------------------------------------------------------ reference
-
-
 @MODELS
 def test_scores_of_chance(model, room, backend, rng):
     caster = RayCaster(room.mesh.vertices, room.mesh.triangles, backend=backend)
@@ -236,7 +233,6 @@ def test_scores_of_chance(model, room, backend, rng):
 @MODELS
 @pytest.mark.parametrize("kind", ["instances", "labels"])
 def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
-    """Real views, at poses about where they were taken, where scores are high and sharp."""
     likelihood = Likelihood(kind="gaussian" if model.gaussian else "calibrated")
     options = PoseSearchOptions(likelihood=likelihood)
     encoder = InstancesEncoder(room) if kind == "instances" else None
@@ -260,7 +256,6 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
 
 @MODELS
 def test_maps_with_holes(model, room, rng):
-    """Half the triangles are gone: rays leave the map, patches see several objects or none."""
     mesh = room.mesh
     kept = rng.random(len(mesh)) < 0.5
     holed = replace(
@@ -278,8 +273,7 @@ def test_maps_with_holes(model, room, rng):
 
 @MODELS
 @pytest.mark.parametrize(
-    "terms",
-    [(True, False, False), (False, True, False), (False, False, True), (False, True, True)],
+    "terms", [(True, False, False), (False, True, False), (False, False, True), (False, True, True)]
 )
 def test_only_the_terms_asked_for(model, terms, room, rng):
     view = camera_view(rng, len(room), model, terms=terms)
@@ -293,9 +287,6 @@ def test_only_the_terms_asked_for(model, terms, room, rng):
     assert not got[:, ~asked].any()
 
 
-# ---------------------------------------------------------------------------------- Eq. 2
-
-
 def test_the_papers_scores_lie_between_0_and_2(room, rng):
     for _ in range(5):
         view = camera_view(rng, len(room), PAPER)
@@ -307,7 +298,6 @@ def test_the_papers_scores_lie_between_0_and_2(room, rng):
 
 
 def test_a_perfect_camera_scores_2(room, rng):
-    """Whoever sees exactly what the map shows gets all of 6; nearby poses get less."""
     pose = np.array([2.2, 2.1, 1.6, 0.7])
     view = camera_view(rng, len(room), PAPER)
     hits = cast(room.caster, pose, view)
@@ -327,9 +317,6 @@ def test_a_perfect_camera_scores_2(room, rng):
     assert (scores[1:, :TONE] < scores[0, :TONE] - 0.05).all()
     best = score_poses(room.caster.tracer, room.surface, poses, view, CALIBRATED)
     assert (best[1:, 1:] < best[0, 1:]).all()
-
-
-# ------------------------------------------------------------------------------- no hits
 
 
 @MODELS
@@ -359,7 +346,6 @@ def test_frames_without_readings_or_patches_score_nothing(model, room, rng):
 
 @MODELS
 def test_grey_images_tell_nothing_of_colour(model, room, rng):
-    """A blank image correlates with nothing; and a map of one colour neither."""
     view = camera_view(rng, len(room), model)
     view = view._replace(colour=np.full((len(view.patch), 3), 0.5, np.float32))
     poses = poses_in(room.bounds, rng, 9)
@@ -403,13 +389,9 @@ def test_tones_tell_rooms_apart_whose_steps_are_alike(boxes):
     assert right > wrong + 30  # nat, of one frame
 
 
-# ------------------------------------------------------------------- one by one, in parallel
-
-
 @MODELS
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 130])
 def test_poses_are_scored_one_by_one(model, count, room, rng):
-    """However many there are, each gets the score it gets alone."""
     view = camera_view(rng, len(room), model, stride=16)
     poses = poses_in(room.bounds, rng, count)
     together = score_poses(room.caster.tracer, room.surface, poses, view, model)
@@ -430,7 +412,6 @@ def test_whole_turns_change_nothing(room, rng):
 
 
 def test_moving_map_and_camera_together_changes_nothing(rng, boxes):
-    """Two boxes in a box, here and 40 m from here, turned by a quarter."""
     drawn = boxes(
         {
             "room": ((0, 0, 0), (5, 4, 3)),
@@ -454,12 +435,8 @@ def test_moving_map_and_camera_together_changes_nothing(rng, boxes):
     assert np.ptp(got[0]) > 5
 
 
-# ----------------------------------------------------------------------------- the errors' law
-
-
 @pytest.mark.parametrize("distance", [0.0, 0.05, 0.3, 1.0])
 def test_depth_before_a_wall_by_hand(distance, boxes):
-    """One wall 2 m ahead, read `distance` too near or too far: Cauchy's tails, costs by side."""
     wall = boxes({"wall": ((2.0, -50, -50), (3.0, 50, 50))})
     mesh = Mesh.plain(wall.vertices, wall.triangles)
     tracer = RayCaster(mesh.vertices, mesh.triangles).tracer

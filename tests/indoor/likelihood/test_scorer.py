@@ -37,7 +37,6 @@ def test_scores_are_counted(room, seen):
 
 
 def test_a_sequence_is_scored_as_a_rig(room, seen):
-    """All frames together: each at the pose that odometry leads to."""
     scorer = Scorer(room, OPTIONS.likelihood)
     poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
     steps = np.array([[0, 0, 0, 0], [0.2, 0.1, 0, 0.3], [-0.1, 0, 0.02, -1.0]])

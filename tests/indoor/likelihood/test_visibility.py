@@ -56,9 +56,6 @@ def table(room):
     return room.visibility(PoseSearchOptions())
 
 
-# ------------------------------------------------------------------------------- panoramas
-
-
 def panorama(scene, position):
     """Objects, ranges and colours (E, A, ...) around a position, by the caster."""
     e, a = np.meshgrid(ELEVATION, np.arange(AZIMUTHS) * STEP, indexing="ij")
@@ -123,9 +120,6 @@ def test_the_background_is_what_is_seen_on_average(table, room):
     assert mean[0] < mean[ELEVATIONS // 2]
 
 
-# ----------------------------------------------------------------------------- free places
-
-
 def inside(points, low, high, margin=0.0):
     return ((points[:, :2] > np.array(low[:2]) - margin) & (points[:, :2] < np.array(high[:2]) + margin)).all(
         axis=1
@@ -133,7 +127,6 @@ def inside(points, low, high, margin=0.0):
 
 
 def test_all_that_is_open_is_free(hall):
-    """The place over a table too: cameras are held higher."""
     table = hall.visibility(OPTIONS)
     cell = table.spacing
     x, y = np.meshgrid(np.arange(-0.2, 8.2, cell), np.arange(-0.2, 6.2, cell), indexing="ij")
@@ -151,7 +144,6 @@ SOLID = "free.free admits places within closed furniture that is wide enough"
 
 @pytest.mark.parametrize("place", ["room", "flat", "hall"])
 def test_nobody_stands_outside_or_within_walls(place, request):
-    """Under every free place there is something to stand on, but right before a window."""
     scene = request.getfixturevalue(place)
     at = scene.visibility(OPTIONS).positions
     down = scene.caster.cast(at, np.tile([0.0, 0.0, -1.0], (len(at), 1)))
@@ -173,7 +165,6 @@ def test_nobody_stands_in_furniture(hall, thing, height):
 
 @pytest.mark.parametrize("place", ["room", "flat"])
 def test_free_places_keep_clear_of_surfaces(place, request, rng):
-    """No surface at camera height is nearer than a camera is wide."""
     scene = request.getfixturevalue(place)
     table = scene.visibility(OPTIONS)
     azimuth = np.linspace(0, 2 * np.pi, 96, endpoint=False)
@@ -190,7 +181,6 @@ def test_free_places_keep_clear_of_surfaces(place, request, rng):
 
 
 def test_the_flats_rooms_are_all_reached(flat_world, flat):
-    """Every room of the drawing has free places."""
     table = flat.visibility(OPTIONS)
     drawing = flat_world.drawing
     rooms = [drawing.position(glyph) for glyph in "12345"]
@@ -247,7 +237,6 @@ SMALL = "free._ground: in a small room, a square metre is more than a hundredth 
     ],
 )
 def test_one_vast_triangle_does_not_spread_the_grid(place, request):
-    """The flat on a plain to the horizon: cameras are looked for in the flat."""
     scene = request.getfixturevalue(place)
     mesh, count = scene.mesh, len(scene.mesh.vertices)
     plain = [[-4000, -4000, -0.3], [4000, -4000, -0.3], [0, 5000, -0.3]]
@@ -302,9 +291,6 @@ def test_nobody_stands_between_merged_scenes(merged):
     at = build_table(merged, replace(OPTIONS, spacing=0.5)).positions
     near = (inside(at, *box, margin=free.SEARCH_MARGIN + 0.5) for box in merged.scene_bounds)
     assert np.logical_or(*near).all()
-
-
-# ----------------------------------------------------------------------------------- ranks
 
 
 def some_view(rng, objects, terms, gravity=(0.05, 1, 0.1)):
@@ -372,7 +358,6 @@ def _elevation(ray):
     "terms", [(True, False, False), (False, True, False), (False, False, True), (True, True, False)]
 )
 def test_scans_are_looked_up_sample_by_sample(place, terms, request, rng):
-    """The room is closed, and every ray of the table hits; the hall is open above."""
     scene = request.getfixturevalue(place)
     table = scene.visibility(OPTIONS)
     view = some_view(rng, len(scene), terms)
@@ -385,7 +370,6 @@ def test_scans_are_looked_up_sample_by_sample(place, terms, request, rng):
 
 
 def test_what_a_frame_lacks_says_nothing(table, room, rng):
-    """Frames with labels, with depth, with colours and with two of them in one window."""
     terms = [(False, False, True), (True, False, False), (False, True, False), (True, True, False)]
     seen = [some_view(rng, len(room), senses) for senses in terms]
     together = table.scans(seen, np.zeros(4), NOISE)
@@ -395,7 +379,6 @@ def test_what_a_frame_lacks_says_nothing(table, room, rng):
 
 
 def test_views_that_look_over_the_tables_edge(table, room, rng):
-    """Samples steeper than the table reaches are left out, even all of them."""
     steep = some_view(rng, len(room), (True, True, False), gravity=(0, 0.3, 1))
     got = table.scans([steep], np.zeros(1), NOISE)[0]
     for k, a in ((0, 0), (50, 17), (100, 35)):
@@ -405,7 +388,6 @@ def test_views_that_look_over_the_tables_edge(table, room, rng):
 
 
 def test_ranks_add_up_what_frames_say(table, room, rng):
-    """Each pose of the reference frame is asked where it was at the other frames."""
     seen = [some_view(rng, len(room), (True, True, False)) for _ in range(3)]
     steps = np.array([[0, 0, 0, 0], [0.6, -0.3, 0.02, 1.0], [-0.9, 0.2, 0, -2.5]])
     ranks = table.ranks(seen, steps, NOISE)
@@ -429,7 +411,6 @@ def test_ranks_add_up_what_frames_say(table, room, rng):
 
 
 def test_views_are_turned_before_they_are_put_in_bins(table, room, rng):
-    """So that frames of one window do not err by half a heading each."""
     view = some_view(rng, len(room), (True, True, False))
     got = table.scans([view], np.array([0.4]), NOISE)[0]
     for k, a in ((0, 0), (50, 17), (100, 35)):
@@ -438,7 +419,6 @@ def test_views_are_turned_before_they_are_put_in_bins(table, room, rng):
 
 @pytest.mark.parametrize("terms", [(False, True, False), (True, True, False)])
 def test_few_samples_speak_for_all(terms, table, room, rng):
-    """Many views are looked up by few samples each; what these say is what all would."""
     view = some_view(rng, len(room), terms)
     whole = table.scans([view], np.zeros(1), NOISE)[0]
     some = table.scans([view] * 15, np.zeros(15), NOISE)
@@ -477,7 +457,6 @@ def off(poses, truth):
 
 @pytest.mark.parametrize("cues", CUES)
 def test_the_table_ranks_the_true_cell_high(cues, room, walk, truth):
-    """In the true pose's cell and heading, a frame scores better than nearly everywhere else."""
     table = room.visibility(OPTIONS)
     seen, _, true = sighted(room, walk, truth, cues)
     shares = []
@@ -492,7 +471,6 @@ def test_the_table_ranks_the_true_cell_high(cues, room, walk, truth):
 
 @pytest.mark.parametrize("cues", CUES)
 def test_seeds_hold_the_true_pose(cues, flat, flat_walk, truth):
-    """Each cue alone finds the place in five rooms, among few seeds; two cues put it first."""
     seen, poses, true = sighted(flat, flat_walk, truth, cues)
     last = len(seen) - 1
     table = flat.visibility(PoseSearchOptions())
@@ -517,7 +495,6 @@ def test_seeds_are_poses_of_the_frame_asked_for(room, walk, truth):
 
 
 def test_table_and_rays_agree_on_which_poses_are_good(room, walk, truth, rng):
-    """Ranks of the table against brute force: the same views scored by rays at the same poses."""
     from placegraph.indoor.likelihood.score import Scorer
 
     seen, poses, _ = sighted(room, walk, truth, {"semantic": True, "depth": True})

@@ -55,9 +55,6 @@ class Image:
         return u.ravel(), v.ravel(), np.stack(rays, axis=1)
 
 
-# ------------------------------------------------------------------------------------ poses
-
-
 def plus(poses, step):
     """Poses (N, 4) after a step (4,) or (N, 4) in their own frames: ahead, left, up, turn."""
     poses, step = np.atleast_2d(poses), np.atleast_2d(step)
@@ -79,9 +76,6 @@ def back(pose, steps):
     return pose
 
 
-# -------------------------------------------------------------------------------- Sec. 3.1
-
-
 def start(cells, floor, rng):
     """`PER_CELL` poses in each free cell (K, 2), by its centre, at each height, yaws at random."""
     out = []
@@ -91,15 +85,9 @@ def start(cells, floor, rng):
     return np.array(out)
 
 
-# -------------------------------------------------------------------------------- Sec. 3.2
-
-
 def predict(poses, step, noise):
     """Eq. 1: s (+) (t + w), w (N, 4)."""
     return plus(poses, step + noise)
-
-
-# -------------------------------------------------------------------------------- Sec. 3.3
 
 
 def cast(world, poses, rays):
@@ -136,9 +124,6 @@ def similarity(world, image, stride, nearest):
     values = np.where(valid, image.cosine.ravel()[patch] + 1.0, 0.0)
     there = np.unique(patch)
     return np.mean([values[:, patch == p].mean(axis=1) for p in there], axis=0)
-
-
-# -------------------------------------------------------------------------------- Sec. 3.4
 
 
 def depth_score(image, stride, depth):
@@ -192,9 +177,6 @@ def update(weights, logs):
     """w L, normalised."""
     new = weights * np.exp(logs - logs.max())
     return new / new.sum()
-
-
-# -------------------------------------------------------------------------------- Sec. 3.5
 
 
 def occupied(poses, weights):

@@ -84,7 +84,6 @@ def test_where_the_camera_is_everything_agrees(hall, kind):
 
 
 def test_what_fills_many_patches_tells_only_in_part(hall):
-    """The weights of patches (`Likelihood.object_patches`) are those of the evidence."""
     frame = rendered(hall, EASTWARD, "instances")
     whole = judged(hall, frame, EASTWARD, "instances", semantic=True)
     part = judged(hall, frame, EASTWARD, "instances", Likelihood(object_patches=1.0), semantic=True)
@@ -95,7 +94,6 @@ def test_what_fills_many_patches_tells_only_in_part(hall):
 
 
 def test_labels_speak_for_the_object_seen_not_for_its_like(hall):
-    """Two chairs bear one label; only that before the camera is named."""
     for pose, seen, unseen in ((EASTWARD, EAST, WEST), (WESTWARD, WEST, EAST)):
         got = judged(hall, rendered(hall, pose, "labels"), pose, "labels", semantic=True)
         assert got.weights[seen] > 3
@@ -105,7 +103,6 @@ def test_labels_speak_for_the_object_seen_not_for_its_like(hall):
 
 
 def test_instances_in_the_wrong_place_speak_against_themselves(hall):
-    """The frame sees the chair in the east, the pose looks west."""
     frame = rendered(hall, EASTWARD, "instances")
     got = judged(hall, frame, WESTWARD, "instances", semantic=True)
     assert got.semantic < 0.4
@@ -119,7 +116,6 @@ def test_instances_in_the_wrong_place_speak_against_themselves(hall):
 
 
 def test_labels_in_the_wrong_place_speak_against_what_stands_there(hall):
-    """Which of the chairs was meant nobody knows; the map's wall is where a chair was seen."""
     chairs = np.full((48, 80), 3)  # all of the image
     frame = rendered(hall, EASTWARD, "labels", labels=chairs)
     got = judged(hall, frame, EASTWARD, "labels", semantic=True)
@@ -140,7 +136,6 @@ def test_depth_counts_readings_within_a_deviation(hall):
 
 
 def test_something_in_the_way_speaks_against_what_is_behind(hall):
-    """A person stands before the chair in the east: nearer readings are against the chair."""
     frame = rendered(hall, EASTWARD, "instances")
     depth = frame.depth().copy()
     depth[10:, 20:60] = 1.0
@@ -162,9 +157,6 @@ def test_a_camera_that_sees_nothing_of_the_map(hall):
     (note,) = explain(hall, got)
     assert (note.statement, note.verdict) == ("coverage", "silent")
     assert "100%" in note.note
-
-
-# ------------------------------------------------------------------------------ real frames
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +196,6 @@ def test_a_rendered_walk_agrees_with_its_truth(walked, room):
 
 
 def test_colours_are_told_per_sample_of_the_image(walked):
-    """Tiles that reach over the image's border have lanes that are no samples: they count not."""
     scorer, pose, seen, steps = walked
     got = agreement(scorer, pose, seen[-1:], np.zeros((1, 4)))
     inside = (seen[-1].patch >= 0).mean()
@@ -231,9 +222,6 @@ def test_eq_2_can_be_explained_too(room, walk, truth):
     got = agreement(Scorer(room, options.likelihood), pose, seen, np.zeros((1, 4)))
     assert got.semantic > 0.8
     assert got.depth > 0.85
-
-
-# --------------------------------------------------------------------------------- in words
 
 
 def told(hall, **change):

@@ -72,7 +72,6 @@ def test_drift_is_found(rng, degrees, systematic):
 
 
 def test_where_odometry_is_good_the_chain_is_stiff():
-    """The last pose is then known by all frames, not by its own alone."""
     truth, rng = walk(), np.random.default_rng(0)
     chain = Chain.of(between(truth[:1], truth), NOISE)
     ends, scales = [], []

@@ -49,7 +49,6 @@ def test_what_is_wrong_is_named(room, clip, rng, spoil, strength, said):
 
 
 def test_a_camera_outside_the_rooms_is_named(room, clip, rng, monkeypatch):
-    """Above the ceiling instead of below the floor, of which the room shows only a slab."""
     monkeypatch.setattr(faults, "_UNDERGROUND", (2.8, 3.5))
     estimate = room.localize(height(clip, 3.2, rng).frames, refine=False)
     assert estimate.status is not Status.OK
@@ -73,7 +72,6 @@ def test_time_that_runs_backwards_is_refused(room, walk, clip, tmp_path):
 
 
 def test_plain_frames_are_above_suspicion(room, clip):
-    """As recorded; standing still, with the same image; one frame sent twice."""
     assert room.localize(clip.frames, refine=False).status is Status.OK
     last = clip.frames[-1]
     still = [replace(last, stamp=last.stamp + i) for i in range(4)]

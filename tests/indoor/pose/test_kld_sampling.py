@@ -11,13 +11,7 @@ from placegraph.core.geometry import wrap_angle
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.local_fit import moments
-from placegraph.indoor.pose.particle_filter import (
-    BIN,
-    Particles,
-    kld_bound,
-    kld_count,
-    resample,
-)
+from placegraph.indoor.pose.particle_filter import BIN, Particles, kld_bound, kld_count, resample
 from placegraph.indoor.pose.search import distinct
 
 seeds = st.integers(0, 2**32 - 1)
@@ -30,9 +24,6 @@ def of_weights(weights, poses=None):
     poses = np.zeros((len(weights), 4)) if poses is None else np.array(poses, float)
     with np.errstate(divide="ignore"):
         return Particles(poses, np.log(weights / weights.sum()))
-
-
-# ------------------------------------------------------------------------------ weights
 
 
 def test_even_particles(rng):
@@ -72,9 +63,6 @@ def test_effective_size_counts_those_that_matter():
     assert of_weights([1, 0, 0]).effective() == pytest.approx(1)
 
 
-# ---------------------------------------------------------------------------------- KLD
-
-
 @pytest.mark.parametrize("bins", [2, 5, 11, 51, 201, 1001])
 @pytest.mark.parametrize(("confidence", "column"), [(0.95, 0), (0.99, 1)])
 def test_bound_is_half_a_chi_square_quantile(bins, confidence, column):
@@ -94,7 +82,6 @@ def test_bound_is_half_a_chi_square_quantile(bins, confidence, column):
 
 
 def test_bound_by_hand():
-    """k = 101, epsilon = 0.1, delta = 0.05: 500 (1 - a + sqrt(a) 1.64485)^3, a = 2 / 900."""
     a = 2 / 900
     assert kld_bound(101, 0.1, 0.95) == math.ceil(500 * (1 - a + math.sqrt(a) * 1.6448536) ** 3)
     assert kld_bound(1, 0.1, 0.95) == kld_bound(0, 0.1, 0.95) == 1
@@ -136,7 +123,6 @@ def test_every_axis_has_bins():
 
 
 def test_bins_of_yaw_close_the_circle():
-    """However often a yaw has gone round, it is the same bin."""
     poses = np.zeros((6, 4))
     poses[:, 3] = np.deg2rad(5.0) + 2 * np.pi * np.arange(-3, 3)
     assert kld_count(Particles.even(poses), OPTIONS) == 1
@@ -145,12 +131,8 @@ def test_bins_of_yaw_close_the_circle():
     assert kld_count(Particles.even(poses), OPTIONS) == bound(36)
 
 
-# --------------------------------------------------------------------------- resampling
-
-
 @given(seeds, st.integers(1, 40), st.integers(1, 200))
 def test_stratified_resampling_is_nearly_fair_every_time(seed, size, count):
-    """Nobody is drawn more than two times off its share, which multinomial drawing does not keep."""
     rng = np.random.default_rng(seed)
     weights = rng.random(size) ** 4
     particles = of_weights(weights, np.arange(size)[:, None] * np.ones(4))
@@ -182,9 +164,6 @@ def test_resampling_is_of_its_generator():
     particles = of_weights(np.arange(1, 30), np.arange(29)[:, None] * np.ones(4))
     first, again = (resample(particles, 13, np.random.default_rng(3)).poses for _ in range(2))
     np.testing.assert_array_equal(first, again)
-
-
-# -------------------------------------------------------------------------------- modes
 
 
 def test_distinct_by_hand():
@@ -231,9 +210,6 @@ def test_modes_are_apart_and_cover_what_they_left_out(seed, size, most):
     if len(rows) < most:
         for other in set(range(size)) - set(rows.tolist()):
             assert any(near(other, r) and scores[r] >= scores[other] for r in rows)
-
-
-# ------------------------------------------------------------------------------ moments
 
 
 def test_moments_of_a_gaussian(rng):

@@ -63,7 +63,6 @@ def error_of(fit, peak=PEAK):
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 4))
 @settings(max_examples=40)
 def test_a_mode_climbs_its_hill(seed, sharpness):
-    """From a cell of the table to a tenth of it, flat or steep."""
     rng = np.random.default_rng(seed)
     spread = SPREAD / 2.0**sharpness
     hills = Hills((PEAK, 100.0, spread))
@@ -87,7 +86,6 @@ class Ridge(Hills):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_mode_follows_a_ridge(seed):
-    """Samples drawn axis by axis would stay where it was met, tens of nats short."""
     start = PEAK + np.array([0.0, 1.0, 0.0, -1.0]) * SPREAD
     (fit,) = fit_modes(Ridge(), start[None], [level()] * 3, np.random.default_rng(seed))
     assert fit.log_likelihood > 99
@@ -123,7 +121,6 @@ def test_places_on_opposite_headings_are_two(rng):
 
 
 def test_hopeless_modes_are_left_but_not_forgotten(rng):
-    """What fell behind is no longer scored, and stays as far behind as it was when it was left."""
     far = np.array([-3.0, 0, 1.6, 0])
     hills = Hills((PEAK, 500.0, NARROW), (far, 20.0, NARROW))
     start = PEAK + SPREAD
@@ -167,9 +164,6 @@ def test_refining_one_pose(rng):
     assert np.abs(error_of(fit) / NARROW).max() < 1
 
 
-# ---------------------------------------------------------------------------- probabilities
-
-
 def test_probabilities_by_hand():
     got = probabilities(np.array([0.0, -np.log(4.0) * 3]), 3.0)
     np.testing.assert_allclose(got, [0.8, 0.2])
@@ -184,9 +178,6 @@ def test_probabilities_are_some(values, temperature):
     assert got[values.argmax()] == pytest.approx(got.max(), rel=1e-6)
     # colder is surer
     assert probabilities(values, temperature / 2).max() >= got.max() - 1e-9
-
-
-# ------------------------------------------------------------------------------- covariance
 
 
 def test_what_is_badly_known_has_a_large_variance(rng):
@@ -205,9 +196,6 @@ def test_what_is_badly_known_has_a_large_variance(rng):
 def test_no_pose_is_known_without_error(rng):
     (fit,) = fit_modes(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
     assert (np.diag(pose_covariance(fit.covariance))[[0, 1, 2, 5]] >= NARROWEST**2).all()
-
-
-# -------------------------------------------------------------------------- particles as they are
 
 
 def test_the_heaviest_particle_is_the_estimate(rng):
@@ -230,11 +218,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
     assert sum(np.exp(f.log_likelihood) for f in both) == pytest.approx(1.0)
 
 
-# ---------------------------------------------------------------------------- a rendered walk
-
-
 def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
-    """From 20 cm and 3 degrees off, by all cues together."""
     options = PoseSearchOptions()
     around = room.visibility(options).background
     seen = views(

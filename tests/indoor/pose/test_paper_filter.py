@@ -127,9 +127,6 @@ def scattered(rng, count):
     return rng.uniform((0.3, 0.7, 1.0, -np.pi), (3.1, 2.1, 1.8, np.pi), (count, 4))
 
 
-# ------------------------------------------------------------------------------------ steps
-
-
 def test_the_start(scene, rng):
     """Sec. 3.1: the same cells and heights, three poses each; the rest is uniform in both."""
     window = Window(PoseQuery(scene=scene, options=PAPER), Scorer(scene, PAPER.likelihood), [])
@@ -248,13 +245,9 @@ def test_the_mle(rng):
     np.testing.assert_array_equal(filter_.modes(), expected[None])
 
 
-# ------------------------------------------------------------------------------- whole runs
-
-
 @pytest.mark.all
 @pytest.mark.parametrize("terms", [("semantic",), ("semantic", "depth")], ids=str)
 def test_whole_runs_err_alike(terms, scene, world, images, frames):
-    """Errors of many runs are drawn from one distribution, as far as a rank test can tell."""
     few = 120
     options = replace(PAPER, spacing=0.5, per_cell=1, min_particles=few).only(
         **dict.fromkeys(terms, True)

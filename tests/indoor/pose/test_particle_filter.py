@@ -33,9 +33,6 @@ def scattered(rng, count, box=3.0):
     return rng.uniform((-box, -box, 1.4, -np.pi), (box, box, 1.8, np.pi), (count, 4))
 
 
-# --------------------------------------------------------------------------- the equations
-
-
 def test_prediction_moves_all_and_weighs_none_anew(rng):
     poses = scattered(rng, 50)
     filter_ = filter_of(poses, rng, replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0)))
@@ -71,7 +68,6 @@ def test_update_multiplies_weights_by_likelihoods(rng):
 @given(seeds, st.integers(30, 300), st.floats(-4, 4))
 @settings(max_examples=50)
 def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):
-    """Whatever the likelihood's scale: enough stay, their order stays, and no more is flattened."""
     values = np.random.default_rng(seed).normal(size=count) * 10.0**sharpness
     filter_ = filter_of(np.zeros((count, 4)), None, scorer=lambda _, view: view)
     filter_.reweight(values)
@@ -100,9 +96,6 @@ def test_the_papers_likelihood_is_left_as_it_is(rng):
     gentle = filter_of(np.zeros((200, 4)), rng, scorer=lambda _, view: view)
     gentle.reweight(values)
     assert gentle.particles.effective() > 19
-
-
-# ------------------------------------------------------------------------------- resampling
 
 
 def test_resampling_to_as_many_as_kld_says(rng):
@@ -147,9 +140,6 @@ def test_modes_come_heaviest_first(rng):
     np.testing.assert_array_equal(filter_.modes(), poses[[2]])
 
 
-# -------------------------------------------------------------------------------- injection
-
-
 def test_a_frame_explained_far_worse_is_noticed(rng):
     filter_ = filter_of(np.zeros((50, 4)), rng, scorer=lambda p, view: np.full(len(p), view))
     for value, dropped in ((10.0, False), (0.0, False), (-30.0, True), (8.0, False)):
@@ -160,7 +150,6 @@ def test_a_frame_explained_far_worse_is_noticed(rng):
 
 
 def test_injected_poses_replace_some_of_every_mode(rng):
-    """Particles lie mode by mode after resampling; none of the modes may vanish."""
     homes = np.repeat(np.arange(5.0), 20)
     filter_ = filter_of(np.column_stack([homes, np.zeros((100, 3))]), rng)
     elsewhere = np.full((40, 4), 9.0)
@@ -181,9 +170,6 @@ def test_at_least_half_stay_and_never_more_than_there_is_room_for(rng):
     assert len(filter_.particles) == 40
 
 
-# ------------------------------------------------------------------------------ whole passes
-
-
 def walk(count, step=(0.15, 0.02, 0, 0.08)):
     """True poses (T, 4) and the steps between them; step 0 is none."""
     true = [np.array([-1.0, 0.5, 1.6, -0.4])]
@@ -196,7 +182,6 @@ def walk(count, step=(0.15, 0.02, 0, 0.08)):
 
 
 def test_a_pass_follows_the_camera(rng):
-    """From everywhere to the true pose; the particles become few on the way."""
     true, steps = walk(12)
     filter_ = filter_of(scattered(rng, 3000), rng, most=3000)
     run = run_pass(filter_, true, steps, range(12))
@@ -218,7 +203,6 @@ def test_without_kld_the_number_stays(rng):
 
 
 def test_steps_are_taken_between_frames_not_before_the_first(rng):
-    """A particle that starts right stays right: step t leads from frame t - 1 to frame t."""
     true, steps = walk(8)
     still = replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0))
     filter_ = filter_of(np.tile(true[0], (FEWEST, 1)), rng, still)
@@ -288,9 +272,6 @@ def test_nothing_is_injected_while_all_is_well(rng):
     assert not asked
 
 
-# ---------------------------------------------------------------- what the published code does
-
-
 def test_frames_that_are_not_scored_only_move_particles(rng):
     true, steps = walk(6)
     asked = []
@@ -326,7 +307,6 @@ def test_injection_at_every_fifth_frame(rng):
 
 
 def test_modes_of_all_frames_of_a_pass(rng):
-    """A place that the first frame speaks for keeps what it had then, though later ones leave it."""
     first, second = np.array([0, 0, 1.6, 0.0]), np.array([3.0, 0, 1.6, 0])
     views, steps = np.array([first, second, second, second]), np.zeros((4, 4))
     start = np.repeat([first, second], 200, axis=0)

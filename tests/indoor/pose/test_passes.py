@@ -18,9 +18,6 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
 
 
-# --------------------------------------------------------------------------------- prior
-
-
 def test_poses_about_a_prior(room, rng):
     prior = Prior(2.0, -1.0, z=1.4, yaw=0.7, spread=0.5, turn=0.2)
     got = near_prior(prior, window_of(room, OPTIONS), 20_000, rng)
@@ -47,9 +44,6 @@ def test_priors_that_are_none(change):
         Prior(**{"x": 0.0, "y": 0.0} | change)
 
 
-# ---------------------------------------------------------------------------- everywhere
-
-
 def window_of(room, options):
     query = PoseQuery(scene=room, options=options)
     return Window(query, Scorer(room, options.likelihood), [])
@@ -73,7 +67,6 @@ def test_the_papers_start(room, rng):
 
 
 def test_a_wider_grid_is_as_dense(room, rng, monkeypatch):
-    """Where a map has more cells than a table can, each gets more poses."""
     options = FilterOptions(start="uniform", spacing=0.1, per_cell=4, heights=(1.6,))
     table = replace(room.visibility(options), spacing=0.2)
     monkeypatch.setattr(Window, "table", table)

@@ -65,7 +65,6 @@ def test_a_description_is_evidence(room, walk):
 
 
 def test_looks_alone_make_no_pose_sure(room, walk):
-    """An encoder of looks may find the pose; without depth or colours it is not `OK`."""
     options = PoseSearchOptions(depth=False, colour=False)
     estimate = room.localize(walk, encoder="appearance", options=options, refine=False)
     assert estimate.status is not Status.OK

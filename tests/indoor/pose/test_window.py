@@ -60,7 +60,6 @@ def test_level_odometry_is_taken_as_it_is(seed):
 
 @given(seeds, quaternions)
 def test_odometry_at_any_slant_is_set_upright(seed, quaternion):
-    """A SLAM's own frame has any axes up: ARKit's y, a camera's -y, or none at all."""
     poses, gravity, matrices = some_walk(np.random.default_rng(seed))
     slant = np.eye(4)
     slant[:3, :3] = rotation_from_quaternion(quaternion)
@@ -88,7 +87,6 @@ def test_a_single_frame(rng):
 
 
 def test_noisy_gravity_sets_the_frame_upright_by_its_mean(rng):
-    """Tilts are each frame's own; the vertical of the whole is better than that of any frame."""
     poses, gravity, matrices = some_walk(rng, 400)
     slant = np.eye(4)
     slant[:3, :3] = rotation_from_quaternion((0.3, -0.2, 0.1, 0.9))
@@ -101,14 +99,10 @@ def test_noisy_gravity_sets_the_frame_upright_by_its_mean(rng):
 
 
 def test_the_poses_match_what_the_captures_say(walk, truth):
-    """On a rendered walk, odometry differs from the truth by its drift alone."""
     got = level_poses(walk.odometry, walk.gravity)
     expected, _ = split_pose(truth(walk))
     drift = between(got[0], got[-1]) - between(expected[0], expected[-1])
     assert np.abs(drift).max() < 0.05
-
-
-# ---------------------------------------------------------------------------------- Eq. 1
 
 
 STEP = np.array([0.6, -0.2, 0.1, 0.5])
@@ -122,7 +116,6 @@ def test_without_noise_particles_take_the_step(rng):
 
 @pytest.mark.parametrize("step", [STEP, np.zeros(4), np.array([0, 0, 0, 2 * math.pi - 0.1])])
 def test_noise_is_a_floor_and_a_share_of_the_step(step, rng):
-    """Each particle errs on its own, along and across its own heading, without bias."""
     noise = MotionNoise(0.02, 0.1, 0.01, 0.2)
     poses = np.tile([3.0, 1.0, 1.6, 2.5], (40_000, 1))
     moved = propagate(poses, step, noise, rng)
@@ -144,9 +137,6 @@ def test_propagation_is_of_its_generator(rng):
     )
     np.testing.assert_array_equal(first, again)
     assert (propagate(poses, STEP, MotionNoise(), np.random.default_rng(6)) != first).any()
-
-
-# ------------------------------------------------------------------------------ keyframes
 
 
 def along(xs, yaws=None):
@@ -186,13 +176,9 @@ def test_keyframes_by_either():
 
 
 @given(
-    st.lists(st.floats(0.01, 2), min_size=1, max_size=30),
-    seeds,
-    st.floats(0, 3),
-    st.floats(0, 3),
+    st.lists(st.floats(0.01, 2), min_size=1, max_size=30), seeds, st.floats(0, 3), st.floats(0, 3)
 )
 def test_keyframes_lose_nothing(gaps, seed, seconds, metres):
-    """First and last stay, and no frame left out is beyond reach of the keyframe before it."""
     stamps = np.cumsum(gaps)
     poses = np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (len(gaps), 4)), axis=0)
     kept = keyframes(stamps, poses, seconds, metres)

@@ -35,7 +35,6 @@ def honest(estimate, truth, kit, metres=0.3, degrees=5.0):
 
 
 def test_a_start_in_another_room(flat_world, flat_walk, truth, kit):
-    """What the frames saw is not there: not OK, and not moved to wherever it fits."""
     start = kit.standing(*flat_world.drawing.position("2"), 0.0, z=1.6)
     right = truth(flat_walk)[4]
     assert kit.off(start, right)[0] > 1.5
@@ -69,7 +68,6 @@ def test_a_map_without_texture(room, walk, exact, kit):
 
 
 def test_a_map_of_one_object(room, walk, exact, kit):
-    """A sofa is no place: wherever around it fits best is not believed."""
     row = room.graph.labels.index("sofa")
     mesh = room.mesh
     rows = mesh.triangles[mesh.object_of == row]
@@ -133,7 +131,6 @@ def test_a_wrong_focal_length(room, walk, exact, kit, depth):
 
 
 def test_a_swapped_size_is_refused(walk, tmp_path):
-    """Width for height: the images do not fit, and say so when they are read."""
     folder = shutil.copytree(walk.path, tmp_path / "walk")
     camera = json.loads((folder / "camera.json").read_text())
     camera["width"], camera["height"] = camera["height"], camera["width"]
@@ -154,7 +151,6 @@ def test_depth_in_another_unit_is_never_a_pose(room, walk, exact, kit, in_memory
 
 
 def test_a_camera_that_stands_still(room, walk, exact, kit):
-    """The same moment five times: no more is known than from one."""
     honest(room.localize(walk, frames=[0]), exact.poses[0], kit)
     still = [replace(walk[4], stamp=float(i), index=i) for i in range(5)]
     estimate = honest(room.localize(still), exact.poses[4], kit)
@@ -195,7 +191,6 @@ def test_odometry_that_is_no_number_is_refused(walk, in_memory, value):
 
 
 def test_what_contradicts_the_odometry_is_not_ok(room, walk, located, monkeypatch):
-    """The filter may still say so: the frames, each where it fits, part from their way."""
     assert located.status is Status.OK
     for module in ("refine.refinement", "status"):
         monkeypatch.setattr(f"placegraph.indoor.{module}.BENT", 1e-6)

@@ -57,7 +57,6 @@ def matched(way, rng):
 
 @pytest.mark.parametrize("factor", [0.85, 1.0, 1.1])
 def test_a_focal_length_is_told_by_matches(hall, way, walked, kit, matched, factor):
-    """From poses that are off, too: a tenth to 2 in a thousand, linearised anew at each step."""
     problem = kit.problem(hall, walked, matches=matched(factor), blind=range(len(way)))
     found = calibrate_camera(
         hall, problem, kit.moved(way, (0.1, -0.05, 0.02), (0, 0, 2.0)), [IMAGE]
@@ -86,7 +85,6 @@ def test_depth_tells_its_scale_from_its_focal_length(
 
 
 def test_gravity_that_is_off_is_told_by_depth(hall, way, walked, kit):
-    """From poses that believe it; of a turn about gravity itself nothing is known."""
     off = np.radians([3.0, 0.0, -2.5])
     problem = kit.problem(hall, walked)
     wrong = replace(problem, gravity=problem.gravity @ rotation_from_vector(off))
@@ -203,7 +201,6 @@ def test_a_right_camera_is_left_alone(room, walk):
 
 
 def test_sentences_and_mended_frames(exact):
-    """Cameras of one view go together; scale is depth's alone."""
     frame, frames = exact.capture[0], list(exact.capture)[:3]
     said = values(scale=np.log(1.1)).sentence(frame)
     assert said == "Depth readings are 9.1% too short: 1.100 times them would fit."
@@ -226,7 +223,6 @@ def test_sentences_and_mended_frames(exact):
 
 
 def test_depth_is_brought_to_where_the_camera_was(hall, way, kit):
-    """A reading of the hall from elsewhere, brought back, is what is read there."""
     mount = np.linalg.inv(way[2]) @ way[3]
     seen, elsewhere = (hall.render(way[i], kit.camera, samples=1).depth for i in (2, 3))
     brought = reproject_depth(elsewhere, kit.camera, mount)

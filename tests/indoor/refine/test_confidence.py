@@ -86,7 +86,6 @@ def test_depth_tells_the_better_trajectory(room, exact, held, kit, metres):
 
 
 def test_noise_that_neighbours_share_counts_once(room, exact, held, kit):
-    """Readings that are off in whole frames by chance say less than as many that err alone."""
     surfaces, rng = Surfaces.of(room), np.random.default_rng(0)
     better = kit.moved(exact.poses, (0.01, 0.0, 0.0))
 
@@ -101,7 +100,6 @@ def test_noise_that_neighbours_share_counts_once(room, exact, held, kit):
 
 @pytest.mark.parametrize("degrees", [2.0, 8.0])
 def test_images_tell_the_better_trajectory(room, walk, exact, kit, degrees):
-    """Photographs of the drawn room in other light, against renderings of its map."""
     renderer, frames = Renderer(room), list(walk)
     queries = [f.rgb() for f in frames]
     worse = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0.0, 0.0, degrees))
@@ -112,7 +110,6 @@ def test_images_tell_the_better_trajectory(room, walk, exact, kit, degrees):
 
 
 def test_only_held_back_blocks_are_looked_at(room, exact, kit):
-    """What stands in the other blocks may be anything."""
     camera = Camera(640, 360, 460.0, 460.0, 320.0, 180.0)
     pose, worse = exact.poses[:1], kit.moved(exact.poses[:1], (0, 0, 0), (0, 0, 2.0))
     (frame,) = kit.frames(room, pose, camera)
@@ -178,7 +175,6 @@ def test_the_true_way_is_believed_and_a_worse_one_is_not(refiner, exact, kit):
 
 
 def test_weak_images_have_no_veto(refiner, exact, kit):
-    """Images taken from where the coarse pose is, and so noisy that they hardly show it."""
     off = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 2.0))
     one, rng = refiner(), np.random.default_rng(0)
     shown = [one.renderer.render(p, f.camera).colour for p, f in zip(off, one.frames, strict=True)]
@@ -190,7 +186,6 @@ def test_weak_images_have_no_veto(refiner, exact, kit):
 
 
 def test_where_images_mislead_depth_alone_is_believed(refiner, exact, kit):
-    """Colours that are not calibrated to depth pull a joint fit away: held-back samples say so."""
     off = kit.moved(exact.poses, (0.08, 0.0, 0.0))
     pulled = replace(fitted(off, 40), by_depth=fitted(exact.poses))
     start = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 2.0))
@@ -214,7 +209,6 @@ def test_where_images_mislead_depth_alone_is_believed(refiner, exact, kit):
     ],
 )
 def test_another_place_is_no_refinement(refiner, exact, kit, shift, turn, says):
-    """Even if it is the right one: the filter did not find it."""
     start = kit.moved(exact.poses, shift, turn)
     found = confirm_fit(refiner(check=False), start, fitted(exact.poses))
     assert not found.accepted
@@ -225,7 +219,6 @@ def test_another_place_is_no_refinement(refiner, exact, kit, shift, turn, says):
 
 @pytest.mark.parametrize("axis", ["shift", "turn"])
 def test_images_alone_do_not_carry_as_far(refiner, exact, kit, axis):
-    """0.6 m or 0.4 rad are another place without depth; with it they are not."""
     way, turn = FARTHEST_BLIND
     assert way < FARTHEST[0]
     assert turn < FARTHEST[1]
@@ -248,7 +241,6 @@ def test_images_alone_do_not_carry_as_far(refiner, exact, kit, axis):
 
 
 def test_a_bent_way_is_refused(refiner, exact, kit):
-    """Frames that jump to and fro by 5 cm were not taken on a walk whose odometry is known."""
     zigzag = np.stack(
         [kit.moved(p, (0, 0.05 * (-1) ** t, 0)) for t, p in enumerate(exact.poses)]
     )  # fmt: skip

@@ -36,7 +36,6 @@ def picture(hall, way, kit):
 
 
 def test_points_are_depth_unprojected(picture, way, kit, rng):
-    """Also between pixel centres, where it is a plane's point to a tenth of a millimetre."""
     h, w = picture.depth.shape
     pixels = rng.uniform(1, [w - 1, h - 1], (500, 2))
     points, sound = lift_pixels(picture, pixels)
@@ -118,7 +117,6 @@ class Told:
 
 
 def test_matches_become_points_of_the_map(hall, way, walked, picture):
-    """Of all views; those on no surface are left out."""
     some = np.array([[30.5, 40.5], [100.5, 80.5], [120.5, 30.5]])
     told = Told(Matches.of(some, some, [0.9, 0.8, 0.7]), Matches.of(some[:1], some[:1], [0.5]))
     frame = walked[0]
@@ -133,7 +131,6 @@ def test_matches_become_points_of_the_map(hall, way, walked, picture):
 
 
 def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
-    """Matched at half the size, matches stand in pixels of the frame; on the rim they may be none."""
     frame, some = walked[0], np.array([[30.5, 40.5], [40.5, 20.5], [60.5, 30.5]])
 
     def matched(points):
@@ -171,7 +168,6 @@ def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
 @settings(max_examples=16)
 @given(st.integers(0, 999), st.integers(1, 4), st.sets(st.integers(0, 3), max_size=3))
 def test_a_rig_is_found_among_seventy_percent_outliers(kit, seed, frames, blind):
-    """By whichever frames have matches; the pose is the reference's."""
     poses, matches = fabricated(seed, frames)
     blind = blind if len(blind & set(range(frames))) < frames else set()
     matches = [PointMatches.none() if t in blind else s for t, s in enumerate(matches)]
@@ -319,7 +315,6 @@ def test_edges_of_depth_are_left_out():
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 1.5])
 def test_normals_of_a_slanted_plane(slope):
-    """z = 3 + slope x: towards the camera, and no edge anywhere."""
     normal = np.array([slope, 0.0, -1.0]) / np.hypot(slope, 1.0)
     u = (np.arange(80) + 0.5 - 40) / 100.0
     depth = np.tile(3.0 / (1.0 - slope * u), (60, 1))

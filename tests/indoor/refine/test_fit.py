@@ -82,7 +82,6 @@ def test_one_frame(kit, hall, walked, way):
 
 
 def test_a_furnished_room(kit, room, exact):
-    """Ten frames of the drawn room, from 12 cm and 4 degrees off."""
     start = kit.moved(exact.poses, (0.09, -0.08, 0.02), (0.5, -0.5, 4.0))
     solution = solve(kit.problem(room, exact.capture), start, DEPTH_WIDTHS)
     metres, degrees = kit.off(solution.poses[-1], exact.poses[-1])
@@ -95,7 +94,6 @@ def test_a_furnished_room(kit, room, exact):
 
 
 def test_odometry_holds_a_frame_that_saw_nothing(kit, hall, walked, way):
-    """A blind frame goes along with those before and after it."""
     start = kit.moved(way, (0.08, 0.04, 0), (0, 0, 3.0))
     problem = kit.problem(hall, walked, blind={2, 4})
     solution = solve(problem, start, DEPTH_WIDTHS, 6)
@@ -110,7 +108,6 @@ def test_odometry_holds_a_frame_that_saw_nothing(kit, hall, walked, way):
 
 
 def test_drifting_odometry_bends(kit, hall, walked, way):
-    """What each frame sees outweighs a drift of centimetres."""
     drift = np.stack([kit.moved(p, (0.01 * t, 0, 0)) for t, p in enumerate(way)])
     bent = replace(kit.problem(hall, walked), odometry=np.linalg.inv(drift[0]) @ drift)
     solution = solve(bent, kit.moved(drift, (0.02, 0.03, 0)), DEPTH_WIDTHS, 6)
@@ -119,7 +116,6 @@ def test_drifting_odometry_bends(kit, hall, walked, way):
 
 
 def test_frames_that_are_astray_do_not_bend_the_way(kit, hall, walked, way):
-    """Depth of moments before and after the stamps: odometry knows better how frames lie."""
     turns = np.radians([1.5, -1.5, 0.0, 1.5, -1.5])
     elsewhere = way.copy()
     elsewhere[:, :3, :3] = rotation_from_vector(np.outer(turns, (0, 0, 1))) @ way[:, :3, :3]
@@ -133,7 +129,6 @@ def test_frames_that_are_astray_do_not_bend_the_way(kit, hall, walked, way):
 
 @pytest.mark.parametrize("tilt_deg", [0.4, 1.5])
 def test_gravity_is_a_prior_not_a_cage(kit, hall, walked, way, tilt_deg):
-    """Where depth says so, the camera stands otherwise than gravity says; else as gravity says."""
     turn = level_from_camera([np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg)), 0.0])
     turn = turn @ level_from_camera([0.0, 1.0, 0.0]).T
     upright = np.stack([f.gravity for f in walked])
@@ -165,7 +160,6 @@ def test_covariances_are_positive_definite(kit, hall, walked, way):
 
 
 def test_along_a_corridor_nobody_knows_how_far(kit, rng):
-    """Its walls hold the camera across, and nothing holds it along."""
     corridor = kit.boxes({"corridor": ((0, 0, 0), (60, 2, 2.5))})
     poses = np.stack([kit.standing(30 + 0.1 * i, 0.4, 90.0, 25.0) for i in range(3)])
     capture = kit.frames(corridor, poses)
@@ -273,7 +267,6 @@ def test_never_less_than_the_fits_own(problem, solution):
 
 
 def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
-    """By as much as they miss at their distance."""
     found = []
     for miss in (0.0, 2.0, 6.0):
         matches = []

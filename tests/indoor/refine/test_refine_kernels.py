@@ -63,7 +63,6 @@ def seen(frame):
 @settings(max_examples=25)
 @given(st.tuples(SMALL, SMALL, SMALL, SMALL, SMALL, SMALL), st.floats(2.0, 30.0))
 def test_depth_equations_are_those_of_planes_that_are_held(hall, way, seen, d, width):
-    """Each reading is drawn to the plane that its ray hits: the plane stays, the pose moves."""
     pose = turned(way[0], np.array(d))
     noise = 0.01, 0.003, 0.008
     kernel = Kernel(*noise, (0.5, 0.85), width)
@@ -106,7 +105,6 @@ def test_depth_equations_are_those_of_planes_that_are_held(hall, way, seen, d, w
 
 
 def test_what_faces_away_has_no_say(hall, way, seen):
-    """A reading whose own surface stands across the map's is not drawn to it."""
     kernel = Kernel(0.01, 0.0, 0.01, (0.5, 0.85), 5.0)
     rest = Surfaces.of(hall), np.ones(2), *parts(way[0]), seen.directions, seen.depth
     across = np.roll(seen.normals, 1, axis=1) * [[0.0, 1.0, 0.0]]
@@ -117,7 +115,6 @@ def test_what_faces_away_has_no_say(hall, way, seen):
 
 
 def test_distances_from_a_wall_are_along_its_normal(kit):
-    """Moved back by 0.2 m, every reading of the wall lies 0.2 m behind it, however slanted."""
     hall = kit.boxes({"hall": ((0, 0, 0), (6, 4, 3))})
     pose = kit.standing(4.0, 2.0, 20.0, down_deg=0.0)
     frame = kit.frames(hall, pose[None])[0]

@@ -84,7 +84,6 @@ def test_a_flat_of_five_rooms(flat, flat_walk, truth, kit):
 
 
 def test_images_alone(room, walk, exact, kit):
-    """Without depth the images are matched; whatever becomes of it, it is never worse by much."""
     estimate = room.localize(walk, options=WITHOUT_DEPTH)
     told = estimate.refinement
     after = kit.off(estimate.best.map_from_camera, exact.poses[-1])
@@ -126,7 +125,6 @@ def test_the_same_seed_the_same_answer(refined, room_world, room, walk):
 
 
 def test_what_is_lost_is_not_refined(flat, walk):
-    """A room that is not on the map: there is nothing to refine."""
     lost = flat.localize(walk, frames=FIVE)
     assert lost.status is Status.LOST
     assert lost.refinement is None
@@ -135,7 +133,6 @@ def test_what_is_lost_is_not_refined(flat, walk):
 
 
 def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, kit):
-    """Of a long capture only the last frames are refined; those before stay as they were."""
     newest = observe(PoseQuery.of(room, walk, frames=slice(6, None)))
     estimate = refine_estimate(newest, coarse, RefineSetup.of(None, "auto"))
     assert estimate.refinement.accepted
@@ -154,7 +151,6 @@ def test_a_refusal_leaves_the_coarse_pose(room, walk, monkeypatch):
 
 
 def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch):
-    """RoMa where it is installed, else SIFT; where neither is, a sentence says what to install."""
     monkeypatch.setitem(sys.modules, "romatch.models.model_zoo", None)
     monkeypatch.setitem(sys.modules, "cv2", None)
     mine, paper = GuidedMatcher(radius=8), RefineOptions.paper()
@@ -184,7 +180,6 @@ def test_from_two_decimetres_and_ten_degrees(room, walk, exact, kit, shift, degr
 
 
 def test_what_nothing_holds_stays_where_it_was_given(room, walk, exact, kit):
-    """The first frames see walls between floor and ceiling: their height is the one given."""
     start = kit.moved(exact.poses[4], (0.1, 0.1, 0.0), (0, 0, 4.0))
     refinement = room.refine(walk, start, frames=FIVE)
     assert "matches" not in refinement.refinement.stats  # depth is enough
@@ -208,7 +203,6 @@ def test_with_a_named_matcher(room, walk, exact, kit):
 
 
 def test_the_papers_recipe_runs(flat, flat_walk, truth, kit):
-    """Six views of every frame, PnP frame by frame: images alone, and no check."""
     pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
     right = truth(flat_walk)[1]
     estimate = flat.refine(

@@ -70,7 +70,6 @@ def test_readings_of_fit_and_check_are_other_pixels(refiner):
 
 
 def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
-    """`auto`: images where depth leaves doubts; `True`: always; without depth: always."""
     nowhere = Nowhere()
     refiner(matcher=nowhere).fit_trajectory(exact.poses)
     assert nowhere.views == []
@@ -110,7 +109,6 @@ def test_a_white_map_is_not_matched(refiner, exact, room, kit):
 
 @pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])
 def test_frames_that_are_looked_at(refiner, count, asked):
-    """Spread over the sequence, the last among them."""
     for matcher, most in ((None, MANY), (Nowhere(), FEW)):
         rows = refiner(matcher=matcher, frames=slice(0, count))
         rows.options = RefineOptions(frames=asked)

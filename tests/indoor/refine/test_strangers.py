@@ -76,7 +76,6 @@ def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, va
 
 @pytest.mark.parametrize(("options", "which"), [(BLIND, "query"), (BOTH, "rendered")])
 def test_points_that_are_no_numbers_end(room, walk, start, options, which):
-    """They would keep a solver turning for ever."""
     estimate = room.refine(walk, start, frames=FIVE, matcher=pairs(np.nan, which), options=options)
     assert np.isfinite(told(estimate).trajectory).all()
 
@@ -135,8 +134,6 @@ def test_chance_is_not_believed(room, walk, start, count, low, high):
 
 
 def test_the_same_pixels_everywhere_are_the_pose_that_was_given(room, walk, start):
-    """Who says that the rendering is the photograph moves nothing, and is no witness for it."""
-
     def same(size, views):
         at = np.random.default_rng(0).uniform(0, 1, (2000, 2)) * size
         return [Matches.of(at, at, np.ones(2000)) for _ in range(views)]
@@ -179,7 +176,6 @@ def test_a_few_pixels_of_depth_do_not_switch_images_off(
 
 
 def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch):
-    """What speaks against camera or depth speaks against the filter's pose as well."""
     before = room.localize(walk, frames=FIVE, refine=False)
     assert before.status is Status.OK
     nothing = FittedTrajectory(np.eye(4)[None], None, [], np.eye(6))

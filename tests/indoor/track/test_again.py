@@ -45,7 +45,6 @@ def test_the_second_answer_of_one_place_counts(poses):
 
 
 def test_an_alias_does_not(poses):
-    """Nor does another map, or a camera that looks elsewhere; of each the next answer decides."""
     again, ((before, here), (now, there)) = Confirmation(), poses
     alias = here.copy()
     alias[2, 3] += 1.1 * SAME_WAY

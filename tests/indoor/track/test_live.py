@@ -98,7 +98,6 @@ def test_images_at_five_and_odometry_at_fifty_hertz(live, film, wheels, truth):
 
 
 def test_a_late_image_counts_from_its_own_time(room, film, wheels):
-    """However late it comes, it tells the same of where odometry's frame stands."""
     anchors = []
     for late in (0.0, 0.37, 3.0):
         live = room.live(film.camera, background=False)
@@ -140,7 +139,6 @@ def test_the_newest_image_is_looked_at_and_the_pose_goes_on_meanwhile(room, film
 
 
 def test_a_lost_camera_is_looked_up_beside_images(room, film, elsewhere, truth):
-    """A kidnapping: frames are followed, in doubt, while others are looked up; then it is elsewhere."""
     held = Held()
     live = room.live(film.camera, background=held)
     for frame in film[:6]:
@@ -234,7 +232,6 @@ def test_samples_a_little_late_are_left_out(live, wheels):
 
 
 def test_odometry_that_begins_anew(live, film, truth):
-    """Its frame is another one from now on; the camera is looked for near where it was."""
     found(live, film, 8)
     anew = np.linalg.inv(film[8].odometry)
     anew[:3, 3] += 5.0
@@ -256,7 +253,6 @@ def test_images_of_another_clock(live, film):
 
 
 def test_somebody_says_where_it_is(room, film, truth):
-    """Near enough, one frame confirms it; far off, frames deny it, and it is looked for everywhere."""
     true = truth(film)
     loose = np.diag([0.09, 0.09, 0.01, 0.0, 0.0, 0.04])
     live = room.live(film.camera, background=False)
@@ -331,7 +327,6 @@ def test_what_breaks_in_the_background_is_told(room, film, monkeypatch):
 
 
 def test_threads(room, film, truth):
-    """With threads of its own nothing is dropped where one waits, and all end."""
     with room.live(film.camera) as live:
         for frame in film[:6]:
             live.move(frame.stamp, frame.odometry)
@@ -343,7 +338,6 @@ def test_threads(room, film, truth):
 
 
 def test_who_waits_is_told_that_it_was_closed(room, film):
-    """By an executor that never comes to it."""
     live, told = room.live(film.camera, background=Held()), []
     live.see(film[0])
 
@@ -363,7 +357,6 @@ def test_who_waits_is_told_that_it_was_closed(room, film):
 
 @pytest.mark.parametrize("told", [False, True])
 def test_odometry_that_falls_silent(told, live, film):
-    """Images come without it, or nothing does: where the camera went nobody knows."""
     for frame in film[:6]:
         live.move(frame.stamp, frame.odometry)
         live.see(frame)
@@ -378,7 +371,6 @@ def test_odometry_that_falls_silent(told, live, film):
 
 
 def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeypatch):
-    """As wallpaper that repeats: the first image is found 0.7 m too high, and those after it are not."""
     whole, search = Relocalizer.anywhere, []
 
     def fooled(relocalizer, frames, rng):
@@ -433,7 +425,6 @@ def test_depth_in_another_unit_is_named(live, film):
 
 
 def test_slow_frames_are_looked_up_with_those_before(room, film):
-    """Each is too near the last to be a keyframe beside it; together they are a way."""
     search = []
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
     live._follower.take_answer = lambda found: search.append(found.frames)
@@ -474,7 +465,6 @@ def test_odometry_goes_on(saved, room, film, truth):
 
 
 def test_odometry_begins_anew(saved, room, film, truth):
-    """A robot that was switched off, and where: its clock and its odometry are others."""
     live = LiveTracker.load(saved[0], room, background=False)
     first = live.move(0.0, np.eye(4))
     assert first.status is Status.AMBIGUOUS

@@ -43,7 +43,6 @@ def told(*samples):
 @given(poses, poses, poses, st.floats(0.0, 1.0))
 @settings(max_examples=60, deadline=None)
 def test_between_two_samples(one, other, frame, share):
-    """At the samples it is they; between it is rigid, and the same way in whichever frame it is told."""
     odometry = told((1.0, one), (1.5, other))
     np.testing.assert_allclose(odometry.at(1.0).pose, one, atol=1e-9)
     np.testing.assert_allclose(odometry.at(1.5).pose, other, atol=1e-9)
@@ -56,7 +55,6 @@ def test_between_two_samples(one, other, frame, share):
 @given(poses, st.lists(st.floats(0.0, 0.2), min_size=2, max_size=12), st.floats(0.0, 1.0))
 @settings(max_examples=60, deadline=None)
 def test_a_straight_way_is_one_however_it_is_sampled(start, gaps, share):
-    """Along a screw, which is interpolated exactly, samples between change nothing."""
     stamps = np.unique(np.round(np.cumsum(gaps), 6))
     speed = np.array([0.2, 0.1, 0.3])
 

@@ -136,7 +136,6 @@ def test_a_camera_that_stands_still_is_carried_on(room, film, truth):
 
 
 def test_a_camera_that_stands_still_and_is_lost_is_looked_up_again(room, film):
-    """Not in every frame, and not never."""
     tracker = room.tracker(film.camera, options=PoseSearchOptions().only(colour=True), seed=0)
     grey = np.full_like(film[0].rgb(), 128)
     lost = Frame.from_arrays(grey, film.camera, gravity=film[0].gravity)
@@ -181,7 +180,6 @@ def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth):
 
 
 def test_a_frozen_camera_is_no_bare_wall(room, film):
-    """Its readings fit where it was; odometry says that it is there no more."""
     tracker = room.tracker(film.camera, seed=0)
     for frame in film[:8]:
         tracker.update(frame)
@@ -214,7 +212,6 @@ def test_the_papers_likelihood_is_tracked_too(room, film):
     ids=["paper", "uniform", "mle"],
 )
 def test_what_no_tracker_can_follow(options, room, film):
-    """Particles everywhere, and their heaviest: it says so instead of doing something else."""
     with pytest.raises(OptionError, match="tracker starts from the table"):
         room.tracker(film.camera, options=options)
 
@@ -234,8 +231,6 @@ def test_frames_that_show_nothing(room, film):
 
 
 def test_a_torn_image_changes_nothing(room, film):
-    """The frame is refused, and the next one is answered as if it had never been."""
-
     class Torn:
         def rgb(self):
             raise InputError("rgb/000005.jpg is broken.")
@@ -289,7 +284,6 @@ def test_long_captures_that_cannot_be_tracked_are_filtered_whole(options, room, 
 
 
 def test_of_many_frames_the_newest_are_refined(room, film, truth):
-    """What is fitted together are the newest 30, however long the capture that was filtered."""
     estimate = room.localize(film, options=FilterOptions(answer="mle"), seed=0)
     assert estimate.refinement is not None
     assert estimate.refinement.accepted, estimate.refinement.reason

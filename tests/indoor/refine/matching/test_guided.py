@@ -94,7 +94,6 @@ def test_tiny_images_are_no_trouble(guided, rng, shape):
 
 
 def test_a_rival_takes_the_lead_away():
-    """Stripes are alike at every period: no place leads."""
     stripes = np.tile((np.arange(160) // 4 % 2 * 200 + 20).astype(np.uint8), (120, 1))
     rows = (np.arange(120) // 4 % 2 * 30).astype(np.uint8)
     image = np.repeat((stripes + rows[:, None])[..., None], 3, axis=2)
@@ -118,7 +117,6 @@ def test_options_out_of_range_are_refused(wrong):
 
 
 def test_corners_are_corners():
-    """Of squares: not their sides, one at most a cell, none where the map ends."""
     image = np.zeros((60, 60), np.float32)
     image[20:40, 20:40] = 1.0
     seen = np.ones(image.shape, bool)
