@@ -1,3 +1,1 @@
-"""Files of recorders."""
-
 from tests.io.conftest import *  # noqa: F403  # fixtures

@@ -1,5 +1,3 @@
-"""Fixtures of the core's tests, PyTorch on one thread, and notes of a training's progress."""
-
 import copy
 
 import pytest
@@ -13,7 +11,6 @@ from placegraph_learn.training import Progress
 
 @pytest.fixture(scope="session", autouse=True)
 def one_torch_thread():
-    """So small are the networks of tests."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -43,5 +40,4 @@ class Notes(Progress):
 
 @pytest.fixture(scope="session")
 def make_notes():
-    """Make a progress that takes notes: `make_notes(stop=(epoch, step))`."""
     return Notes

@@ -1,5 +1,3 @@
-"""Commands `placegraph city train` and `placegraph scene train`."""
-
 import json
 import shutil
 
@@ -114,7 +112,6 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
 
 @pytest.fixture(scope="module")
 def maps(room, walk, tmp_path_factory):
-    """Three maps of the one room, each with its captures; two images a capture."""
     at = tmp_path_factory.mktemp("maps")
     for name in "abc":
         room.save(at / f"{name}.scene")

@@ -33,7 +33,6 @@ def vit(timm):  # noqa: ARG001
 
 @pytest.fixture(scope="module")
 def posed(walk, truth):
-    """The walk through the room as images of the map: with its true poses."""
     frames = (replace(f, odometry=p) for f, p in zip(walk, truth(walk), strict=True))
     return replace(walk, frames=tuple(frames))
 

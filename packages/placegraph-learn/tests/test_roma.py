@@ -1,5 +1,3 @@
-"""RoMa's adapters: with networks of the libraries' call signatures."""
-
 import os
 import subprocess
 import sys
@@ -30,8 +28,6 @@ def moved(own, sizes, by):
 
 
 class Network(torch.nn.Module):
-    """Answers as `RegressionMatcher` does for a view that is shifted: PIL in, symmetric out."""
-
     symmetric = True
 
     def __init__(self, shape=(48, 64)):
@@ -85,7 +81,6 @@ class NetworkV2(torch.nn.Module):
 
 @pytest.fixture
 def library(monkeypatch, tmp_path):
-    """`romatch` with its names, its calls kept; and files that serve as weights."""
     calls = []
 
     def make(kind):
@@ -141,7 +136,6 @@ def library_v2(monkeypatch, tmp_path):
 
 
 def check_shift(found):
-    """Matches of images of the sizes below: shifted, in the images, many."""
     assert len(found) > 300
     assert np.allclose(found.rendered - found.query, SHIFT, atol=1e-3)
 

@@ -1,5 +1,3 @@
-"""Weights from files of PyTorch."""
-
 import subprocess
 import sys
 

@@ -1,5 +1,3 @@
-"""The file of a training's figures."""
-
 import os
 
 import numpy as np

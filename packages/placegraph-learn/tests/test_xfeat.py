@@ -28,10 +28,7 @@ def xfeat(request, weights):
 
 @pytest.mark.parametrize(
     "homography",
-    [
-        [[1, 0, 3.5], [0, 1, 2.25], [0, 0, 1]],
-        [[1.1, 0.05, -9], [-0.04, 0.95, 6], [2e-4, -1e-4, 1]],
-    ],
+    [[[1, 0, 3.5], [0, 1, 2.25], [0, 0, 1]], [[1.1, 0.05, -9], [-0.04, 0.95, 6], [2e-4, -1e-4, 1]]],
 )
 def test_a_homography_is_recovered(xfeat, picture, warped, errors, homography):
     h = np.array(homography, float)

@@ -1,5 +1,3 @@
-"""A table and a lamp, and an estimate that one of them confirms and the other contradicts."""
-
 import numpy as np
 import pytest
 

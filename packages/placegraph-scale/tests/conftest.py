@@ -1,3 +1,1 @@
-"""Fixtures of worlds in shards."""
-
 from tests.world.conftest import *  # noqa: F403  # fixtures

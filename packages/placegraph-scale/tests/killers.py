@@ -1,5 +1,3 @@
-"""Tasks that end their worker, for tests of builds."""
-
 import os
 import signal
 from pathlib import Path
@@ -8,7 +6,6 @@ from placegraph_scale.tiles import build_tile
 
 
 def once(job):
-    """Build a tile; the first of all kills its worker."""
     try:
         Path(os.environ["KILLED_ONCE"]).touch(exist_ok=False)
     except FileExistsError:

@@ -1,5 +1,3 @@
-"""A small town cut into shards."""
-
 import numpy as np
 import pytest
 from tests.cities import _write_world
@@ -15,7 +13,6 @@ KINDS = (
 
 
 def town():
-    """Things every 24 m over 2.4 km, streets, and a few that are unique."""
     rng = np.random.default_rng(3)
     kinds = rng.choice(7, size=(101, 76), p=(0.3, 0.3, 0.1, 0.1, 0.05, 0.1, 0.05))
     nodes = [(24.0 * x, 24.0 * y, KINDS[kinds[x, y]]) for x in range(101) for y in range(76)]
@@ -46,7 +43,6 @@ def sharded(whole, tmp_path_factory):
 
 @pytest.fixture
 def world(sharded, tmp_path):
-    """A copy that a test may damage."""
     import shutil
 
     return shutil.copytree(sharded, tmp_path / "WORLD")
@@ -66,5 +62,4 @@ TEXTS = (
 
 
 def shards_of(world):
-    """What lies outdoors: the shards."""
     return world.planets["WORLD"]

@@ -1,5 +1,3 @@
-"""A world of shards: the same bytes however often it was killed, and by however many it was built."""
-
 import os
 import shutil
 import signal
@@ -25,7 +23,6 @@ SMALL = BuildOptions(zoom=15, overlap=100.0, workers=1)
 
 @pytest.fixture
 def extract(write_world):
-    """Benches and trees along two kilometres, and a road of 60: five tiles of 780 m."""
     things = [(40.0 * i, 10.0 * (i % 3), BENCH if i % 2 else TREE) for i in range(60)]
     ends = [(-30_000.0, 20.0, {}), (30_000.0, 20.0, {})]
     path = (list(range(0, 60, 4)), {"highway": "path", "name": "Weg"})
@@ -255,7 +252,6 @@ def test_without_dask(extract, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A scheduler and a worker of Dask, in this process."""
     distributed = pytest.importorskip("distributed", reason="needs Dask (extra scale)")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
@@ -275,7 +271,6 @@ def test_a_cluster_builds_the_same(cluster, extract, tmp_path):
 def test_city_build_of_a_large_extract_is_a_world_of_the_same_things(
     run, write_world, tmp_path, monkeypatch
 ):
-    """What one map holds, the cores of its shards hold together, each thing as it is there."""
     things = [(150.0 * i, 150.0 * (i % 9), BENCH if i % 2 else TREE) for i in range(80)]
     street = ([0, 1, 2], {"highway": "residential", "name": "Weg"})
     path = write_world(things, [street])

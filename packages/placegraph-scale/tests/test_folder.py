@@ -1,5 +1,3 @@
-"""Worlds at URLs: brought and fetched whole, and only what is new."""
-
 import sys
 from itertools import count
 

@@ -1,5 +1,3 @@
-"""Splitting: every thing in every tile that it touches, and what is large only where something is."""
-
 import errno
 import os
 import re
@@ -51,7 +49,6 @@ def held(folder, sizes, key):
 
 
 def city_of(folder, found, key, tmp_path):
-    """City of a tile, with what is large in it."""
     (tmp_path / "large").mkdir(exist_ok=True)
     large = spread_large(folder, tmp_path / "large", found.sizes, found.populated, MARGIN)
     files = [(str(folder / f"{key}.things"), found.sizes[key])]
@@ -77,7 +74,6 @@ def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
 
 
 def test_a_road_of_600_km_costs_its_part_in_populated_tiles(write_world, tmp_path):
-    """And so does a park of two degrees around two stray benches."""
     park = [
         (-70_000.0, -110_000.0),
         (70_000.0, -110_000.0),
@@ -145,7 +141,6 @@ def test_an_extract_that_changes_meanwhile(write_world, tmp_path, monkeypatch):
 
 
 def along(n):
-    """Benches and trees, paths that lack a node, and a lake."""
     nodes = [(30.0 * i, 20.0 * (i % 7), BENCH if i % 2 else TREE) for i in range(n)]
     ways = [([3 * i, 3 * i + 1, 900 + i], {"highway": "path"}) for i in range(n // 3)]
     ways += [([0, 6], {}), ([6, 7, 0], {})]
@@ -196,7 +191,6 @@ def test_an_extract_that_changed_since_it_was_killed_begins_anew(write_world, tm
 
 @pytest.mark.parametrize(("what", "limit"), [("nodes.index", 0), ("things", 1 << 20)])
 def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp_path):
-    """The system lets no file grow beyond a limit."""
     path = tmp_path / "world.osm.pbf"
     with osmium.SimpleWriter(str(path)) as writer:
         for thing in osmium.FileProcessor(str(write_world(*along(60)))):
@@ -242,7 +236,6 @@ def thing(i=1, points=((100000000, 500000000),)):
 
 
 def put(folder, *tables):
-    """File of tile 0 and its size."""
     spills = TileFiles(folder)
     for things in tables:
         spills.add("0", ElementTable.of(things))

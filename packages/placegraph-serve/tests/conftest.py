@@ -1,3 +1,1 @@
-"""Fixtures of the server."""
-
 from serve_world import *  # noqa: F403  # fixtures

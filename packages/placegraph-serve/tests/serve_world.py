@@ -49,7 +49,6 @@ SENTENCE = "A bakery is north of me. The church is east of the bakery."
 
 @pytest.fixture(scope="session")
 def maps(demo_world, tmp_path_factory):
-    """Folder with the demo's town and two of its homes."""
     folder = tmp_path_factory.mktemp("served")
     for name in (f"{TOWN}.city", "home1.scene", "home2.scene"):
         shutil.copy(demo_world / name, folder)
@@ -58,13 +57,11 @@ def maps(demo_world, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def walk(demo_world):
-    """A film in the demo's flat, which is not among the maps."""
     return demo_world / "walk"
 
 
 @pytest.fixture(scope="session")
 def flat(demo_world, tmp_path_factory):
-    """The demo's flat, which stands on Earth: its y axis points to the east."""
     anchor = Anchor(8.0, 53.0, 40.0, np.pi / 2, np.diag([1.0, 1.0, 1.0, 1e-4]), "Haus", level="2")
     file = tmp_path_factory.mktemp("flat") / f"{FLAT}.scene"
     open_map(demo_world / file.name).anchored(anchor).save(file)
@@ -77,7 +74,6 @@ def town(maps):
 
 
 def ready(asked, status=200):
-    """Ask until the answer has a status, and return that answer."""
     end = time.monotonic() + 120
     while time.monotonic() < end:
         with suppress(httpx.RemoteProtocolError):  # a busy machine is too slow for tiny limits
@@ -88,8 +84,6 @@ def ready(asked, status=200):
 
 
 class LocalQueue:
-    """Worker queue whose requests a thread of this process answers, one after the other."""
-
     ready, waiting, running, answered, replaced = True, 0, 0, 0, 0
 
     def __init__(self, name, pool, dispatcher):
@@ -124,14 +118,11 @@ def serving(*paths, processes=(), **options):
 
 @pytest.fixture(scope="session")
 def client(town):
-    """One server of the town alone, for all tests that do not change it."""
     with serving(town) as client:
         yield client
 
 
 class Running:
-    """A server as `placegraph serve` starts it, in a process of its own."""
-
     def __init__(self, *words, program=None, cwd=None):
         start = ["-m", "placegraph", "serve"] if program is None else [program]
         self.process = subprocess.Popen(  # noqa: S603  # our own interpreter
@@ -172,12 +163,10 @@ def running(maps, demo_world, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def url(running):
-    """Address of the page."""
     return f"{running.url}/"
 
 
 @pytest.fixture(scope="session")
 def web(url):
-    """Client of the server of the page."""
     with httpx.Client(base_url=url) as client:
         yield client

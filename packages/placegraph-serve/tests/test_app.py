@@ -1,5 +1,3 @@
-"""Routes, asked through the application: sentences, search boxes, sessions."""
-
 import asyncio
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -95,9 +93,6 @@ def test_the_newest_of_what_is_typed_is_answered(client):
         assert (told["id"], told["problem"]["code"]) == ("q", "map_unknown")
 
 
-# --- search boxes ---
-
-
 def found(client, q, **more):
     return client.get("/api", params={"q": q} | more).json()["features"]
 
@@ -151,9 +146,6 @@ def test_bad_searches(client):
     assert client.get("/api", params={"q": "a", "lat": 91}).status_code == 422
     assert found(client, "xqzzy") == []
     assert found(client, "?") == []
-
-
-# --- sessions of somebody who walks through a town ---
 
 
 @pytest.fixture

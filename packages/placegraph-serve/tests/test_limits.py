@@ -1,5 +1,3 @@
-"""Who may ask: pages of this server, under its own name."""
-
 import httpx
 import pytest
 from starlette.responses import PlainTextResponse
@@ -20,7 +18,6 @@ async def _app(scope, receive, send):
 
 
 def asking(host, keys=(), **options):
-    """Client that asks under a host's name."""
     guard = Guard(_app, ServeOptions(**options), Keys(keys), Metrics())
     return TestClient(guard, base_url=f"http://{host}")
 
@@ -63,7 +60,6 @@ def test_a_name_that_was_given_is_its_own():
 
 
 def test_with_keys_any_name_will_do():
-    """No strange page has a key."""
     client = asking("maps.example.org", keys=(b"secret",))
     assert client.get("/v1/maps", headers={"X-API-Key": "secret"}).status_code == 200
     assert client.get("/v1/maps").status_code == 401

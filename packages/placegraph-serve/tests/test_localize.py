@@ -1,5 +1,3 @@
-"""Images in a scene that stands on Earth: localize, GeoPose, sessions."""
-
 import base64
 import io
 import json
@@ -53,7 +51,6 @@ def off(mode, truth):
 
 
 def test_a_phones_picture_without_gravity(client, frame, truth):
-    """Focal length by EXIF, and nothing else."""
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = round(230 / np.hypot(320, 180) * 43.267)
     picture = encoded(frame.rgb(), "JPEG", quality=95, exif=exif.tobytes())
@@ -135,11 +132,7 @@ def test_a_plan_of_a_scene(client):
     assert client.get("/v1/maps/paris/plan.png").json()["code"] == "map_unknown"
 
 
-# ------------------------------------------------------------------------------------- GeoPose
-
-
 def oscp(frame, version, **more):
-    """A request as clients send it, with a picture."""
     data = base64.b64encode(encoded(frame.rgb(), "JPEG", quality=95)).decode()
     down = frame.gravity
     params = {"model": "PINHOLE", "modelParams": [230, 230, 160, 90]}
@@ -212,7 +205,6 @@ def test_a_geolocation_far_from_the_map_is_left_out_and_told(
 
 
 def test_the_protocols_own_example(client, shared):
-    """It has no picture: what is left is where its geolocation says."""
     jsonschema = pytest.importorskip("jsonschema")
     folder = shared / "conformance" / "geopose"
     example = json.loads((folder / "gpp-request.example.json").read_text())
@@ -270,9 +262,6 @@ def test_a_map_that_stands_nowhere_has_no_geopose(maps, frame):
 def test_no_image_and_no_fix(client):
     answer = client.post("/geopose", json={"sensorReadings": []})
     assert (answer.status_code, answer.json()["code"]) == (422, "no_pose")
-
-
-# ------------------------------------------------------------------------------------ sessions
 
 
 def test_a_camera_is_followed(client, walk, truth):

@@ -1,5 +1,3 @@
-"""The page in a real browser, with a real server behind it: sentences, buildings, senses."""
-
 import re
 
 import pytest
@@ -170,15 +168,11 @@ def test_the_page_trusts_nobody_else(web):
     assert web.get("/parts/nothing.js").status_code == 404
 
 
-# --- the way from the city into a building, in a real browser: plans, poses, images ---
-
-
 KITCHEN = "I am in the Hotel Hansa, in the kitchen."
 SCALE = "document.querySelector('.scale span').textContent"
 
 
 def inside(page):
-    """Wait until the plan fills the map."""
     page.wait_for_selector(".floor:not([hidden])")
     still(page)
 
@@ -295,9 +289,6 @@ def test_plans_are_drawn_of_what_is_there(web):
     assert web.get("/v1/maps/hafenstadt/drawing.png").json()["code"] == "map_kind"
     [anchor] = {m["name"]: m for m in web.get("/v1/maps").json()["maps"]}["altbau"]["anchors"]
     assert (anchor["building"], anchor["level"]) == ("Hotel Hansa", "2")
-
-
-# --- what the device knows, in a real browser: voice, satellites and compass, granted, denied and absent ---
 
 
 SQUARE = "There is a fountain on the square."

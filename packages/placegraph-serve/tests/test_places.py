@@ -1,5 +1,3 @@
-"""Maps by name, as their files are now, and drawings of them."""
-
 import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -119,9 +117,6 @@ def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
     assert places.world("all") is places.world("all")
     (tmp_path / "all" / "world.json").write_text("{}")
     assert "world build" in places.describe_maps()[0]["problem"]
-
-
-# --- what is drawn is made once, and kept while there is room ---
 
 
 def test_what_two_ask_for_at_once_is_made_once():

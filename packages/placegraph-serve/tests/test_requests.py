@@ -1,5 +1,3 @@
-"""Requests as somebody sends them: pictures, captures as ZIP, the GeoPose protocol."""
-
 import base64
 import json
 import zipfile
@@ -107,9 +105,6 @@ def test_depth_of_16_bits():
         read_depth(picture(kind="PNG"), "depth[0]", 1000.0, OPTIONS)
 
 
-# --- captures that come as a ZIP ---
-
-
 @pytest.fixture
 def packed(tmp_path):
     def pack(*entries):
@@ -192,9 +187,6 @@ def test_too_many_files(packed):
 def test_no_capture(packed):
     with pytest.raises(InputError, match="holds no capture of a known recorder"):
         capture_in(*packed(("notes.txt", b"hello")), ServeOptions())
-
-
-# --- requests of the GeoPose protocol, as clients really send them ---
 
 
 @pytest.mark.parametrize(

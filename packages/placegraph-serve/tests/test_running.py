@@ -1,5 +1,3 @@
-"""A server in a process of its own: its socket, its workers, its end, and what goes wrong about it."""
-
 import base64
 import concurrent.futures
 import json
@@ -53,7 +51,6 @@ def small(town, tmp_path_factory):
 
 
 def spoken(server, *parts, wait=b""):
-    """All that the server answers to bytes, each part sent once the one before is away."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=30) as wire:
         for part in parts:
             wire.sendall(part)
@@ -113,7 +110,6 @@ def test_what_is_no_http(small):
 
 
 def test_a_websocket_s_key_that_is_no_ascii(small):
-    """websockets would answer with 500, and log where it failed."""
     lines = ["GET /v1/live?key=secret HTTP/1.1", "Host: x", "Upgrade: websocket", "Connection: Upgrade",
              "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=\xe9", "Sec-WebSocket-Version: 13"]  # fmt: skip
     told = spoken(small, ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1"))
@@ -280,9 +276,6 @@ def test_questions_of_a_world_are_answered(running):
     assert ask(language="xx").status_code == 422
 
 
-# --- what the how-to asks with curl is answered ---
-
-
 PAGE = Path(__file__).parents[3] / "docs" / "howto-serve.md"
 LINES = re.findall(r"^curl .*$", PAGE.read_text("utf-8"), re.MULTILINE)
 
@@ -302,9 +295,6 @@ def test_curl(line, running, walk, tmp_path):
         told = json.loads(out.stdout)
         assert "code" not in told, told
         assert told.get("maps") or told.get("features") or told["estimate"]["modes"]
-
-
-# --- the socket that the server listens at ---
 
 
 def test_answers_do_not_wait_for_the_client():

@@ -1,5 +1,3 @@
-"""Processes that die, take too long, or are all taken."""
-
 import concurrent.futures
 import os
 import signal
@@ -26,7 +24,6 @@ def replaced(client):
 
 @pytest.fixture(scope="module")
 def bounded(town):
-    """A client of one process, with a tiny limit of seconds and a queue of one."""
     with serving(town, processes=("sentences", "steps"), queue=1, sentence_seconds=4.0) as client:
         yield client
 

@@ -1,5 +1,3 @@
-"""timm, for the encoders that are networks; scenes are those of tests/indoor."""
-
 import importlib
 
 import pytest

@@ -1,5 +1,3 @@
-"""Tests."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Confusions: as numbers, as files, and as captures with poses show them."""
-
 import dataclasses
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What all encoders have in common: names, binding, and vectors that are checked."""
-
 from importlib.metadata import EntryPoint
 from string import Formatter
 

@@ -1,5 +1,3 @@
-"""The encoder of labels: label images, probabilities, synonyms and kin, confusions, bad input."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The segmentation network beside the project labels images, and captures of them."""
-
 import json
 import sys
 from dataclasses import replace

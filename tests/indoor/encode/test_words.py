@@ -1,5 +1,3 @@
-"""Vectors of words: synonyms, kinds, groups, spelling, and what says nothing."""
-
 import importlib.resources
 from collections import Counter
 

@@ -1,7 +1,3 @@
-"""How the tests of this folder write down what was understood."""
-
-from __future__ import annotations
-
 from math import degrees
 
 import pytest
@@ -31,5 +27,4 @@ def statement(sentence, s):
 
 @pytest.fixture(scope="session")
 def said():
-    """Return what a sentence says, one line a statement."""
     return lambda sentence: [statement(sentence, s) for s in sentence.statements]

@@ -1,7 +1,3 @@
-"""What things look like: colours are called by their names, and words for looks tell rooms apart."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +24,6 @@ CUBE = np.array([
 
 
 def room(*things):
-    """Scene map of boxes: (label, centre, size, colour)."""
     corners, colours = [], []
     for _, centre, size, colour in things:
         unit = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) - 0.5

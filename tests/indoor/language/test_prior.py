@@ -1,7 +1,3 @@
-"""Where a sentence says that somebody is, on the drawn flat: soft, told, and true."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +11,6 @@ from placegraph.indoor.options import PoseSearchOptions
 
 @pytest.fixture(scope="module")
 def table(flat):
-    """Panoramas of the flat at one height."""
     return flat.visibility(PoseSearchOptions(heights=(1.6,)))
 
 
@@ -36,7 +31,6 @@ def away(scene, label, points):
 
 
 def best(prior, share=0.01):
-    """Rows of positions and bins of headings of the best poses."""
     order = np.argsort(-prior, axis=None, kind="stable")[: int(share * prior.size)]
     return np.unravel_index(order, prior.shape)
 

@@ -1,7 +1,3 @@
-"""What sentences say: by examples, by round trips of generated ones, and that no text breaks it."""
-
-from __future__ import annotations
-
 from math import pi
 
 import pytest

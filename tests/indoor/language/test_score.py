@@ -1,7 +1,3 @@
-"""Scenes by text: what counts, how rare it is, and that the index says what single scenes say."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

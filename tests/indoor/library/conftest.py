@@ -1,8 +1,3 @@
-"""Three rooms drawn in ASCII, their maps and walks through them: one small library.
-
-Rooms, films and signatures are made once a session, whichever tests ask for them.
-"""
-
 from dataclasses import dataclass, field
 from functools import cache
 

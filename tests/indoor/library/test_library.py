@@ -1,5 +1,3 @@
-"""Libraries come and go, are saved and opened, and localize."""
-
 import json
 import math
 import shutil
@@ -136,9 +134,6 @@ def test_a_damaged_file_is_a_typed_error(folder, tmp_path_factory, data):
         SceneLibrary.open(path)
 
 
-# ----------------------------------------------------------------------------------------- text
-
-
 def test_a_text_finds_its_room(by_labels):
     estimate = by_labels.search("a room with a bed and a wardrobe")
     assert estimate.best.scene == "bedroom"
@@ -153,9 +148,6 @@ def test_a_text_that_says_nothing(by_labels, text):
         PlacegraphError, match=r"says nothing|empty|nothing was said|no description"
     ):
         by_labels.search(text)
-
-
-# ------------------------------------------------------------------------------------- localize
 
 
 def off(estimate, walk):

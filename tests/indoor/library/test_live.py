@@ -1,5 +1,3 @@
-"""A robot in a lift: one room, then another, and odometry has seen nothing of it."""
-
 from dataclasses import replace
 
 import numpy as np

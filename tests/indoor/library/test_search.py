@@ -1,5 +1,3 @@
-"""Scenes are found by captures."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -140,9 +138,6 @@ def test_an_empty_library_says_so(rooms):
 def test_options_out_of_range(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         SearchOptions(**wrong)
-
-
-# ------------------------------------------------------------------------------------- the parts
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])

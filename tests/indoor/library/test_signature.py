@@ -1,5 +1,3 @@
-"""What a library keeps of a scene."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The shared house as a model."""
-
 import pytest
 
 from placegraph.io.mesh.gltf import read_glb

@@ -1,5 +1,3 @@
-"""Where the floor is: by its label, or as the largest low surface that looks up."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Where a camera can be: in each storey, where others were, and beside a map that is open there."""
-
 import tracemalloc
 from dataclasses import replace
 

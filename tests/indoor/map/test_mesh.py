@@ -1,5 +1,3 @@
-"""The mesh: arrays that fit each other, colours of hits, coordinates in steps."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Relations between boxes, and between real triangles where boxes would be wrong."""
-
 import numpy as np
 import pytest
 from hypothesis import given

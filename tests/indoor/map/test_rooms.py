@@ -1,5 +1,3 @@
-"""Rooms of drawn flats, of boxes, and of scans with holes."""
-
 import numpy as np
 import pytest
 from hypothesis import given

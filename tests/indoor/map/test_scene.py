@@ -1,5 +1,3 @@
-"""Landmarks in a map and in its file."""
-
 from dataclasses import replace
 
 import numpy as np

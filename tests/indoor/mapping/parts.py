@@ -1,5 +1,3 @@
-"""Parts of drawn maps, and spheres."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Surfaces to bake, and what must hold of every one that was baked."""
-
 import itertools
 from dataclasses import replace
 

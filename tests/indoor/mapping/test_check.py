@@ -1,5 +1,3 @@
-"""What is wrong with maps of drawn rooms that were spoilt on purpose."""
-
 from dataclasses import replace
 
 import numpy as np

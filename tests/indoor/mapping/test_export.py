@@ -1,5 +1,3 @@
-"""Maps as files for other programs: read back they are the same map."""
-
 import json
 
 import numpy as np
@@ -9,12 +7,7 @@ from placegraph.core import files as locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.mesh import GRAIN, Mesh
-from placegraph.indoor.mapping.export import (
-    MARK,
-    export,
-    list_losses,
-    paint_vertices,
-)
+from placegraph.indoor.mapping.export import MARK, export, list_losses, paint_vertices
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_io.graphs.spark_dsg import read_spark_dsg

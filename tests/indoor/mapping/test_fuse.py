@@ -1,5 +1,3 @@
-"""Scenes whose depth is known to the last digit."""
-
 from collections import Counter
 from dataclasses import replace
 
@@ -11,12 +9,7 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.core.threads import limit_threads
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping.fuse import (
-    FuseOptions,
-    drop_specks,
-    find_good_poses,
-    fuse,
-)
+from placegraph.indoor.mapping.fuse import FuseOptions, drop_specks, find_good_poses, fuse
 from placegraph.indoor.mapping.fuse_kernels import compute_facets
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame

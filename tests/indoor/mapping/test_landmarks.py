@@ -1,5 +1,3 @@
-"""Landmarks of a capture lie on its surfaces, and place images beside its views."""
-
 import numpy as np
 import pytest
 from PIL import Image

@@ -1,5 +1,3 @@
-"""Several scenes in one map: side by side, on one floor, and still themselves."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Rough maps of OpenStreetMap's rooms: floors, walls with doors, names, levels, and the way back."""
-
 import numpy as np
 import pytest
 

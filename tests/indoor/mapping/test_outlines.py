@@ -1,5 +1,3 @@
-"""Outlines: made simple, cut into triangles, and found again."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""A rendered room written as a ScanNet scan: map and recording fit to a few millimetres."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Fewer triangles, the same surface: bounds on distance, seams, borders and textures."""
-
 from collections import Counter
 
 import numpy as np
@@ -8,11 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify import (
-    build_wedges,
-    cut_tiles,
-    simplify,
-)
+from placegraph.indoor.mapping.simplify import build_wedges, cut_tiles, simplify
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):

@@ -1,5 +1,3 @@
-"""Kinds of sources come from plugins; where one is missing, the message names its extra."""
-
 from collections import Counter
 
 import pytest

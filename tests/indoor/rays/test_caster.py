@@ -1,5 +1,3 @@
-"""Ray casters: trees of boxes, hits against each other and against known answers."""
-
 import gc
 from concurrent.futures import ThreadPoolExecutor
 
@@ -84,9 +82,6 @@ def _both(vertices, triangles):
     return [RayCaster(vertices, triangles, backend=b) for b in ("embree", "bvh")]
 
 
-# ------------------------------------------------------------------------ against each other
-
-
 def test_backends_agree_on_soup(rng):
     casters = _both(*soup(20_000, rng))
     for rays in (anyhow(100_000, rng, *ROOM), tiles(50, rng, *ROOM)):
@@ -116,9 +111,6 @@ def test_backends_agree_on_the_house(house, kind, rng):
     for rays in (anyhow(50_000, rng, low, high), tiles(40, rng, low, high)):
         a, b = (caster.cast(*rays) for caster in casters)
         assert differing(a, b) <= 1e-4
-
-
-# -------------------------------------------------------------------------- against geometry
 
 
 def test_hits_lie_where_barycentrics_say(caster, rng):
@@ -219,9 +211,6 @@ def test_deep_trees_are_traversed(caster):
         np.testing.assert_allclose(hits.distance, 1.0, atol=1e-4)
 
 
-# -------------------------------------------------------------------------- against nonsense
-
-
 def test_rays_that_are_none_hit_nothing(caster):
     room = caster(*box((0, 0, 0), (4, 4, 3)))
     origins, directions = np.full((40, 3), 1.0), np.tile([1.0, 0.0, 0.0], (40, 1))
@@ -246,9 +235,6 @@ def test_what_cannot_be_cast_at():
         RayCaster(np.eye(3), np.zeros((0, 3), int))
     with pytest.raises(OptionError, match="backend is 'gpu'"):
         RayCaster(*box((0, 0, 0), (1, 1, 1)), backend="gpu")
-
-
-# ------------------------------------------------------------------------ life of the tracer
 
 
 def test_a_tracer_keeps_the_scene_and_lets_it_go(monkeypatch):
@@ -276,9 +262,6 @@ def test_many_threads_at_once(caster, rng):
         for hits in pool.map(lambda _: room.cast(*rays), range(16)):
             np.testing.assert_array_equal(hits.triangle, expected.triangle)
             np.testing.assert_array_equal(hits.distance, expected.distance)
-
-
-# ------------------------------------------------------------------------- choice of backend
 
 
 def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):

@@ -9,11 +9,7 @@ from PIL import Image
 from tests.io.damage import DAMAGE, damaged, refusing
 
 from placegraph.errors import InputError
-from placegraph_io.dataset.scan3r_sequence import (
-    is_scan3r_sequence,
-    read_pgm,
-    read_scan3r_sequence,
-)
+from placegraph_io.dataset.scan3r_sequence import is_scan3r_sequence, read_pgm, read_scan3r_sequence
 
 INFO = """\
 m_versionNumber = 4

@@ -11,12 +11,7 @@ from tests.io.damage import DAMAGE, damaged, refusing
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph_io.dataset.sens import (
-    is_scannet_export,
-    is_sens,
-    read_scannet_export,
-    read_sens,
-)
+from placegraph_io.dataset.sens import is_scannet_export, is_sens, read_scannet_export, read_sens
 
 HEADER = 4 + 8 + 15 + 4 * 64 + 8 + 16 + 4 + 8
 COLOUR = Camera(8, 6, 10.0, 11.0, 4.0, 3.0)
@@ -228,8 +223,7 @@ def test_any_damage_is_an_input_error(recording, folder, data):
 
 
 @pytest.mark.parametrize(
-    ("intrinsics", "digits"),
-    [("intrinsic/intrinsic_{}.txt", 1), ("intrinsics_{}.txt", 6)],
+    ("intrinsics", "digits"), [("intrinsic/intrinsic_{}.txt", 1), ("intrinsics_{}.txt", 6)]
 )
 def test_an_exported_folder_holds_what_was_recorded(recording, folder, intrinsics, digits):
     recording.export(folder, intrinsics=intrinsics, digits=digits)

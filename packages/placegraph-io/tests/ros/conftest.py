@@ -1,5 +1,3 @@
-"""A walk through a drawn room, written as bags."""
-
 import numpy as np
 import pytest
 

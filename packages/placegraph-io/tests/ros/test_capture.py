@@ -63,10 +63,7 @@ def test_a_file_alone_and_what_was_chosen(bag, clip, recorded, tmp_path):
 @pytest.mark.parametrize("container", ["mcap", "rosbag1"])
 def test_what_the_library_mcap_writes(container, packing, bag, clip, tmp_path):
     ros1 = container == "rosbag1"
-    with (
-        AnyReader([bag(container)]) as reader,
-        (tmp_path / "other.mcap").open("wb") as file,
-    ):
+    with AnyReader([bag(container)]) as reader, (tmp_path / "other.mcap").open("wb") as file:
         writer = Writer(file, chunk_size=30_000, compression=CompressionType[packing])
         writer.start("ros1" if ros1 else "ros2", "tests")
         channels = {}

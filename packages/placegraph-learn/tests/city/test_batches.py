@@ -1,5 +1,3 @@
-"""Padding is nothing: what stands in a batch is what stands alone."""
-
 import numpy as np
 import pytest
 

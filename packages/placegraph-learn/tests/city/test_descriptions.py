@@ -1,5 +1,3 @@
-"""Speakers: what they say is true unless they err, where they may stand, seeded."""
-
 from itertools import islice
 
 import numpy as np
@@ -66,7 +64,6 @@ def talk(speakers, monkeypatch):
 
 
 def things(city, words):
-    """Rows of the objects that a tag or name stands for."""
     o, rows = city.objects, []
     for i in range(len(o)):
         labels = [o.labels[k] for k in o.label_values[o.label_starts[i] : o.label_starts[i + 1]]]
@@ -82,7 +79,6 @@ def seen_from(city, example, mention):
 
 
 def at(city, rows, position):
-    """Where objects stand for a speaker: the nearest point, or the middle of what surrounds them."""
     return sample.look_around(city, np.array(rows, np.int32), np.asarray(position, np.float64)).at
 
 
@@ -91,7 +87,6 @@ def wind(bearing):
 
 
 def points_to(delta, bearing):
-    """Whether a vector points to a wind: its larger part does (Eq. 6)."""
     return np.abs(angle_between(np.arctan2(*delta), bearing)) <= np.pi / 4 + 1e-6
 
 

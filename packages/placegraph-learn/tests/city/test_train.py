@@ -1,5 +1,3 @@
-"""Training on a drawn town: it learns, goes on where it was interrupted, and says what is wrong."""
-
 import json
 from dataclasses import replace
 
@@ -40,7 +38,6 @@ WORDS = (b"museum", b"Bench", b"zwirbelei")
 
 @pytest.fixture(scope="module")
 def learn(harbour, vocabulary, tmp_path_factory):
-    """Train in a folder; examples are shared by all."""
     pools = tmp_path_factory.mktemp("pools")
 
     def call(folder, options=OPTIONS, **more):
@@ -118,7 +115,6 @@ def test_the_loss_falls(learn, tmp_path, make_notes):
 
 
 def test_word_vectors_of_a_file_are_trained_with(learn, tmp_path, harbour, make_notes):
-    """Those of the map's words are kept: nothing else is needed to read the weights."""
     rng, file = np.random.default_rng(2), tmp_path / "words.bin"
 
     def write():
@@ -207,8 +203,6 @@ def test_a_drawn_batch_has_something_right_for_every_text(harbour, pool, rng):
 
 
 def test_right_places_stand_beside_wrong_ones_only_where_matching_likes_them(harbour, pool):
-    """Wrong ones are chosen for being liked: right ones that are not would teach to contradict."""
-
     right = Lessons(harbour, pool).right
     assert np.array_equal(right[pool.right != 1], pool.right[pool.right != 1])
     assert np.isfinite(pool.scores[right == 1]).all()
@@ -324,7 +318,6 @@ def test_what_relational_matching_never_scored_is_not_fused(two_texts):
 
 
 def test_a_text_and_a_place_of_two_texts_are_not_mirrored(two_texts):
-    """sim(text i, place j) is not sim(text j, place i): own candidates are judged, no others."""
     scores, truth = two_texts
     before = losses(scores, truth, scales(), ["match", "similarity"])
     other = scores._replace(embedding=torch.flip(scores.embedding, [0]))
@@ -340,7 +333,6 @@ def judged(relational, logit, cosine, fused, near):
 
 
 def test_places_close_together_share_their_probability():
-    """Two weak places side by side outweigh a strong one alone, as modes of a posterior do."""
     scores = np.log([[0.4, 0.3, 0.3]])
     near = [[False, True, True]]
     side_by_side = np.eye(3, dtype=bool)[None] | np.array([[[0, 0, 0], [0, 0, 1], [0, 1, 0]]], bool)
@@ -382,8 +374,6 @@ def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, netwo
 
 
 def test_training_begins_with_relational_matching(harbour, pool, network):
-    """An untrained network adds nothing: what it may lose by being fused is nothing either."""
-
     found = score_viewpoints(Network(network.shape), Lessons(harbour, pool), "cpu")
     asked = np.isfinite(found.relational)
     added = found.fused[asked] - found.relational[asked]

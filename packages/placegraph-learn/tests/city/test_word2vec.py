@@ -1,5 +1,3 @@
-"""Files of word2vec: both forms come back, whatever is damaged is refused."""
-
 import gzip
 
 import numpy as np
@@ -14,7 +12,6 @@ WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Z", "C")), min
 
 
 def written(words, vectors, *, binary, line_feeds=False):
-    """A file as word2vec (with line feeds) and gensim write it."""
     head = f"{len(words)} {vectors.shape[1]}\n".encode()
     if not binary:
         lines = (
@@ -63,7 +60,6 @@ def test_words_come_back_in_every_form(folder, entries, length, form):
 
 @given(st.data())
 def test_damage_is_refused_or_harmless(folder, data):
-    """Whatever bytes: vectors of finite numbers, or one `InputError` that names the file."""
     vectors = np.random.default_rng(1).normal(size=(3, 4)).astype(np.float32)
     raw = bytearray(written(["cafe", "Tree", "öl"], vectors, binary=data.draw(st.booleans())))
     for _ in range(data.draw(st.integers(1, 3))):

@@ -1,5 +1,3 @@
-"""A tiny network, and captures of the drawn room whose poses are in its map."""
-
 import numpy as np
 import pytest
 import torch
@@ -12,13 +10,11 @@ from placegraph_learn.scenegraphloc.weights import write_weights
 
 @pytest.fixture(scope="session")
 def survey(walk, truth):
-    """The walk through the room as one of the map: its odometry is map_from_camera."""
     return place_capture(walk, truth(walk))
 
 
 @pytest.fixture(scope="session")
 def tiny_weights(tmp_path_factory):
-    """Random weights of a small network on features of colour, as a file."""
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(11)
@@ -29,7 +25,6 @@ def tiny_weights(tmp_path_factory):
 
 @pytest.fixture
 def picture(rng):
-    """Random image (90, 160, 3) whose left half is red and whose right half is blue."""
     image = rng.integers(0, 40, (90, 160, 3), np.uint8)
     image[:, :80, 0] += 200
     image[:, 80:, 2] += 200

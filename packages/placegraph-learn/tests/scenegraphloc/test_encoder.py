@@ -1,5 +1,3 @@
-"""The encoder: vectors of patches and objects, what is in its key, and what goes wrong."""
-
 import shutil
 from dataclasses import replace
 
@@ -133,7 +131,6 @@ NEEDED = 7e9
 
 
 def _draw_dino():
-    """State dict spelled as dinov2_vitg14_pretrain.pth is."""
     drawn = torch.Generator().manual_seed(0)
     shapes = {
         "cls_token": (1, 1, WIDTH), "pos_embed": (1, 1 + CELLS * CELLS, WIDTH),
@@ -159,7 +156,6 @@ def _draw_dino():
 
 @pytest.fixture
 def files(timm, shared, tmp_path):  # noqa: ARG001
-    """Snapshot of SceneGraphLoc and weights of DINOv2, as their authors write them."""
     free = shutil.disk_usage(tmp_path).free
     if free < NEEDED:
         pytest.skip(f"needs {NEEDED / 1e9:.0f} GB of disk, and has {free / 1e9:.1f}")

@@ -1,5 +1,3 @@
-"""Image features: of colour, and those of a vision transformer as the published network has them."""
-
 import sys
 
 import numpy as np
@@ -38,8 +36,6 @@ BLOCK = 2
 
 @pytest.fixture(scope="module")
 def transformer(timm):
-    """Random weights; patches of 14 px, as DINOv2's, and positions that differ."""
-
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(2)
         model = timm.models.vision_transformer.VisionTransformer(

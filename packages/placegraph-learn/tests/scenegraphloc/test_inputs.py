@@ -1,5 +1,3 @@
-"""The five modalities of a map: points, structure, relations, attributes, views."""
-
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -213,8 +211,6 @@ LOOKING_EAST = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1.5], [0, 0, 
 
 
 class Middle:
-    """Features that are the mean colour of what they are given: easily known."""
-
     key, dimension = "mean", 3
 
     def grid(self, image):
@@ -225,14 +221,12 @@ class Middle:
 
 
 def _wall(x, low, high):
-    """Corners and triangles of a wall at x, from y z `low` to `high`."""
     corners = [[x, y, z] for y in (low[0], high[0]) for z in (low[1], high[1])]
     return np.array(corners), np.array([[0, 1, 2], [1, 3, 2]])
 
 
 @pytest.fixture(scope="module")
 def scene_views():
-    """A large wall to the east, a small board before it, and something behind the camera."""
     parts = [
         _wall(4, (-9, -9), (9, 9)),
         _wall(2, (0.0, 1.5), (1.0, 2.0)),

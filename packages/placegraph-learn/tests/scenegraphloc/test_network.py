@@ -1,5 +1,3 @@
-"""The network against the conformance data: every intermediate, both layouts, both sets of edges."""
-
 import numpy as np
 import pytest
 import torch
@@ -61,7 +59,6 @@ def _objects(inputs, edges):
 
 @pytest.fixture(scope="module")
 def found(given, network):
-    """All outputs that the description names."""
     _, inputs, _ = given
     out = {}
     modules = dict(network.named_modules())
@@ -118,7 +115,6 @@ def truths(given):
 
 
 def right(patches, objects, truth):
-    """Whether the patches that show a candidate are nearest to it."""
     shown = truth.target >= 0
     return (patches[shown] @ objects.T).argmax(dim=1) == truth.target[shown]
 

@@ -1,5 +1,3 @@
-"""Training on drawn homes: it learns, goes on where it was interrupted, and says what is wrong."""
-
 import shutil
 from dataclasses import replace
 
@@ -46,8 +44,6 @@ def lessons():
 
 @pytest.fixture(scope="module")
 def learn(lessons):
-    """Train in a folder; places were looked at before, as in a run that was interrupted."""
-
     def call(at, options=OPTIONS, **more):
         (at / "places").mkdir(parents=True, exist_ok=True)
         for name, lesson in lessons.items():
@@ -115,7 +111,6 @@ def test_the_snapshot_is_laid_out_as_the_authors(trained):
 
 
 def _drawn(rng, kinds, name):
-    """A lesson of six things that look alike where they are of one kind, two in each picture."""
     n, edges = 6, [(a, b) for a in range(6) for b in range(6) if a != b]
     chosen = rng.permutation(len(kinds))[:n]
 
@@ -135,8 +130,6 @@ def _drawn(rng, kinds, name):
 
 
 def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
-    """On rooms drawn in numbers; on rendered homes the table scene_train shows it."""
-
     kinds = rng.normal(size=(9, 17))
     kinds /= np.linalg.norm(kinds, axis=1, keepdims=True)
     drawn = [_drawn(rng, kinds, f"room {i}") for i in range(20)]

@@ -1,5 +1,3 @@
-"""Files of weights: both spellings, what is ignored, and all that can be wrong with one."""
-
 import pickle
 
 import numpy as np
@@ -32,8 +30,6 @@ def state(network):
 
 @pytest.fixture
 def snapshot(tmp_path):
-    """Write a state dict as the authors do; returns its path."""
-
     def write(state, **more):
         path = tmp_path / "epoch-3.pth.tar"
         torch.save({"epoch": 3, "iteration": 90, "model": state} | more, path)

@@ -1,5 +1,3 @@
-"""Scenes in shards are part of a world: its answers are those of the one library that was read."""
-
 import shutil
 
 import numpy as np
@@ -26,7 +24,6 @@ ASKED = (
 
 @pytest.fixture(scope="module")
 def maps_and_library(folder, tmp_path_factory):
-    """The small world's folder with a library's file, and one where that is in shards."""
     read, mapped = (tmp_path_factory.mktemp(name) for name in ("read", "mapped"))
     scenes = tmp_path_factory.mktemp("scenes")
     library = pg.SceneLibrary()
@@ -76,7 +73,6 @@ def test_frames_are_answered_as_by_the_library(both, films, room):
 
 @pytest.mark.parametrize("names", [["reading"], ["suite", "twin"]])
 def test_scenes_that_nothing_tells_apart_are_looked_into(folder, films, tmp_path, names):
-    """One alone, and two that are the same."""
     library = pg.SceneLibrary()
     for name in names:
         library.add(name, folder / f"{name}.scene")
@@ -106,7 +102,6 @@ def test_few_are_opened_and_the_others_are_weighed(both, monkeypatch):
 
 
 def test_shards_and_scenes_beside_each_other(maps_and_library, folder, tmp_path):
-    """One posterior over both: the scene of a file competes with those of shards."""
     _, mapped = maps_and_library
     shutil.copytree(mapped, tmp_path / "world")
     shutil.copy(folder / "twin.scene", tmp_path / "world" / "again.scene")
@@ -138,12 +133,8 @@ def test_by_the_command_line_and_a_server(maps_and_library, run):
     assert (listed["all"]["kind"], listed["all"]["objects"]) == ("shards", 4)
 
 
-# --- bad input ---
-
-
 @pytest.fixture
 def damaged(maps_and_library, tmp_path):
-    """The world with its scenes in three shards, to be damaged."""
     read, mapped = maps_and_library
     library = pg.open_map(read / "all.library")
     more = varied({n: library.entry(n).signature for n in library}, 5, np.random.default_rng(0))

@@ -1,5 +1,3 @@
-"""Shards say what the library of the same scenes says, and read next to nothing to open."""
-
 import json
 
 import numpy as np
@@ -28,7 +26,6 @@ def signatures(maps):
 
 @pytest.fixture(scope="module")
 def large(signatures):
-    """The library that is read."""
     out = SceneLibrary()
     for name, signature in signatures.items():
         out.insert(name, Entry(signature, None))
@@ -41,7 +38,6 @@ def listed(signatures):
 
 @pytest.fixture(scope="module")
 def shards(signatures, tmp_path_factory):
-    """All in one shard, so that the same is usual as in the library."""
     return write_shards(tmp_path_factory.mktemp("shards") / "one", listed(signatures))
 
 
@@ -93,9 +89,6 @@ def test_scenes_by_their_map_files(rooms, tmp_path):
     (tmp_path / "study.scene").write_bytes(b"another")
     with pytest.raises(MapError, match="another map"):
         SceneShards.open(tmp_path / "shards").open_scenes(found.stats["rows"][:1])
-
-
-# --- bad input ---
 
 
 def test_nothing_to_write_and_nothing_asked(tmp_path, shards):

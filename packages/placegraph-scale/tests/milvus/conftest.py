@@ -1,5 +1,3 @@
-"""A Milvus that fails on demand, and a real one."""
-
 import importlib.util
 import logging
 import os
@@ -147,7 +145,6 @@ def fake():
 
 @pytest.fixture
 def server(fake, monkeypatch):
-    """A `Server` that talks to the fake, and never sleeps."""
     monkeypatch.setattr("placegraph_scale.milvus.sleep", lambda _: None)
     return Server(fake, "http://root:secret@fake:19530")
 
@@ -178,8 +175,6 @@ milvus.main()
 
 
 class RealMilvus:
-    """A Milvus server of the PyPI package `milvus`: own port, own folder, killed at will."""
-
     def __init__(self, folder: Path):
         self.folder = folder
         with socket.socket() as probe:
@@ -189,7 +184,6 @@ class RealMilvus:
         self.process = None
 
     def start(self):
-        """Wait until it answers; skip where it cannot run here."""
         command = [sys.executable, "-c", LAUNCH]
         command += ["--data", str(self.folder), "--proxy-port", str(self.port)]
         # A killed server's parts hold leases; the new one waits until they run out.
@@ -218,7 +212,6 @@ class RealMilvus:
         pytest.fail(f"Milvus does not answer: {log.read_text()[-1000:]}")
 
     def kill(self):
-        """As a power cut does it."""
         if self.process is not None:
             os.killpg(self.process.pid, signal.SIGKILL)  # its whole group: the server is a child
             self.process.wait()
@@ -227,7 +220,6 @@ class RealMilvus:
 
 @pytest.fixture(scope="session")
 def milvus(tmp_path_factory):
-    """A running Milvus server."""
     pytest.importorskip("pymilvus", reason="needs the extra milvus")
     if importlib.util.find_spec("milvus") is None:
         pytest.skip("needs the package milvus, which has the server (Linux on x86_64)")

@@ -1,5 +1,3 @@
-"""Loads into Milvus and all that may happen to them, with a server that fails on demand."""
-
 import logging
 
 import numpy as np
@@ -32,7 +30,6 @@ NAME = collection_name("town", HERE)
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch):
-    """47 rows in five batches."""
     monkeypatch.setattr(milvus_load, "BATCH", 10)
 
 
@@ -41,7 +38,6 @@ def load(server, content, **options):
 
 
 def holds_all(fake, content, store):
-    """The store has every row once, and finds what numpy finds."""
     rows = fake.held[NAME]["rows"]
     assert sorted(r["id"] for r in rows) == content.ids.tolist()
     asked = content.vectors[::5]

@@ -1,5 +1,3 @@
-"""A real Milvus server: the same candidates as the embedded store, and a load through a crash."""
-
 import numpy as np
 import pytest
 

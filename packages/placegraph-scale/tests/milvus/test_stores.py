@@ -1,5 +1,3 @@
-"""Stores on a server by their address, and the commands that load and list them."""
-
 import json
 
 import numpy as np
@@ -12,7 +10,6 @@ from placegraph_scale.milvus import MilvusStore, Server
 
 @pytest.fixture
 def reach(monkeypatch, server):
-    """Every address leads to the fake server."""
     monkeypatch.setattr(Server, "connect", classmethod(lambda *_: server))
 
 

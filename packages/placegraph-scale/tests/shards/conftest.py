@@ -1,3 +1,1 @@
-"""A town in shards."""
-
 from shards_world import *  # noqa: F403  # fixtures

@@ -1,5 +1,3 @@
-"""A real city, whole and in 12 shards, asked the test texts."""
-
 import gc
 import json
 import shutil
@@ -116,7 +114,6 @@ def test_bad_questions_are_refused(planet, whole, tmp_path):
 
 
 def holder_of(world, text):
-    """Path of the shard with the best place."""
     cell = pg.open_world(world).locate(text).best.place.cell
     return world / "shards" / f"{cell.partition('/')[0]}.city"
 
@@ -156,7 +153,6 @@ def test_a_shard_that_cannot_matter_may_be_missing(world):
 
 
 def test_a_search_ends_where_what_is_lost_alone_matters(whole, tmp_path, monkeypatch):
-    """A shard does not answer, and all others not looked into are negligible."""
     write_shards(whole, tmp_path / "WORLD", 16)
     monkeypatch.setattr(search, "NEGLIGIBLE", 0.1)
     text = "I am at the Museum of Salt. A bench is north of me."

@@ -1,5 +1,3 @@
-"""Scenes in the folder of a world in shards are part of it: its answers are those of plain maps."""
-
 import shutil
 
 import numpy as np
@@ -27,7 +25,6 @@ TO_A_HUNDREDTH = {"rel": 0.01, "abs": 0.01}
 
 @pytest.fixture(scope="module")
 def folders(demo_world, tmp_path_factory):
-    """The demo's town as one map, and in shards, each with the scenes that stand in it."""
     plain, shards = (tmp_path_factory.mktemp(name) for name in ("plain", "shards"))
     made = tmp_path_factory.mktemp("made") / "world"
     shutil.copytree(demo_world, made)
@@ -47,7 +44,6 @@ def both(folders):
 
 @pytest.fixture(scope="module")
 def frames(demo_world):
-    """Three frames taken by a window."""
     return pg.open_capture(demo_world / "window")
 
 
@@ -127,7 +123,6 @@ def test_a_shard_where_scenes_stand_may_be_gone(folders, frames, tmp_path):
 
 
 def test_scenes_in_library_shards_and_beside_the_folder(both, folders, frames, tmp_path):
-    """Wherever they lie: the same answer."""
     world = shutil.copytree(folders[1], tmp_path / "WORLD")
     library, paths = pg.SceneLibrary(), sorted(folders[1].glob("*.scene"))
     for path in paths:

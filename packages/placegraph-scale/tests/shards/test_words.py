@@ -1,5 +1,3 @@
-"""Words of a world put in order on disk: the same bytes however few are held in memory."""
-
 import json
 from contextlib import suppress
 from types import SimpleNamespace
@@ -195,7 +193,6 @@ LABELS = ("amenity=bank", "amenity=bench", "shop=salt")
 
 @st.composite
 def shards(draw):
-    """What is counted of some shards; some words occur in none of their cores."""
     found = []
     for _ in range(draw(st.integers(1, 5))):
         labels, names = (

@@ -1,5 +1,3 @@
-"""ICP: small motions are found again, what cannot be known is left alone."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""Diffs as JSON: written, read back, and refused where they are none."""
-
 import json
 
 import numpy as np

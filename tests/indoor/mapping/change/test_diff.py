@@ -1,5 +1,3 @@
-"""What changed between two maps of one drawn room, in the same axes and in others."""
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,5 +1,3 @@
-"""What changed between a map of a drawn room and walks through it later, of known poses."""
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,5 +1,3 @@
-"""Maps that have taken over what changed."""
-
 from dataclasses import replace
 
 import numpy as np

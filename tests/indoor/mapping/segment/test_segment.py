@@ -1,5 +1,3 @@
-"""A mesh without labels falls into floor, walls and things, whatever order its triangles have."""
-
 from collections import Counter
 
 import numpy as np

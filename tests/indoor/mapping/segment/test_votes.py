@@ -1,5 +1,3 @@
-"""Label images say what the faces are that they show, though a third of them errs."""
-
 from collections import Counter
 from dataclasses import replace
 
