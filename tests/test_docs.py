@@ -217,9 +217,6 @@ def test_the_site_is_built_and_its_links_lead_somewhere(tmp_path):
     assert "placegraph city locate" in (tmp_path / "commands.html").read_text("utf-8")
 
 
-# --- the runner itself ---
-
-
 def example(text):
     return blocks_of(Path("page.md"), textwrap.dedent(text))
 

@@ -73,7 +73,6 @@ def test_what_it_lacks_for_what(layout, lacks, run, world, tmp_path):
 
 
 def test_what_is_not_read_is_said(run, world, tmp_path):
-    """Topics of unknown types are listed; images that cannot be read say why; so does a wrong file."""
     with BagWriter(tmp_path / "walk") as writer:
         writer.compressed("/cam/video/compressed", 1.7e9, b"h264", "h264")
         writer.write_bytes("/battery", "sensor_msgs/msg/BatteryState", 1.7e9, b"\0\1\0\0")

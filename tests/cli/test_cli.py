@@ -33,9 +33,6 @@ HELP = {
 """What some helps teach, beside the commands of groups."""
 
 
-# --- help and version ---
-
-
 def test_version(run):
     result = run("--version")
     assert (result.code, result.out.strip()) == (0, __version__)
@@ -85,9 +82,6 @@ def test_the_installed_script_and_the_module(city):
     missing = call(script, "city", "info", "missing.city")
     assert (missing.returncode, missing.stdout) == (3, "")
     assert "Traceback" not in missing.stderr
-
-
-# --- build ---
 
 
 def test_build(run, osm, tmp_path):
@@ -165,9 +159,6 @@ def test_build_refuses(run, osm, city, tmp_path):
     with map_writer(out):
         fails(run("city", "build", osm, "-o", out), 5, "a.city")
     assert not out.exists()
-
-
-# --- locate ---
 
 
 def test_locate(run, city):
@@ -275,7 +266,6 @@ def test_page_and_picture(run, city, tmp_path):
 
 
 def test_names_and_texts_are_printed_as_they_are(run, tmp_path):
-    """Brackets mean markup to a console; in a name they are brackets."""
     path = tmp_path / "brackets.osm"
     path.write_text(
         '<osm version="0.6"><node id="1" lat="50" lon="10"><tag k="shop" v="bakery"/>'
@@ -315,9 +305,6 @@ def test_candidates_that_nothing_counts_are_refused(run, city, options):
     assert "candidates is 5, but relational by sparse" in refused.err
 
 
-# --- asking back ---
-
-
 def test_ask_until_the_place_is_clear(run, city):
     question = run("city", "locate", city, SQUARES, "--json").json["question"]
     assert "Rathausplatz" in question
@@ -344,9 +331,6 @@ def test_whoever_goes_away_still_gets_what_is_known(run, city):
         result = run("city", "locate", city, SQUARES, "--ask", "--json", stdin=stdin)
         assert result.code == 0
         assert result.json["status"] == "AMBIGUOUS"
-
-
-# --- track ---
 
 
 def test_track_tells_an_estimate_a_line(run, city):
@@ -413,9 +397,6 @@ def test_track_at_a_terminal(run, city, monkeypatch):
     assert result.out.startswith("AMBIGUOUS")
     assert result.err.startswith("> ")
     assert "no character of a text" in result.err
-
-
-# --- info, check, fetch, demo ---
 
 
 def test_info(run, city, tmp_path):

@@ -75,9 +75,6 @@ def slab(path, label="floor"):
     return path
 
 
-# --- what is asked ---
-
-
 @pytest.mark.parametrize(
     "query", ["./no/walk", "walk/", "walk.zip", "a sofa and/or a bed", "x.r3d"]
 )
@@ -129,9 +126,6 @@ def test_a_text_that_is_a_folder_too(run, library, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("library", "search", library, "kitchen").code == 3  # no capture
     assert run("library", "search", library, "--text", "kitchen").code == 0
-
-
-# --- what is built ---
 
 
 def test_two_maps_of_one_name_are_told_before_any_work(run, world, tmp_path, monkeypatch):

@@ -10,8 +10,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.core import files
-from placegraph.core import files as locks
-from placegraph.core.estimate import Evidence, Explained, Place, Status
+from placegraph.core.estimate import Evidence, Explained, Place
 from placegraph.core.files import check_regular, write_file, write_output
 from placegraph.core.geometry import Camera
 from placegraph.core.jit import kernel
@@ -22,8 +21,6 @@ from placegraph.indoor.encode.networks import ImageNetwork
 from placegraph.indoor.library.library import hash_file
 from placegraph.io.capture.capture import Frame
 from placegraph_learn.scenegraphloc.features import read_attributes
-
-# --- files written whole or not at all ---
 
 
 def test_a_file_takes_the_place_of_the_old_one(tmp_path):
@@ -67,12 +64,11 @@ def test_what_cannot_be_written_is_said(tmp_path):
         write_file(tmp_path / "no" / "a.bin", [b""])
     with pytest.raises(MapError, match="not a file name"):
         write_file("a\0b", [b""])
-    with locks.lock_file(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
+    with files.lock_file(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
         write_file(tmp_path / "a.bin", [b""])
 
 
 def test_a_link_where_the_temporary_file_stands_is_not_followed(tmp_path):
-    """Somebody who may write to the folder could have any file of ours overwritten."""
     precious = tmp_path / "precious"
     precious.write_bytes(b"old")
     (tmp_path / ".a.bin.tmp").symlink_to(precious)
@@ -148,9 +144,6 @@ def test_no_reader_of_weights_words_or_maps_reads_a_device(tmp_path):
             read(tmp_path / f"a{ending}")
 
 
-# --- ranges shared among threads: every row once, from as many threads at once as one likes ---
-
-
 @kernel
 def _count(amount, out, first, last):
     for row in range(first, last):
@@ -223,9 +216,6 @@ def test_what_a_part_raises_is_raised():
     assert count_processors() >= 1
 
 
-# --- what is sent to other processes: small, without what was derived, and the same there ---
-
-
 SAID = "A bakery is north of me. The church is east of the bakery."
 
 
@@ -277,7 +267,6 @@ def test_a_scene_a_capture_and_a_pose(flat, walk):
 
 
 def test_arrays_that_nobody_may_write_stay_so(flat, harbour):
-    """Compiled code is of either kind; it must not be compiled twice."""
     for here, there in ((flat, sent(flat)), (harbour, sent(harbour))):
         pairs = [(here, there)]
         while pairs:
@@ -307,10 +296,3 @@ def test_frames_in_memory():
     there = sent(frame)
     assert there.depth().tolist() == frame.depth().tolist()
     assert not there.gravity.flags.writeable
-
-
-def test_short_in_a_shell(harbour, flat, walk):
-    shown = [repr(harbour.locate(SAID)), repr(flat.localize(walk, frames=slice(0, 2)))]
-    assert max(map(len, shown)) < 400
-    assert Status.AMBIGUOUS.value in shown[0]
-    assert "PoseMode" in shown[1]

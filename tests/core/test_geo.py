@@ -48,9 +48,6 @@ from placegraph.core.geometry import (
 )
 from placegraph.errors import GeoPoseError, OptionError
 
-# --- anchors: a map's points on Earth and back, poses as GeoPose has them, what is not known added up ---
-
-
 anchors = st.builds(
     Anchor, st.floats(-180, 180), st.floats(-90, 90), st.floats(-500, 9000), st.floats(-7, 7)
 )
@@ -130,9 +127,9 @@ def test_what_is_not_known_of_map_and_pose_adds_up():
     body = to_enu @ (anchor.ecef_from_map @ matrix)[:3, :3]
     at_anchor = ecef_from_enu(anchor.longitude, anchor.latitude)
     origin, drawn = anchor.ecef_from_map[:3, 3], []
-    for _ in range(4000):
-        east, north, up, turn = rng.multivariate_normal(np.zeros(4), of_anchor)
-        step = rng.multivariate_normal(np.zeros(6), of_pose)
+    shifts = rng.multivariate_normal(np.zeros(4), of_anchor, 4000)
+    steps = rng.multivariate_normal(np.zeros(6), of_pose, 4000)
+    for (east, north, up, turn), step in zip(shifts, steps, strict=True):
         true = matrix.copy()
         true[:3, 3] += step[:3]
         true[:3, :3] = rotation_from_vector(step[3:]) @ true[:3, :3]
@@ -222,9 +219,6 @@ def test_the_plane_of_a_city_touches_here(lon, lat, east, north):
     ecef = ecef_from_geodetic((lon, lat, 0.0)) + ecef_from_enu(lon, lat) @ (east, north, 0.0)
     on_plane = LocalPlane(lon, lat).to_plane(geodetic_from_ecef(ecef)[:2])
     assert np.allclose(on_plane, (east, north), atol=0.25)
-
-
-# --- estimates in the words of geography: what is known, and what is not ---
 
 
 CAFE = Evidence(
@@ -333,9 +327,6 @@ def test_an_ellipse_holds_its_share(longitude):
     assert (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0  # counter-clockwise
 
 
-# --- the quadtree: keys are paths, cores cover the Earth once, margins reach what they say ---
-
-
 spots = st.tuples(st.floats(-180.0, 179.999), st.floats(-89.9, 89.9))
 
 
@@ -362,16 +353,7 @@ def test_what_is_no_zoom(zoom):
         check_zoom(zoom)
 
 
-def test_children_make_up_their_parent():
-    parent = tile_bounds("120")
-    children = [tile_bounds("120" + digit) for digit in "0123"]
-    assert {c.west for c in children} == {parent.west, parent.center[0]}
-    assert max(c.north for c in children) == parent.north
-    assert children[0].south == children[2].north
-
-
-def test_keys_are_those_of_web_maps():
-    """As Bing's quadkeys of tile 3, 5 of level 3."""
+def test_keys_are_those_of_web_maps():  # Bing's quadkeys
     assert tile_key(3, 5, 3) == "213"
     assert tile_key(3 + 8, 5, 3) == "213"  # once around the Earth
     assert key_at(-123.1, 49.25, 3) == "021"

@@ -27,9 +27,6 @@ from placegraph.core.jit import Kernel, cache_key, defer_signals, kernel
 from placegraph.errors import OptionError
 from placegraph_lab.make.kernels import spell_call
 
-# --- compiled kernels are found again by what they are made of, and kept where they can be ---
-
-
 CALLEE = """
 from placegraph.core.jit import kernel
 FACTOR = {factor}
@@ -299,11 +296,8 @@ def _uninterrupted_elsewhere():
         return "done"
 
 
-# --- the list of what commands compile holds, and what it lists is compiled before it is called ---
-
-
 CALLS = list(dict.fromkeys(call for calls in warm.list_calls().values() for call in calls))
-SMALL = next(call for call in CALLS if ".code(" in call)
+SMALL = next(call for call in CALLS if ".encode_rows(" in call)
 
 
 def _name(call):
@@ -336,7 +330,7 @@ def test_types_are_read_as_they_are_spelled():
 def test_the_simplest_kind_of_a_command():
     build = warm.list_calls()["scene build"]
     flood, fused = (
-        _name(next(call for call in CALLS if end in call)) for end in (".flood(", ".integrate(")
+        _name(next(call for call in CALLS if end in call)) for end in (".flood_basins(", ".integrate(")
     )
     assert warm.calls_with(flood, ["scene", "build", "x"]) == build
     assert len(warm.calls_with(fused, ["scene", "build", "x"])) > len(build)
@@ -346,7 +340,7 @@ def test_the_simplest_kind_of_a_command():
 def test_compiled_before_it_is_called():
     told = []
     assert warm.missing_calls([SMALL, SMALL]) == [SMALL]
-    bad = SMALL.replace("int32[::1])", "float64)")
+    bad = SMALL.removesuffix("int32[::1])") + "float64)"
     failed = warm.compile_calls([SMALL, bad], told.append)
     assert sorted(told) == sorted([SMALL, bad])
     assert [reason.split(":")[0] for reason in failed] == [bad.split(":")[0]]
@@ -363,11 +357,10 @@ def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
         out = capsys.readouterr().out
         assert out.startswith(said)
         assert str(tmp_path / "mine") in out
-    assert len(list(Path(tmp_path, "mine").glob("*.code-*/*.nbc"))) == 1
+    assert len(list(Path(tmp_path, "mine").glob("*.encode_rows-*/*.nbc"))) == 1
 
 
 def test_the_command_makes_what_sentences_are_read_by(tmp_path):
-    """For a server that can write nowhere; in a process that has read nothing yet."""
     mine = tmp_path / "mine"
     code = "from placegraph import cli; from placegraph.core import warm; warm.list_calls = dict; cli.main()"
     subprocess.run([sys.executable, "-c", code, "--compiled", mine, "warm"], check=True)  # noqa: S603

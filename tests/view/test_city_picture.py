@@ -32,9 +32,6 @@ from placegraph.view.draw.canvas import Disc, Stroke
 from placegraph.view.draw.style import LAYER, PAINTS, PALETTE
 from placegraph_lab.worlds.town.town import Town
 
-# --- the sea lies on the right hand of the coast ---
-
-
 BOUNDS = (0.0, 0.0, 1000.0, 1000.0)
 
 
@@ -52,58 +49,45 @@ def objects(*lines, labels=("natural=coastline",)):
     )
 
 
-def is_sea(city, *points):
-    rings = find_sea(city, BOUNDS)
-    return [bool(wet) for wet in _are_inside(rings, np.array(points, np.float64))]
+def ring(west, south, east, north):
+    """Ring with its inside on the left."""
+    return [(west, south), (east, south), (east, north), (west, north), (west, south)]
 
 
-def test_no_coast_no_sea():
+@pytest.mark.parametrize(
+    ("lines", "points", "wet"),
+    [
+        ([[(500, -50), (500, 1050)]], [(900, 500), (100, 500)], [True, False]),
+        ([[(500, 1050), (500, -50)]], [(900, 500), (100, 500)], [False, True]),
+        # pieces are joined in any order
+        (
+            [[(500, 300), (500, 700)], [(500, 700), (500, 1100)], [(500, -100), (500, 300)]],
+            [(900, 50), (900, 950), (100, 500)], [True, True, False],
+        ),
+        # an island
+        ([ring(400, 400, 600, 600)], [(500, 500), (100, 100), (900, 500)], [False, True, True]),
+        # a bay and an island in it
+        (
+            [[(-10, 700), (700, 700), (700, 300), (-10, 300)], ring(200, 450, 300, 550)],
+            [(100, 500), (250, 500), (500, 100), (900, 500)], [True, False, False, False],
+        ),
+        # a coast that the extract cut off goes straight on
+        ([[(500, 200), (520, 800)]], [(900, 100), (900, 900), (100, 100)], [True, True, False]),
+        # two shores of a strait
+        (
+            [[(1050, 300), (-50, 300)], [(-50, 700), (1050, 700)]],
+            [(500, 500), (500, 100), (500, 900)], [True, False, False],
+        ),
+    ],
+)  # fmt: skip
+def test_the_sea_lies_right_of_the_coast(lines, points, wet):
+    rings = find_sea(objects(*lines), BOUNDS)
+    assert _are_inside(rings, np.array(points, np.float64)).tolist() == wet
+
+
+def test_without_a_coast_or_with_one_that_contradicts_itself_there_is_no_sea():
     assert find_sea(objects([(0, 0), (1, 1)], labels=("natural=tree",)), BOUNDS) == []
-
-
-@pytest.mark.parametrize("northward", [True, False])
-def test_a_straight_coast(northward):
-    line = [(500, -50), (500, 1050)] if northward else [(500, 1050), (500, -50)]
-    assert is_sea(objects(line), (900, 500), (100, 500)) == [northward, not northward]
-
-
-def test_pieces_are_joined_in_any_order():
-    city = objects([(500, 300), (500, 700)], [(500, 700), (500, 1100)], [(500, -100), (500, 300)])
-    assert is_sea(city, (900, 50), (900, 950), (100, 500)) == [True, True, False]
-
-
-def test_an_island_in_the_sea():
-    ring = [(400, 400), (600, 400), (600, 600), (400, 600), (400, 400)]  # land on the left
-    assert is_sea(objects(ring), (500, 500), (100, 100), (900, 500)) == [False, True, True]
-
-
-def test_a_bay_and_an_island_in_it():
-    bay = [(-10, 300), (700, 300), (700, 700), (-10, 700)][::-1]
-    island = [(200, 450), (300, 450), (300, 550), (200, 550), (200, 450)]
-    points = (100, 500), (250, 500), (500, 100), (900, 500)
-    wet = is_sea(objects(bay, island), *points)
-    assert wet[1] != wet[0]
-    assert wet[2] == wet[3] != wet[0]
-
-
-def test_a_coast_that_the_extract_cut_off_goes_straight_on():
-    assert is_sea(objects([(500, 200), (520, 800)]), (900, 100), (900, 900), (100, 100)) == [
-        True, True, False,
-    ]  # fmt: skip
-
-
-def test_two_shores_of_a_strait():
-    south = [(1050, 300), (-50, 300)]  # going west, land to the south on the left
-    north = [(-50, 700), (1050, 700)]
-    city = objects(south, north)
-    assert is_sea(city, (500, 500), (500, 100), (500, 900)) == [True, False, False]
-
-
-def test_a_coast_that_contradicts_itself_gives_no_sea():
     assert find_sea(objects([(500, -50), (500, 1050)], [(700, -50), (700, 1050)]), BOUNDS) == []
-
-
-# --- heat, ellipses and witnesses stand where the estimate says ---
 
 
 def test_ellipse_holds_the_stated_deviations(city, sure):
@@ -124,14 +108,11 @@ def test_heat_peaks_at_the_heaviest_mode(city, sure):
     assert 0.5 < glow.density.max() <= 1.0 + 1e-9
 
 
-def test_a_faint_posterior_is_faint(city, estimate_of):
+def test_a_faint_posterior_is_faint_and_nothing_glows_far_away(city, sure, estimate_of):
+    assert posterior_layer(city, sure, (9000.0, 9000.0, 9100.0, 9100.0), 2.0) is None
     faint = estimate_of(Status.LOST, 0.01)
     bounds = mode_bounds(city, faint.modes[0])
     assert posterior_layer(city, faint, bounds, 2.0).density.max() < 0.1
-
-
-def test_no_heat_far_away(city, sure):
-    assert posterior_layer(city, sure, (9000.0, 9000.0, 9100.0, 9100.0), 2.0) is None
 
 
 def test_witnesses_are_the_objects_of_telling_statements(city, sure, town):
@@ -154,14 +135,11 @@ def test_marks_join_witnesses_to_the_mode(city, sure):
     assert sum(isinstance(m, Disc) for m in marks) == 2
 
 
-@pytest.mark.parametrize("osm", ["", "way", "way/", "way/-1", "star/1", "node/999999999"])
-def test_unknown_ids_have_no_row(city, osm):
-    assert find_row(city.objects, osm) == -1
-
-
 def test_ids_lead_to_their_rows(city):
     rows = list(range(len(city.objects)))
     assert [find_row(city.objects, city.objects.osm(i)) for i in rows] == rows
+    for unknown in ("", "way", "way/", "way/-1", "star/1", "node/999999999"):
+        assert find_row(city.objects, unknown) == -1
 
 
 def test_rivals_are_about_as_probable(estimate_of):
@@ -169,9 +147,6 @@ def test_rivals_are_about_as_probable(estimate_of):
     assert len(competing_modes(estimate, 4)) == 2
     assert len(competing_modes(estimate, 1)) == 1
     assert competing_modes(estimate_of(Status.LOST), 4) == ()
-
-
-# --- tiles: nothing is lost at the finest level, little is left at the coarsest ---
 
 
 @pytest.fixture(scope="module")
@@ -249,9 +224,6 @@ def test_examples_say_what_people_say(tmp_path):
     assert said in example_sentences(city, CityTiles(city)._paints)
 
 
-# --- pictures of estimates and cities ---
-
-
 def colors(image):
     return {color for _, color in image.convert("RGB").getcolors(1 << 24)}
 
@@ -317,9 +289,4 @@ def test_scale_bars_are_round(most):
 
 
 def test_lengths_in_words():
-    assert [length_words(m) for m in (0.5, 20.0, 500.0, 2000.0)] == [
-        "0.5 m",
-        "20 m",
-        "500 m",
-        "2 km",
-    ]
+    assert [length_words(m) for m in (0.5, 20.0, 2000.0)] == ["0.5 m", "20 m", "2 km"]

@@ -53,7 +53,6 @@ def test_what_a_stranger_wrote_is_no_markup():
 
 
 def test_nothing_is_drawn_before_a_notebook_asks():
-    """Maps are opened without the code of pictures."""
     code = "import placegraph as pg, sys; pg.CityMap, pg.SceneMap, pg.SceneLibrary, pg.Estimate;"
     code += "sys.exit(any(name.startswith('placegraph.view') for name in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], check=False)  # noqa: S603  # our own

@@ -22,8 +22,6 @@ from placegraph.view.draw.style import PALETTE, escape_text, style_sheet
 from placegraph.view.scene.page import FINE, MAX_PIXELS, describe_plan, draw_png, open_plan
 from placegraph.view.scene.room_plan import ROOM_PAINTS
 
-# --- pages that open without a network, and in which names are only names ---
-
 
 class Reader(HTMLParser):
     """Elements with attributes, and their text."""
@@ -168,9 +166,6 @@ def test_what_is_only_ranked_shows_no_percentage(city, sure, browser, tmp_path):
         assert page.locator(".pin").count() == len(sure.modes)
         assert page.locator(".share").count() == 0
         assert "%" not in page.get_attribute(".pin >> nth=0", "aria-label")
-
-
-# --- the plan of a scene as a page draws it ---
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageColor
-from tests.view.test_scene_plan import BOXES, scene_of
+from tests.view.test_scene_plan import BOXES, QUADS, scene_of
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.core.geo import Anchor
@@ -22,8 +22,6 @@ from placegraph.view.draw.canvas import Frame, Stroke, Text
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.change_plans import COLOR, change_marks, write_diff
 from placegraph.view.scene.overlay import (
-    BEFORE,
-    CAPTIONS,
     EMPTY_COLOUR,
     FAINT,
     GAP,
@@ -41,9 +39,6 @@ from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.top_view import cut_section, fill_section, render_top_view
 from placegraph.world.outlines import find_footprints
 from placegraph_lab.worlds.flat.flat import Flat
-
-# --- maps drawn where they stand: north up, on their building, the others faintly ---
-
 
 HERE = Anchor(9.99, 53.55, 0.0, np.pi / 2, np.eye(4) * 0.01, "Hall", "way/1", "2", 0.6, "building")
 
@@ -112,9 +107,6 @@ def test_a_map_that_stands_nowhere_is_refused(tmp_path):
         draw_anchors(scene_of(BOXES), tmp_path / "a.png")
 
 
-# --- what changed, drawn on the plan ---
-
-
 @pytest.fixture(scope="module")
 def scene(study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("diff-plan")
@@ -167,26 +159,15 @@ def test_the_picture_differs_from_that_of_nothing(scene, changes, tmp_path):
     plain, drawn = picture(), picture(*changes.values())
     assert plain.shape == drawn.shape
     assert np.count_nonzero(np.abs(plain - drawn).sum(axis=2) > 60) > 300
-
-
-def test_the_width_of_a_picture(scene, tmp_path):
-    found = SceneDiff((), (), (), np.eye(4), "")
     with pytest.raises(OptionError):
-        write_diff(scene, found, tmp_path / "d.png", width=3)
-
-
-# --- what is uppermost, where walls are cut, and what lies inside ---
-
-
-SIDES = ((0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
-ENDS = ((1, 0, 2, 3), (4, 5, 7, 6))
+        write_diff(scene, SceneDiff((), (), (), np.eye(4), ""), tmp_path / "no.png", width=3)
 
 
 def box(low, high):
     """Vertices (8, 3) and triangles (12, 3) of a closed box that faces outwards."""
     low, high = np.array(low, float), np.array(high, float)
     bits = np.array([(i & 1, i >> 1 & 1, i >> 2) for i in range(8)])
-    quads = np.array([*SIDES, *ENDS])
+    quads = np.array(QUADS)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return (low + bits * (high - low)).astype(np.float32), triangles.astype(np.int32)
 
@@ -271,14 +252,11 @@ def test_a_cut_box_is_its_footprint(x, y, wide, deep, angle):
     assert inside.sum() / 1600 == pytest.approx(wide * deep, abs=0.06 * (wide + deep))
 
 
-def test_what_lies_above_or_below_is_not_cut():
+def test_what_lies_above_or_below_is_not_cut_and_walls_in_walls_leave_no_hole():
     beam = box((0, 0, 2), (4, 1, 3))
     step = box((0, 2, 0), (4, 3, 0.5))
     vertices, triangles = joined(beam, step, box((1, 0.2, 0), (2, 0.8, 3)))
     assert signed_area(cut_section(vertices, triangles, 1.0)) == pytest.approx(0.6, rel=1e-5)
-
-
-def test_walls_in_walls_leave_no_hole():
     segments = cut_section(*joined(box((0, 0, 0), (4, 1, 3)), box((1, 0.5, 0), (2, 3, 3))), 1.0)
     frame = Frame((2.0, 1.5), 20.0, 100, 80)
     assert fill_section(segments, frame).sum() / 400 == pytest.approx(4 + 2, rel=0.05)
@@ -297,9 +275,6 @@ def test_a_gap_in_an_outline_smears_nothing():
     frame = Frame((3.0, 1.0), 20.0, 200, 60)
     inside = fill_section(segments[~right], frame)
     assert not inside[:, frame.width // 2 :].any()
-
-
-# --- overlays: lines lie where the map's edges are, and nowhere else ---
 
 
 H, W = 60, 96
@@ -352,18 +327,14 @@ def test_a_hole_in_the_map_is_no_edge():
     assert not find_colour_borders(drawn).any()
 
 
-def test_borders_of_colours():
-    drawn, _ = corner()
+def test_borders_of_colours_and_no_specks():
+    drawn, normals = corner()
     drawn.colour[:, 30:] = 60
     found = find_colour_borders(drawn)
     assert columns(found) <= {28, 29, 30, 31}
     assert found.any(axis=1).mean() > 0.85
     drawn.colour[:, 30:] = 178
     assert not find_colour_borders(drawn).any(), "too faint to see"
-
-
-def test_specks_are_left_out():
-    drawn, normals = corner()
     drawn.objects[30, 20] = 5
     assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
 
@@ -418,11 +389,6 @@ def test_four_pictures_in_one():
         (10, 200, 30), (180, 180, 180), EMPTY_COLOUR,
     }  # fmt: skip
     assert (sheet[:band] < 100).any(), "captions"
-    assert len(CAPTIONS) == 4
-
-
-def test_pictures_of_other_sizes_are_refused():
-    drawn, normals = corner()
     with pytest.raises(OptionError, match="query's camera"):
         draw_overlay(np.zeros((H, W - 1, 3), np.uint8), drawn, normals)
 
@@ -441,12 +407,8 @@ def test_two_more_pictures_show_the_pose_before():
     last = sheet[2 * tall + captions :]
     assert (last[:, :W] == LINE).all(axis=-1).any()
     assert {tuple(c) for c in last[:, W + GAP :].reshape(-1, 3)} == {(10, 200, 30), (90, 90, 90)}
-    assert len(BEFORE) == 2
     with pytest.raises(OptionError, match="query's camera"):
         draw_overlay(query[:-1], drawn, normals, before=(before, before_normals))
-
-
-# --- of an estimate ---
 
 
 ROOM = """

@@ -86,11 +86,10 @@ def test_it_serves_a_page(viewer):
 
 def test_ceilings_are_hidden_at_first_and_things_have_names(viewer):
     assert seen(viewer) == [True, False, True, True, True]
-    assert {row: label.text for row, label in viewer.map.labels.items()} == {
-        2: "seat",
-        3: "seat",
-        4: "my *table*",
-    }
+    labels = viewer.map.labels
+    assert {k: v.text for k, v in labels.items()} == {2: "seat", 3: "seat", 4: "my *table*"}
+    viewer.map.names.value = False
+    assert not any(label.visible for label in labels.values())
 
 
 def test_an_object_is_picked_described_and_hidden(viewer):
@@ -121,11 +120,6 @@ def test_one_alone_and_all(viewer):
     assert not viewer.map.visible.value  # of the object that is picked
 
 
-def test_names_can_be_switched_off(viewer):
-    viewer.map.names.value = False
-    assert not any(label.visible for label in viewer.map.labels.values())
-
-
 def test_relations_are_lines_by_kind(viewer):
     relations = viewer.map.relations
     assert {kind: len(lines.points) for kind, lines in relations.items()} == {"next to": 1, "on": 2}
@@ -139,16 +133,14 @@ def test_camera_paths_and_modes(viewer):
     assert len(viewer.run.modes) == 2  # of the third there is next to nothing
 
 
-def test_the_slider_goes_through_frames_and_passes(viewer, run):
+def test_slider_and_play_go_through_frames_and_passes(viewer, run, monkeypatch):
     assert "pass 1 of 2, stride 16, frame 0: 20 particles" in viewer.run.said.content
     viewer.run.slider.value = 5
     assert "pass 2 of 2, stride 8, frame 2: 22 particles" in viewer.run.said.content
     _, poses, _ = run.history[1].steps[2]
     assert viewer.run.cloud.points == pytest.approx(poses[:, :3], abs=1e-6)
     assert viewer.run.tails.points[:, 0] == pytest.approx(poses[:, :3], abs=1e-6)
-
-
-def test_play_ends_with_the_last_step(viewer, monkeypatch):
+    viewer.run.slider.value = 0
     monkeypatch.setattr(showing, "PAUSE", 0.0)
     viewer.run.play()
     assert viewer.run.slider.value == 5

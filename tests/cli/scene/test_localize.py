@@ -29,9 +29,6 @@ from placegraph_lab.worlds.flat.walks import stroll, write_walk
 FRAMES = 6
 
 
-# --- the answer ---
-
-
 def test_json_pictures_and_trajectory(run, room, tmp_path):
     png, gif, tum = (tmp_path / f"a.{ending}" for ending in ("png", "gif", "tum"))
     before = room.map.read_bytes()
@@ -107,7 +104,6 @@ def test_options_reach_the_filter(run, room):
 
 
 def test_presets_reach_the_filter_and_the_refinement(run, room, monkeypatch):
-    """The paper's recipe is refined as in the paper; other options of the command override it."""
     asked = []
 
     def localize(*_, options, refine, **__):
@@ -135,7 +131,6 @@ def test_presets_reach_the_filter_and_the_refinement(run, room, monkeypatch):
 
 
 def test_depth_by_a_network(run, room, tmp_path, monkeypatch):
-    """It is trusted less than a sensor, never in place of one, and not where depth is off."""
     asked = []
 
     def localize(_, capture, *, options, refine, **__):
@@ -158,7 +153,6 @@ def test_depth_by_a_network(run, room, tmp_path, monkeypatch):
 
 
 def test_the_papers_six_views_are_rendered_and_matched(run, room, monkeypatch):
-    """Sec. 3.6 from the command line: a matcher of features sees every frame's six renderings."""
     pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
     monkeypatch.setitem(sys.modules, "romatch.models.model_zoo", None)
     few = replace(FilterOptions(), answer="mle")  # the recipe's own start takes a minute
@@ -181,9 +175,6 @@ def test_where_no_refinement_follows_a_matcher_is_refused(run, room):
     for more in (["--preset", "published"], ["--no-refine"]):
         result = run("scene", "localize", room.map, room.walk, "--matcher", "sift", *more)
         fails(result, 7, "--matcher", *more)
-
-
-# --- the refinement ---
 
 
 def off(told, truth):
@@ -227,7 +218,6 @@ def test_a_pose_is_refined_and_every_frame_with_it(run, room, tmp_path):
 
 
 def test_of_a_tracked_capture_the_newest_frames_are_refined(run, room, tmp_path, study):
-    """33 frames: the first three as they were tracked, 30 refined, all of them in the file."""
     rng = np.random.default_rng(3)
     interior = study.furnish(rng)
     walk = stroll(study, rng, frames=33, through="123")
@@ -320,9 +310,6 @@ def test_weights_reach_the_matcher(tmp_path):
         matcher_of("xfeat", tmp_path / "a.pt", "cpu")
 
 
-# --- frames ---
-
-
 class Rows(list):
     """A capture that is only as long."""
 
@@ -351,9 +338,6 @@ def test_frames(text, rows):
 def test_no_frames(text):
     with pytest.raises(OptionError, match="--frames"):
         chosen_frames(Rows(range(25)), text)
-
-
-# --- what a person reads ---
 
 
 def estimate_of(status, *probabilities, evidence=()):
@@ -420,9 +404,6 @@ def test_a_refinement_in_words(accepted, reason, stats, line):
     coarse = estimate_of(Status.OK, 0.93).modes[0]
     found = Refinement(accepted, reason, coarse, coarse.map_from_camera[None], stats)
     assert refinement_words(found, "pose given") == line
-
-
-# --- what is refused ---
 
 
 @pytest.mark.parametrize(

@@ -51,11 +51,7 @@ def off(told, truth):
     return np.linalg.norm(np.array(told["modes"][0]["map_from_camera"])[:3, 3] - truth[:3, 3])
 
 
-# --- the answer ---
-
-
 def test_a_rough_pose_becomes_exact(run, world, tmp_path):
-    """Of the last frame chosen; all its frames follow, in the TUM file too."""
     tum, png, look = (tmp_path / name for name in ("a.tum", "a.png", "look.png"))
     start = near(world.truth[4], way=(0.15, -0.12, 0.03), turn_deg=8)
     result = run(
@@ -89,7 +85,6 @@ def test_gravity_gives_the_tilt_that_is_not_given(world):
 
 
 def test_from_an_estimate(run, world):
-    """Its own frames and best mode; other frames and another mode where asked for."""
 
     def told(*options):
         result = run(
@@ -113,7 +108,6 @@ def test_from_an_estimate(run, world):
 
 
 def test_a_wrong_pose_is_not_trusted(run, world):
-    """Looking elsewhere, from elsewhere: whatever becomes of it, it is not OK."""
     result = run(
         "scene", "refine", world.map, world.walk, "--pose", "1.0,2.5,1.6,200", "--frames", ":5",
         "--quiet",
@@ -125,7 +119,6 @@ def test_a_wrong_pose_is_not_trusted(run, world):
 
 
 def test_what_nothing_holds_stays_where_it_was_given(run, world):
-    """Walls alone do not tell the height; the one given is right."""
     start = near(world.truth[4], way=(0.06, 0.0, 0.0))
     told = run(
         "scene", "refine", world.map, world.narrow, "--frames", "4", "--pose", start, "--json"
@@ -144,9 +137,6 @@ def test_senses_and_matchers(run, world):
     depth = run(*ask, "--no-colour").json["refinement"]["stats"]
     assert "matches" not in depth
     assert "depth_cost" in depth
-
-
-# --- what is refused ---
 
 
 def test_options_that_contradict(run, world):
@@ -170,7 +160,6 @@ def test_options_that_contradict(run, world):
 
 
 def test_an_estimate_of_another_capture(run, world, tmp_path):
-    """More frames than there are; a file that is none."""
     longer = tmp_path / "longer.json"
     longer.write_text(json.dumps(world.told | {"frames": [1, 2, 40]}), encoding="utf-8")
     ask = ("scene", "refine", world.map, world.walk, "--estimate")

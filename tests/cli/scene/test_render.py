@@ -46,9 +46,6 @@ def at(pose):
     return ",".join(f"{v:.9f}" for v in (x, y, z, *np.degrees([yaw, pitch, roll])))
 
 
-# --- pictures ---
-
-
 def test_pictures_from_a_pose(run, world, tmp_path):
     out = tmp_path / "new" / "out"
     pose = world.truth[2]
@@ -153,9 +150,6 @@ def test_what_is_too_far_for_sixteen_bits(run, world, tmp_path):
     assert not read(tmp_path / "depth.png").any()
 
 
-# --- poses as text ---
-
-
 @pytest.mark.parametrize(
     ("text", "forward", "down"),
     [
@@ -182,9 +176,6 @@ def test_poses(text, forward, down):
 def test_no_poses(text):
     with pytest.raises(OptionError, match="--pose is"):
         map_from_camera_of(text)
-
-
-# --- what is refused ---
 
 
 def test_options_that_contradict(run, world, tmp_path):

@@ -68,7 +68,6 @@ def test_gravity_comes_with_the_poses(walk):
 
 
 def test_poses_of_images_as_they_are_stored(recorded, save, tmp_path):
-    """A telephone's images are turned upright, whoever's poses they get."""
     world = recorded(turns=1)
     for i in range(len(world)):
         c = world.cameras[i]

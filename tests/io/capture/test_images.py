@@ -39,7 +39,6 @@ def test_intrinsics_say_whether_an_image_is_turned(photo):
 
 
 def test_more_pixels_than_a_frame_has_are_refused_before_they_are_read(tmp_path, monkeypatch):
-    """13,000 x 13,000 black ones are a file of half a megabyte."""
     monkeypatch.setattr(images, "MAX_PIXELS", 40 * 30 - 1)
     Image.new("L", (40, 30)).save(tmp_path / "a.png")
     monkeypatch.setattr(Image.Image, "load", None)
@@ -49,7 +48,6 @@ def test_more_pixels_than_a_frame_has_are_refused_before_they_are_read(tmp_path,
 
 
 def test_more_pixels_than_bytes_can_hold_are_refused_before_they_are_read(tmp_path, monkeypatch):
-    """Pillow takes memory for what the head promises: 650 MB for 77 bytes of a texture."""
     monkeypatch.setattr(images, "FREE_PIXELS", 40 * 30 - 90)
     monkeypatch.setattr(images, "PIXELS_A_BYTE", 1)
     path = tmp_path / "a.png"
@@ -66,7 +64,6 @@ def test_more_pixels_than_bytes_can_hold_are_refused_before_they_are_read(tmp_pa
     ("mode", "each"), [("RGB", 3), ("RGBA", 3), ("P", 3), ("L", 4), ("I;16", 4)]
 )
 def test_of_a_large_image_no_second_copy_is_held(tmp_path, mode, each):
-    """Numbers that one looks at, and a strip of them; Pillow's own are counted by nobody here."""
     large, path = (1500, 3001), tmp_path / "a.png"
     image = Image.new("L", large)
     image.paste(200, (0, 2000, 1500, 3001))

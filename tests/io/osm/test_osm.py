@@ -408,7 +408,6 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, name, sig
 
 
 def test_the_file_that_ended_osmium_does_no_harm(shared):
-    """Its areas are assembled apart from what is wrong elsewhere in it."""
     assert read_or_refused(shared / "repro" / "segv.osm.pbf")
 
 

@@ -451,7 +451,6 @@ IDS = st.integers(1, 2**40)
 
 @given(st.dictionaries(IDS, TAGS, min_size=1, max_size=5), st.dictionaries(IDS, TAGS, max_size=5))
 def test_any_tags_and_ids_survive(tmp_path_factory, nodes, ways):
-    """Copying keeps every id, tag and reference, whatever the letters."""
     lines = []
     for number, tags in sorted(nodes.items()):
         place = 'lat="47.1234567" lon="-9.7654321"'

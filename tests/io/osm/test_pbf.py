@@ -152,7 +152,6 @@ def test_flipped_bytes_that_no_checksum_guards(data, tmp_path_factory):
 
 @given(content=st.binary(max_size=80))
 def test_bytes_that_are_no_message(content):
-    """Python's own arrays say where compiled code would reach beyond the end."""
     data = np.frombuffer(content, np.uint8)
     n = len(data)
     fields, good = kernels.read_fields.py_func(data, 0, n)
@@ -305,7 +304,6 @@ def test_what_was_added_last_is_found(on_disk, at_once, chunks, asked, tmp_path_
 
 
 def test_many_in_no_order_are_merged_run_by_run(tmp_path, monkeypatch):
-    """No more are sorted at once than may be, about; the file is what it is of nodes in order."""
     monkeypatch.setattr(pbf, "SAMPLE", 4)
     rng, most = np.random.default_rng(3), []
     ids = rng.permutation(np.append(np.arange(0, 9000, 3), 2**34 + 3 * np.arange(40)))

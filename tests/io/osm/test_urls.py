@@ -157,7 +157,6 @@ def test_a_cut_connection_is_told_and_taken_up(server, tmp_path, ranges):
 
 
 def test_what_has_no_version_is_not_taken_up(server, tmp_path, monkeypatch):
-    """A part of what was there, and the rest of what is there now, would be no file at all."""
     monkeypatch.setattr(urls, "CHUNK", 1 << 19)
     server.content, server.tag = b"a" * 2_000_000, ""
     server.cut = 1_500_000
