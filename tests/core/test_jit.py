@@ -330,7 +330,8 @@ def test_types_are_read_as_they_are_spelled():
 def test_the_simplest_kind_of_a_command():
     build = warm.list_calls()["scene build"]
     flood, fused = (
-        _name(next(call for call in CALLS if end in call)) for end in (".flood_basins(", ".integrate(")
+        _name(next(call for call in CALLS if end in call))
+        for end in (".flood_basins(", ".integrate(")
     )
     assert warm.calls_with(flood, ["scene", "build", "x"]) == build
     assert len(warm.calls_with(fused, ["scene", "build", "x"])) > len(build)
