@@ -15,8 +15,9 @@ from placegraph.indoor.likelihood.observe import observe_frame
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
 from placegraph.indoor.pose.agreement import find_fault, find_image_fault
+from placegraph.indoor.pose.covariance import explore_unobservable
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
-from placegraph.indoor.pose.local_fit import correct_drift, explore_unobservable, fit_window
+from placegraph.indoor.pose.local_fit import correct_drift, fit_window
 from placegraph.indoor.pose.particle_filter import FilteredPasses, heaviest_modes, run_passes
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.window import PoseQuery, Window, observe, timed

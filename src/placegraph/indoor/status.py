@@ -28,7 +28,7 @@ from placegraph.indoor.pose.agreement import (
     Agreement,
     log_odds,
 )
-from placegraph.indoor.pose.local_fit import least_certain
+from placegraph.indoor.pose.covariance import least_certain
 
 SURE = 0.75
 """Probability of being right from which on a pose is `OK`."""

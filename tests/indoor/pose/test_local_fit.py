@@ -10,6 +10,7 @@ from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
+from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.local_fit import (
     NARROWEST,
     SPREAD,
@@ -17,7 +18,6 @@ from placegraph.indoor.pose.local_fit import (
     FitLevel,
     fit_modes,
     fit_pose,
-    pose_covariance,
     probabilities,
 )
 from placegraph.indoor.pose.particle_filter import Particles, heaviest_modes

@@ -23,7 +23,8 @@ from placegraph.indoor.pose.agreement import (
     find_contradiction,
     find_image_fault,
 )
-from placegraph.indoor.pose.local_fit import Fit, pose_covariance, probabilities
+from placegraph.indoor.pose.covariance import pose_covariance
+from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose

@@ -1,10 +1,9 @@
-"""Fits of poses to a window: cross-entropy method, drift correction, covariance.
+"""Fits of poses to a window: cross-entropy method, drift correction.
 
 Over a few metres odometry hardly drifts, so the window is a rig with one unknown pose of four degrees of
 freedom. Samples are drawn around each mode, weighted by all frames together, and the next samples are
 drawn from their mean and covariance (the cross-entropy method). Modes that fall far behind stay in the
-list as rivals. Then frames and odometry, which may drift, are fitted as one chain of poses, and the
-direction in which the pose is least certain is explored.
+list as rivals. Then frames and odometry, which may drift, are fitted as one chain of poses.
 """
 
 from __future__ import annotations
@@ -501,79 +500,3 @@ def _paraboloids(u: Floats, values: Floats) -> tuple[Floats, Floats]:
     along = np.einsum("lij,li->lj", axes, slope)
     falls = np.maximum(falls, np.maximum(0.5 * np.abs(along), 0.0))
     return slope, np.einsum("lij,lj,lkj->lik", axes, falls, axes)
-
-
-TILT = 0.006
-"""Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
-FITTED = [0, 1, 2, 5]
-"""Rows of a pose's covariance that are fitted: x, y, z, and the turn about the vertical."""
-
-
-def pose_covariance(fit_covariance: Floats) -> Floats:
-    """Return the covariance (6, 6) of x, y, z and a turn about the map's axes from that of a fit (4, 4)."""
-    whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
-    whole[np.ix_(FITTED, FITTED)] = fit_covariance
-    return whole
-
-
-def least_certain(covariance: Floats) -> tuple[float, Floats]:
-    """Return the largest standard deviation [m] of a position and its direction, a unit vector (3,)."""
-    variances, axes = np.linalg.eigh(covariance[:3, :3])
-    return float(np.sqrt(variances[-1])), axes[:, -1]
-
-
-FIRM = 0.03
-"""Deviation [m] below which a pose is not probed."""
-_SLIDES = np.linspace(-1.2, 1.2, 49)
-"""Offsets of the best pose along its least certain direction [m]."""
-_AROUND, _DRAWS = np.array([0.02, 0.02, 0.02, 0.01]), 12
-"""Deviations [m, rad] of the draws about each offset, and their number: the best pose was drawn, too."""
-_RIVAL = 0.003
-"""Least share of an offset that is fitted as a rival."""
-
-
-def _probe_direction(window: Window, fit: Fit, rng: Generator) -> tuple[Fit, Floats | None]:
-    """Widen the covariance of a fit along its least certain direction, and return a rival pose (4,) there."""
-    sd, axis = least_certain(fit.covariance)
-    if sd < FIRM:
-        return fit, None
-    poses, shares = _along(window, fit, axis, rng)
-    more = max(0.0, float(shares @ _SLIDES**2) - sd**2)
-    covariance = fit.covariance.copy()
-    covariance[:3, :3] += more * np.outer(axis, axis)
-    away = np.where(np.abs(_SLIDES) > MERGED["apart"], shares, 0.0)
-    rival = poses[away.argmax()] if away.max() > _RIVAL else None
-    return replace(fit, covariance=covariance), rival
-
-
-def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floats, Floats]:
-    """Return the best poses (S, 4) about each offset along an axis (3,), and their shares (S,)."""
-    judging, looked = window.judging, window.newest
-    views, steps = [judging.views(COARSE)[i] for i in looked], between(fit.pose, fit.poses[looked])
-    drawn = rng.normal(size=(len(_SLIDES), _DRAWS, 4)) * _AROUND
-    drawn[:, 0] = 0.0
-    drawn += (fit.pose + _SLIDES[:, None] * np.append(axis, 0.0))[:, None]
-    logs = judging.scorer.together(drawn.reshape(-1, 4), views, steps).reshape(drawn.shape[:2])
-    best = np.arange(len(_SLIDES)), logs.argmax(axis=1)
-    temperature = judging.scorer.model.compute_temperature(views)
-    return drawn[best], probabilities(logs[best], temperature)
-
-
-def explore_unobservable(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
-    """Probe the best fit along its least certain direction, and add the best rival there; best first."""
-    with timed(window.seconds, "polish"):
-        candidates = merge_fits(candidates)  # bending may have brought some together
-        best, other = _probe_direction(window, candidates[0], rng)
-        candidates = [best, *candidates[1:]]
-        if other is None:
-            return candidates
-        chain = Chain.of(best.poses, window.options.motion)
-        level = replace(fit_level(window, FINE, rounds=4), chain=chain)
-        along = between(best.pose, best.poses[level.rows])
-        value = float(window.scorer.together(best.pose[None], level.views, along)[0])
-        rival = fit_pose(window.scorer, other, SPREAD, level, rng)
-        gain = rival.log_likelihood - value
-        rival = replace(rival, log_likelihood=best.log_likelihood + gain)
-        if gain > 0.0:
-            rival, _ = _probe_direction(window, rival, rng)
-        return merge_fits([*candidates, rival])

@@ -24,8 +24,8 @@ from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
+from placegraph.indoor.pose.covariance import FITTED
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
-from placegraph.indoor.pose.local_fit import FITTED
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, timed
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import (

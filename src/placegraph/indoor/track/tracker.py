@@ -32,16 +32,9 @@ from placegraph.indoor.likelihood.observe import (
 )
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.covariance import FITTED, explore_unobservable
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
-from placegraph.indoor.pose.local_fit import (
-    FITTED,
-    NARROWEST,
-    Fit,
-    explore_unobservable,
-    fit_level,
-    fit_pose,
-    fit_window,
-)
+from placegraph.indoor.pose.local_fit import NARROWEST, Fit, fit_level, fit_pose, fit_window
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.window import (
