@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from placegraph.vectors import Region, open_store
     from placegraph.world import World, open_world
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "Anchor": "placegraph.core.geo",
