@@ -143,7 +143,7 @@ class WorldEstimate(Estimate[WorldMode]):
     """Estimate of the frames in each scene that was looked into."""
     notes: tuple[str, ...] = ()
     """Parts of the question that could not be used, and why."""
-    answered_questions: tuple[str, ...] = ()
+    answered: tuple[str, ...] = ()
     """Questions that were answered; they are not asked again."""
 
     def next_question(self, world: World) -> Question | None:
@@ -152,7 +152,7 @@ class WorldEstimate(Estimate[WorldMode]):
         if self.status is not Status.AMBIGUOUS or best is None:
             return None
         if best.place is None:
-            return choose_question(self.modes, self.answered_questions)
+            return choose_question(self.modes, self.answered)
         for part, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.towns[part.partition("//")[0]].ask(part, estimate)
