@@ -133,12 +133,12 @@ def _model(boxes, **columns):
     things = tuple(ModelObject(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
     model = Model(
         path=Path("drawn.glb"),
-        things=things,
+        objects=things,
         vertices=np.concatenate([np.zeros((0, 3)), *(v for v, _ in parts)]),
         triangles=np.concatenate(
             [np.zeros((0, 3), int), *(t + 8 * i for i, (_, t) in enumerate(parts))]
         ),
-        thing_of=np.repeat(np.arange(len(parts)), 12),
+        object_of=np.repeat(np.arange(len(parts)), 12),
         colours=np.full((8 * len(parts), 3), 255, np.uint8),
         uv=np.zeros((8 * len(parts), 2)),
         picture_of=np.zeros(12 * len(parts), int),

@@ -170,7 +170,7 @@ def test_triangles_without_area_are_left_out(boxes):
     triangles = np.concatenate([model.triangles, [[0, 0, 1], [0, 1, 1]]])
     left_out = Counter()
     scene = scene_of_model(
-        replace(model, triangles=triangles, thing_of=np.append(model.thing_of, [1, 1]),
+        replace(model, triangles=triangles, object_of=np.append(model.object_of, [1, 1]),
                 picture_of=np.append(model.picture_of, [0, 0])),
         left_out=left_out,
     )  # fmt: skip
@@ -180,9 +180,9 @@ def test_triangles_without_area_are_left_out(boxes):
 
 def test_objects_without_triangles_are_left_out(boxes):
     model, left_out = boxes(ROOM), Counter()
-    keep = model.thing_of == 0
+    keep = model.object_of == 0
     scene = scene_of_model(
-        replace(model, triangles=model.triangles[keep], thing_of=model.thing_of[keep],
+        replace(model, triangles=model.triangles[keep], object_of=model.object_of[keep],
                 picture_of=model.picture_of[keep]),
         left_out=left_out,
     )  # fmt: skip
@@ -193,7 +193,7 @@ def test_objects_without_triangles_are_left_out(boxes):
 def test_objects_in_any_order_and_sharing_vertices(boxes, rng):
     model = boxes(ROOM)
     order = rng.permutation(24)
-    mixed = replace(model, triangles=model.triangles[order], thing_of=model.thing_of[order])
+    mixed = replace(model, triangles=model.triangles[order], object_of=model.object_of[order])
     scene = scene_of_model(mixed)
     assert scene.mesh.object_of.tolist() == [0] * 12 + [1] * 12
     assert scene.graph == scene_of_model(model).graph
@@ -212,7 +212,7 @@ def _hills(boxes, n=60):
     count = len(triangles)
     return replace(
         boxes({"floor": ((0, 0, 0), (1, 1, 1))}), vertices=points, triangles=triangles,
-        thing_of=np.zeros(count, int), picture_of=np.zeros(count, int),
+        object_of=np.zeros(count, int), picture_of=np.zeros(count, int),
         colours=np.full((len(points), 3), 200, np.uint8), uv=np.zeros((len(points), 2)),
     )  # fmt: skip
 

@@ -138,11 +138,11 @@ def test_an_id_for_every_triangle_is_told(boxes):
     n = MAX_RELATED_OBJECTS + 1
     at = np.column_stack([np.arange(n) % 150, np.arange(n) // 150, np.zeros(n)]) * 0.1
     model = boxes({"floor": ((0, 0, 0), (1, 1, 1))})
-    things = tuple(replace(model.things[0], id=str(i)) for i in range(n))
+    things = tuple(replace(model.objects[0], id=str(i)) for i in range(n))
     corners = (at[:, None] + [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]).reshape(-1, 3)
     many = replace(
-        model, things=things, vertices=corners,
-        triangles=np.arange(3 * n).reshape(-1, 3), thing_of=np.arange(n),
+        model, objects=things, vertices=corners,
+        triangles=np.arange(3 * n).reshape(-1, 3), object_of=np.arange(n),
         colours=np.full(corners.shape, 200, np.uint8), uv=np.zeros((3 * n, 2)),
         picture_of=np.zeros(n, int),
     )  # fmt: skip
@@ -164,7 +164,7 @@ def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
     model = boxes({"floor": ((0, 0, 0), (1, 1, 1)), "chair": ((0, 0, 0), (1, 1, 1))})
     soup = replace(
         model, vertices=points, triangles=triangles,
-        thing_of=rng.integers(0, 2, t), colours=rng.integers(0, 256, (n, 3)).astype(np.uint8),
+        object_of=rng.integers(0, 2, t), colours=rng.integers(0, 256, (n, 3)).astype(np.uint8),
         uv=rng.normal(size=(n, 2)) * 10.0 ** rng.integers(-9, 8), picture_of=np.zeros(t, int),
     )  # fmt: skip
     scene = scene_of_model(soup, floor=0.0, scale=1.0, detail=detail)
@@ -172,7 +172,7 @@ def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
     slack = 0.06 + 1e-6 * np.abs(used).max()
     assert (scene.bounds[0] >= used.min(axis=0) - slack).all()
     assert (scene.bounds[1] <= used.max(axis=0) + slack).all()
-    assert len(scene) == len(set(soup.thing_of.tolist()))
+    assert len(scene) == len(set(soup.object_of.tolist()))
 
 
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".glb", ".json"])

@@ -31,8 +31,8 @@ MESH = ("vertices", "triangles", "object_of", "colours", "uv", "texture_of")
 @pytest.fixture(scope="module")
 def scene(boxes):
     model = boxes(ROOM)
-    things = tuple(replace(t, attributes={"material": "wood"}) for t in model.things)
-    return scene_of_model(replace(model, things=things))
+    things = tuple(replace(t, attributes={"material": "wood"}) for t in model.objects)
+    return scene_of_model(replace(model, objects=things))
 
 
 @pytest.fixture

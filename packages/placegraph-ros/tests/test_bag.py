@@ -109,11 +109,11 @@ def test_the_model_in_the_bag_is_the_map(tmp_path, everything, scene):
     (message,) = [m for m in everything if m.topic == "localization/scene"]
     (tmp_path / "map.glb").write_bytes(message.fields["entities"][0]["models"][0]["data"].tobytes())
     model = read_glb(tmp_path / "map.glb")
-    assert [thing.label for thing in model.things] == ["table", "lamp"]
+    assert [thing.label for thing in model.objects] == ["table", "lamp"]
     (markers,) = [m.fields["markers"] for m in everything if m.topic == "localization/map"]
     for row, marker in enumerate(markers):
         drawn = np.array([[*point.values()] for point in marker["points"]])
-        for corners in (model.vertices[model.triangles[model.thing_of == row]], drawn):
+        for corners in (model.vertices[model.triangles[model.object_of == row]], drawn):
             box = [corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)]
             np.testing.assert_allclose(box, scene.mesh.object_bounds(2)[row], atol=1e-6)
 

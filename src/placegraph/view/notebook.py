@@ -27,19 +27,19 @@ MAX_ROWS = 12
 """Rows of a table."""
 
 
-def html(shown: object) -> str:
+def html(content: object) -> str:
     """Return a map or an estimate as self-contained HTML."""
-    if isinstance(shown, Estimate):
-        return _estimate(shown)
-    if isinstance(shown, City):
-        return _picture(lambda path: draw_city(shown, path, size=(WIDTH, 440))) + _line(shown)  # type: ignore[arg-type]
-    if isinstance(shown, Scene):
-        return _picture(lambda path: draw_scene(shown, path, width=WIDTH)) + _line(shown)  # type: ignore[arg-type]
-    if isinstance(shown, SceneLibrary):
-        graphs = {name: shown.entry(name).signature.graph for name in shown.names[:MAX_ROWS]}
+    if isinstance(content, Estimate):
+        return _estimate(content)
+    if isinstance(content, City):
+        return _picture(lambda path: draw_city(content, path, size=(WIDTH, 440))) + _line(content)  # type: ignore[arg-type]
+    if isinstance(content, Scene):
+        return _picture(lambda path: draw_scene(content, path, width=WIDTH)) + _line(content)  # type: ignore[arg-type]
+    if isinstance(content, SceneLibrary):
+        graphs = {name: content.entry(name).signature.graph for name in content.names[:MAX_ROWS]}
         rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
-        return _line(shown) + _table(("scene", "objects", "among them"), rows, len(shown))
-    return _line(shown)
+        return _line(content) + _table(("scene", "objects", "among them"), rows, len(content))
+    return _line(content)
 
 
 def _estimate(estimate: Estimate[Any]) -> str:
@@ -99,5 +99,5 @@ def _words(labels: Sequence[str]) -> str:
     return ", ".join(list(dict.fromkeys(labels))[:5])
 
 
-def _line(shown: object) -> str:
-    return f"<p>{escape(repr(shown))}</p>"
+def _line(content: object) -> str:
+    return f"<p>{escape(repr(content))}</p>"

@@ -377,7 +377,7 @@ def test_tones_tell_rooms_apart_whose_steps_are_alike(boxes):
         grey[np.ptp(corners[..., axis], axis=1) + abs(flat[:, axis] - at) < 1e-6] = light
     triangles = np.arange(3 * len(corners)).reshape(-1, 3)
     colours = np.repeat(grey, 3)[:, None].repeat(3, axis=1)
-    mesh = Mesh.plain(corners.reshape(-1, 3), triangles, drawn.thing_of, colours)
+    mesh = Mesh.plain(corners.reshape(-1, 3), triangles, drawn.object_of, colours)
     caster, surface = RayCaster(mesh.vertices, mesh.triangles), Surface.of(mesh)
     view = camera_view(np.random.default_rng(0), 1, CALIBRATED, terms=(False, True, True))
     poses = np.array([[3, 2, 1.5, 0], [3, 2, 1.5, np.pi]])
@@ -428,7 +428,7 @@ def test_moving_map_and_camera_together_changes_nothing(rng, boxes):
     moved = np.column_stack([poses[:, :3] @ quarter.T + shift, poses[:, 3] + np.pi / 2])
     got = []
     for points, at in ((vertices, poses), (vertices @ quarter.T + shift, moved)):
-        mesh = Mesh.plain(points, triangles, drawn.thing_of, colours)
+        mesh = Mesh.plain(points, triangles, drawn.object_of, colours)
         tracer = RayCaster(mesh.vertices, mesh.triangles).tracer
         got.append(score_poses(tracer, Surface.of(mesh), at, view, CALIBRATED))
     agree(*got, 0.9)

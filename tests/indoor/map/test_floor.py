@@ -23,8 +23,8 @@ ROOM = {
 
 
 def height(model):
-    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    return find_floor_height(mesh, [t.label for t in model.things])
+    mesh = Mesh.plain(model.vertices, model.triangles, model.object_of)
+    return find_floor_height(mesh, [t.label for t in model.objects])
 
 
 @pytest.mark.parametrize("label", ["slab", "floor", "Floor", "kitchen_floor", "ground"])
@@ -104,7 +104,7 @@ def test_the_last_word_says_what_is_built_in():
 
 
 def test_the_shared_house(house):
-    nameless = replace(house, things=tuple(replace(t, label="thing") for t in house.things))
+    nameless = replace(house, objects=tuple(replace(t, label="thing") for t in house.objects))
     assert height(nameless) == pytest.approx(0.0, abs=0.01)
     assert scene_of_model(house).floors.tolist() == [0.0]
 

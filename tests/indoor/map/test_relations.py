@@ -26,12 +26,12 @@ HALL = {"hall": ((-20, -20, -3), (20, 20, -2.9))}
 
 
 def mesh_of(model, rows=None):
-    owner = model.thing_of if rows is None else np.asarray(rows)[model.thing_of]
+    owner = model.object_of if rows is None else np.asarray(rows)[model.object_of]
     return Mesh.plain(model.vertices, model.triangles, owner)
 
 
 def told(model, rows=None, rooms=None):
-    labels = [t.label for t in model.things]
+    labels = [t.label for t in model.objects]
     if rows is not None:
         labels = [labels[rows.index(i)] for i in range(max(rows) + 1)]
     return {
@@ -138,7 +138,7 @@ def test_same_room_connects_all_of_a_room_by_few_edges(boxes, rng):
     model = boxes(names | {"floor": ((0, 0, -1), (30, 30, 0))})
     mesh = mesh_of(model)
     rooms = np.append(rng.integers(-1, 4, 60), 0)
-    found = find_relations(mesh, [t.label for t in model.things], rooms)
+    found = find_relations(mesh, [t.label for t in model.objects], rooms)
     assert found == sorted(found)
     edges = [(a, b) for a, r, b in found if r == "same room"]
     assert {(b, a) for a, b in edges} == set(edges)
@@ -162,7 +162,7 @@ def test_relations_of_any_boxes_are_sane(low, size, boxes):
         {f"thing{chr(97 + i)}": (a, a + b) for i, (a, b) in enumerate(zip(low, size, strict=True))}
     )
     mesh = mesh_of(model)
-    found = find_relations(mesh, [t.label for t in model.things])
+    found = find_relations(mesh, [t.label for t in model.objects])
     assert found == sorted(found)
     pairs = [(a, b) for a, _, b in found]
     assert len(set(pairs)) == len(pairs), "one relation a pair"
@@ -187,7 +187,7 @@ def test_a_diagonal_triangle_passes_a_corner():
 
 def test_the_house_as_one_would_say_it(house):
     mesh = mesh_of(house)
-    labels, names = [t.label for t in house.things], [t.name for t in house.things]
+    labels, names = [t.label for t in house.objects], [t.name for t in house.objects]
     edges = find_relations(mesh, labels, find_rooms(mesh, labels, 0.0).room_of)
     found = {f"{names[a]} {r} {names[b]}" for a, r, b in edges}
     for line in (

@@ -12,8 +12,8 @@ HEIGHT = 2.6
 
 
 def rooms(model, floor=0.0, labels=None):
-    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    return find_rooms(mesh, labels or [t.label for t in model.things], floor)
+    mesh = Mesh.plain(model.vertices, model.triangles, model.object_of)
+    return find_rooms(mesh, labels or [t.label for t in model.objects], floor)
 
 
 def two_rooms(gap=0.0, *, over=None, wall="wall"):
@@ -35,8 +35,8 @@ def two_rooms(gap=0.0, *, over=None, wall="wall"):
 def altbau():
     drawing = Flat.load("altbau")
     interior = drawing.furnish(np.random.default_rng(1))
-    assert [t.id for t in interior.things] == list(range(len(interior.things)))
-    return drawing, interior, find_rooms(interior.mesh(), [t.label for t in interior.things], 0.0)
+    assert [t.id for t in interior.objects] == list(range(len(interior.objects)))
+    return drawing, interior, find_rooms(interior.mesh(), [t.label for t in interior.objects], 0.0)
 
 
 def test_each_drawn_room_is_found(altbau):
@@ -56,16 +56,18 @@ def test_each_drawn_room_is_found(altbau):
 def test_each_thing_is_in_its_drawn_room(altbau):
     _, interior, found = altbau
     number = {
-        t.room: r for t, r in zip(interior.things, found.room_of, strict=True) if t.label == "floor"
+        t.room: r
+        for t, r in zip(interior.objects, found.room_of, strict=True)
+        if t.label == "floor"
     }
     assert len(set(number.values())) == 5
     wrong = [
         thing.name
-        for thing, room in zip(interior.things, found.room_of.tolist(), strict=True)
+        for thing, room in zip(interior.objects, found.room_of.tolist(), strict=True)
         if thing.room in number and "door" not in thing.label and room != number[thing.room]
     ]
     assert wrong == []
-    assert sum(t.room in number for t in interior.things) > 100
+    assert sum(t.room in number for t in interior.objects) > 100
 
 
 def test_a_doorway_ends_a_room(boxes):
@@ -125,7 +127,7 @@ def test_what_is_in_which_room(boxes):
     }  # fmt: skip
     model = boxes(parts)
     found = rooms(model)
-    room = dict(zip([t.label for t in model.things], found.room_of.tolist(), strict=True))
+    room = dict(zip([t.label for t in model.objects], found.room_of.tolist(), strict=True))
     west, east = room["sofa"], room["bed"]
     assert {west, east} == {0, 1}
     assert [room[k] for k in ("picture", "west wall")] == [west] * 2
@@ -160,8 +162,8 @@ def test_rooms_turn_with_the_map(boxes):
     for degrees in (10, 45):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        mesh = Mesh.plain(model.vertices @ turn.T + (3, -7, 5), model.triangles, model.thing_of)
-        found = find_rooms(mesh, [t.label for t in model.things], 5.0)
+        mesh = Mesh.plain(model.vertices @ turn.T + (3, -7, 5), model.triangles, model.object_of)
+        found = find_rooms(mesh, [t.label for t in model.objects], 5.0)
         assert found.areas == pytest.approx([12, 12], rel=0.06), degrees
 
 
@@ -181,8 +183,8 @@ def test_no_rooms(boxes):
 
 def test_rooms_that_the_source_names_are_kept(boxes):
     model = boxes(two_rooms(gap=0.9, over=2.1) | {"sofa": ((0.2, 0.2, 0), (2, 1, 0.8))})
-    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    labels = [t.label for t in model.things]
+    mesh = Mesh.plain(model.vertices, model.triangles, model.object_of)
+    labels = [t.label for t in model.objects]
     blank = [{"colour": "red"}] * len(labels)
     room_of, told = assign_rooms(mesh, labels, 0.0, blank)
     assert told[-1] == {"colour": "red", "room": str(room_of[-1] + 1)}
@@ -211,7 +213,7 @@ def test_any_boxes_have_sane_rooms(corners, floor, boxes):
 def test_the_house_has_two_rooms_behind_its_folding_doors(house):
     found = rooms(house)
     assert len(found) == 3
-    row = {t.name: room for t, room in zip(house.things, found.room_of.tolist(), strict=True)}
+    row = {t.name: room for t, room in zip(house.objects, found.room_of.tolist(), strict=True)}
     open_plan, bedroom = row["SofaC_01_001"], row["Bed_01_001"]
     study = row["ChairD_01_003"]
     assert [open_plan, bedroom, study] == [0, 1, 2]
@@ -230,5 +232,5 @@ def test_an_l_is_one_room():
     )
     text = "[flat]\nmetres = 0.25\n[drawing]\n" + "\n".join(drawing) + "\n[legend]\n1 room:\n"
     interior = Flat.parse(text).furnish(np.random.default_rng(1))
-    found = find_rooms(interior.mesh(), [t.label for t in interior.things], 0.0)
+    found = find_rooms(interior.mesh(), [t.label for t in interior.objects], 0.0)
     assert found.areas == pytest.approx([18.75], rel=0.06)

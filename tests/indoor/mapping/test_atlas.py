@@ -190,7 +190,7 @@ def test_the_unseen_looks_like_its_neighbours():
 
 def test_faces_never_seen_take_over_colours(boxes):
     model = boxes({"box": ((0, 0, 0), (1, 1, 1)), "far": ((3, 0, 0), (4, 1, 1))})
-    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    mesh = Mesh.plain(model.vertices, model.triangles, model.object_of)
 
     def top(points, normals, _):
         known = (normals[:, 2] > 0.5) & (points[:, 0] < 2)

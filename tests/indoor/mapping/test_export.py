@@ -83,7 +83,7 @@ def test_vertex_colours_without_textures_are_exact(tmp_path):
             back = read_spark_dsg(path)
         else:
             back = build_scene(path, None, floor=0.0, detail="full").mesh
-        owner = back.thing_of if ending == "json" else back.object_of
+        owner = back.object_of
         for row, corners in enumerate(([0, 1, 2], [0, 2, 3])):
             (triangle,) = back.triangles[owner == row]
             assert (back.colours[triangle] == colours[corners]).all()

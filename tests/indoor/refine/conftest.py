@@ -22,7 +22,7 @@ CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 def _boxes(boxes):
     """Map of boxes {label: (low, high)}, each an object of six sides; the first is the hall."""
     model = _model(boxes)
-    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+    mesh = Mesh.plain(model.vertices, model.triangles, model.object_of)
     return SceneMap.create(mesh, list(map(str, range(len(boxes)))), list(boxes), floor=0.0)
 
 

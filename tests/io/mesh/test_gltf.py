@@ -28,7 +28,7 @@ def png(array=((1, 2, 3),), mode="RGB"):
 
 
 def things(model):
-    return [(t.id, t.label, t.name) for t in model.things]
+    return [(t.id, t.label, t.name) for t in model.objects]
 
 
 def test_a_node_is_an_object_turned_to_z_up(glb):
@@ -38,7 +38,7 @@ def test_a_node_is_an_object_turned_to_z_up(glb):
     )  # fmt: skip
     model = read_glb(glb.write())
     assert things(model) == [("7", "chair", "Chair_1")]
-    assert model.things[0].attributes == {"colour": "red", "weight": "2.5"}
+    assert model.objects[0].attributes == {"colour": "red", "weight": "2.5"}
     np.testing.assert_array_equal(model.vertices, [[0, 0, 0], [1, 0, 0], [0, 0, 2]])
     np.testing.assert_array_equal(model.triangles, [[0, 1, 2]])
     assert (model.colours == 255).all()
@@ -69,15 +69,15 @@ def test_parts_belong_to_the_labelled_node_above(glb):
     glb.json["scenes"] = [{"nodes": [root]}]
     model = read_glb(glb.write())
     assert things(model) == [("0", "chair", "c"), ("1", "lamp", "lamp")]
-    assert model.thing_of.tolist() == [0, 0, 1]
+    assert model.object_of.tolist() == [0, 0, 1]
 
 
 def test_nodes_of_one_id_are_one_object(glb):
     for _ in range(2):
         glb.node(glb.primitive(TRIANGLE), name="n", extras={"id": 4, "label": "chair"})
     model = read_glb(glb.write())
-    assert len(model.things) == 1
-    assert model.thing_of.tolist() == [0, 0]
+    assert len(model.objects) == 1
+    assert model.object_of.tolist() == [0, 0]
     glb.node(glb.primitive(TRIANGLE), name="m", extras={"id": 4, "label": "table"})
     with pytest.raises(InputError, match=r"'n' and 'm' share extras.id '4'"):
         read_glb(glb.write())
@@ -383,7 +383,7 @@ def test_the_shared_house(shared):
     assert things(model) == [(str(o["id"]), o["label"], o["name"]) for o in told]
     assert len(model.triangles) == 145_841
     for row, thing in enumerate(told):
-        corners = model.vertices[model.triangles[model.thing_of == row].ravel()]
+        corners = model.vertices[model.triangles[model.object_of == row].ravel()]
         np.testing.assert_allclose(corners.min(axis=0), thing["bbox_min"], atol=2e-4)
         np.testing.assert_allclose(corners.max(axis=0), thing["bbox_max"], atol=2e-4)
     assert sum(p.data is not None for p in model.pictures) == 64
@@ -416,7 +416,7 @@ def as_text(glb, buffer="parts/a%20b.bin", image="t.png"):
 
 
 def same(one, other):
-    assert one.things == other.things
+    assert one.objects == other.objects
     for name in ("vertices", "triangles", "thing_of", "uv", "picture_of", "colours"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert [(p.data, p.factor) for p in one.pictures] == [
@@ -491,7 +491,7 @@ def test_other_text(glb):
         with pytest.raises(InputError, match=says):
             read_glb(path)
     path.write_bytes(glb.path.read_bytes())  # a binary file of the wrong name
-    assert len(read_glb(path).things) == 2
+    assert len(read_glb(path).objects) == 2
 
 
 @DAMAGE

@@ -50,10 +50,10 @@ def test_parts_are_nodes_and_things(read):
         Part("table", [surface, surface], {"label": "table", "id": "x"}),
     ]
     model = read(parts, [Material()])
-    found = [(t.id, t.label, t.name) for t in model.things]
+    found = [(t.id, t.label, t.name) for t in model.objects]
     assert found == [("7", "chair", "Stuhl Nr. 1"), ("x", "table", "table")]
-    assert model.things[0].attributes == {"room": "Küche"}
-    assert model.thing_of.tolist() == [0, 0, 1, 1, 1, 1]
+    assert model.objects[0].attributes == {"room": "Küche"}
+    assert model.object_of.tolist() == [0, 0, 1, 1, 1, 1]
     assert model.vertices[:4] == pytest.approx(CORNERS)
     assert model.triangles[:2].tolist() == FACES.tolist()
     assert (model.colours == 255).all()
@@ -118,7 +118,7 @@ def test_lines_are_drawn_but_are_no_things(read):
 def test_an_empty_file_is_sound_and_a_huge_one_is_refused(read, monkeypatch):
     content = content_of(encode_glb([], []))
     assert "buffers" not in content
-    assert read([], []).things == ()
+    assert read([], []).objects == ()
     monkeypatch.setattr(glb_write, "_LARGEST", 500)
     with pytest.raises(OptionError, match="4 GiB"):
         encode_glb([Part("a", [Surface(CORNERS, FACES, 0)])], [Material()])

@@ -73,9 +73,9 @@ def written(tmp_path, text, name="a.obj"):
 
 def test_objects_are_things(room):
     model = read_obj(room)
-    found = [(t.id, t.label, t.name) for t in model.things]
+    found = [(t.id, t.label, t.name) for t in model.objects]
     assert found == [("floor.001", "floor", "floor.001"), ("chair", "chair", "chair")]
-    assert model.thing_of.tolist() == [0, 0, 1, 1]
+    assert model.object_of.tolist() == [0, 0, 1, 1]
     corners = model.vertices[model.triangles]
     assert corners[1].tolist() == [[0, 0, 0], [2, 2, 0], [0, 2, 0]]  # the rest of the fan
     assert corners[2].tolist() == corners[3].tolist() == [[0, 0, 1], [1, 0, 1], [1, 1, 1]]
@@ -108,25 +108,25 @@ def test_textures_and_colours(room):
 )
 def test_what_parts_a_file(room, groups, labels, of):
     model = read_obj(room, groups=groups)
-    assert [t.label for t in model.things] == labels
-    assert model.thing_of.tolist() == of
+    assert [t.label for t in model.objects] == labels
+    assert model.object_of.tolist() == of
 
 
 def test_auto_takes_the_first_keyword_that_parts(tmp_path):
     head = "v 0 0 0\nv 1 0 0\nv 0 1 0\no all\n"
     parted = read_obj(written(tmp_path, head + "g a\nf 1 2 3\ng b\nf 1 2 3\n"))
-    assert [t.id for t in parted.things] == ["a", "b"]
+    assert [t.id for t in parted.objects] == ["a", "b"]
     whole = read_obj(written(tmp_path, head + "f 1 2 3\n"))
-    assert [t.id for t in whole.things] == ["all"]
+    assert [t.id for t in whole.objects] == ["all"]
     bare = read_obj(written(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"))
-    assert [(t.id, t.label) for t in bare.things] == [("unknown", "unknown")]
+    assert [(t.id, t.label) for t in bare.objects] == [("unknown", "unknown")]
     again = head.replace("o all\n", "o a\nf 1 2 3\no b\nf 1 2 3\no a\nf 1 2 3\n")
-    assert read_obj(written(tmp_path, again)).thing_of.tolist() == [0, 1, 0]
+    assert read_obj(written(tmp_path, again)).object_of.tolist() == [0, 1, 0]
 
 
 def test_a_table_names_things(room):
     table = {"chair": LabelEntry("armchair", "mine", {"colour": "red"})}
-    chair = read_obj(room, table=table).things[1]
+    chair = read_obj(room, table=table).objects[1]
     assert (chair.id, chair.label, chair.name) == ("chair", "armchair", "mine")
     assert chair.attributes == {"colour": "red"}
 
@@ -212,7 +212,7 @@ def test_blocks_change_nothing(room, size):
         parts = read_obj(room)
     for name in ("vertices", "triangles", "thing_of", "colours", "uv", "picture_of"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name))
-    assert whole.things == parts.things
+    assert whole.objects == parts.objects
 
 
 @given(text=damaged(ROOM.encode()) | st.binary(max_size=200).map(b"v 0 0 0\nf ".__add__))
@@ -221,7 +221,7 @@ def test_only_input_errors_of_spoilt_files(tmp_path, text):
     with refusing():
         model = read_obj(written(tmp_path, text))
         assert model.triangles.max(initial=0) < len(model.vertices)
-        assert len(model.thing_of) == len(model.picture_of) == len(model.triangles)
+        assert len(model.object_of) == len(model.picture_of) == len(model.triangles)
 
 
 @given(st.lists(st.integers(0, 7), max_size=20))

@@ -44,7 +44,7 @@ def write(tmp_path):
 
 
 def ids(model):
-    return [t.id for t in model.things]
+    return [t.id for t in model.objects]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -61,8 +61,8 @@ def test_the_same_mesh_in_every_form(form, write):
     assert model.triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
     assert model.colours.tolist() == [[1, 5, 255], [2, 5, 255], [3, 5, 255], [4, 5, 255]]
     assert ids(model) == ["7"]
-    assert model.thing_of.tolist() == [0, 0]
-    assert [t.label for t in model.things] == ["unknown"]
+    assert model.object_of.tolist() == [0, 0]
+    assert [t.label for t in model.objects] == ["unknown"]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -74,7 +74,7 @@ def test_polygons_become_fans(form, write):
     assert model.triangles.tolist() == [
         [0, 1, 2], [0, 2, 3], [5, 4, 3], [0, 1, 2], [0, 2, 3], [0, 3, 4],
     ]  # fmt: skip
-    assert [ids(model)[i] for i in model.thing_of] == ["1", "1", "4", "5", "5", "5"]
+    assert [ids(model)[i] for i in model.object_of] == ["1", "1", "4", "5", "5", "5"]
 
 
 @pytest.mark.parametrize("name", ["objectId", "object_id", "OBJECT_ID", "label", "instance"])
@@ -90,7 +90,7 @@ def test_faces_know_better_than_vertices(write):
     )
     model = read_ply(path)
     assert ids(model) == ["1", "2"]
-    assert model.thing_of.tolist() == [0, 1]
+    assert model.object_of.tolist() == [0, 1]
     assert ids(read_ply(path, object_property="objectId")) == ["3"]
     with pytest.raises(
         InputError, match=r"no property 'segment'; it has objectId, object_id, x, y"
@@ -103,7 +103,7 @@ def test_the_majority_of_the_corners_decides(write):
         vertices(objectId=("int", [1, 2, 2, 3])), faces([0, 1, 2], [1, 2, 3], [0, 1, 3], [1, 3, 2])
     )
     model = read_ply(path)
-    assert [ids(model)[i] for i in model.thing_of] == ["2", "2", "1", "2"]
+    assert [ids(model)[i] for i in model.object_of] == ["2", "2", "1", "2"]
 
 
 @pytest.mark.parametrize(
@@ -113,24 +113,24 @@ def test_the_majority_of_the_corners_decides(write):
 def test_faces_without_an_object_are_one_unknown_object(kind, nothing, write):
     ids_of = {"object_id": (kind, [nothing, 4, nothing])}
     model = read_ply(write(vertices(), faces([0, 1, 2], [0, 2, 3], [0, 1, 3], **ids_of)))
-    assert {(t.id, t.label) for t in model.things} == {("unknown", "unknown"), ("4", "unknown")}
-    assert [ids(model)[i] for i in model.thing_of] == ["unknown", "4", "unknown"]
+    assert {(t.id, t.label) for t in model.objects} == {("unknown", "unknown"), ("4", "unknown")}
+    assert [ids(model)[i] for i in model.object_of] == ["unknown", "4", "unknown"]
 
 
 def test_a_table_names_objects_and_leaves_the_rest_unknown(write):
     path = write(vertices(), faces([0, 1, 2], [0, 2, 3], [0, 1, 3], object_id=("int", [0, 4, 9])))
     table = {"4": Entry("chair", "Stool", {"colour": "red"}), "77": Entry("lamp")}
     model = read_ply(path, table=table)
-    assert [(t.id, t.label, t.name) for t in model.things] == [
+    assert [(t.id, t.label, t.name) for t in model.objects] == [
         ("unknown", "unknown", ""), ("4", "chair", "Stool"),
     ]  # fmt: skip
-    assert model.things[1].attributes == {"colour": "red"}
-    assert model.thing_of.tolist() == [0, 1, 0]
+    assert model.objects[1].attributes == {"colour": "red"}
+    assert model.object_of.tolist() == [0, 1, 0]
     assert model.left_out == {"labels of objects that are not there": 1}
 
 
 def test_meshes_without_ids_points_alone_and_other_axes(write, tmp_path):
-    assert [t.label for t in read_ply(write(vertices(), faces([0, 1, 2]))).things] == ["unknown"]
+    assert [t.label for t in read_ply(write(vertices(), faces([0, 1, 2]))).objects] == ["unknown"]
     assert len(read_ply(write(vertices())).triangles) == 0
     assert len(read_ply(write(vertices([]), faces())).vertices) == 0
     model = read_ply(write(vertices([(1, 2, 3)] * 3), faces([0, 1, 2])), up="y")
@@ -236,7 +236,7 @@ def test_damaged_files_give_one_kind_of_error(data, tmp_path):
     with refusing(path):
         model = read_ply(path)
         assert model.triangles.max(initial=-1) < len(model.vertices)
-        assert model.thing_of.max(initial=-1) < len(model.things)
+        assert model.object_of.max(initial=-1) < len(model.objects)
 
 
 TABLE = [{"id": "3", "label": "chair"}, {"id": "4", "label": "table"}]
@@ -315,14 +315,14 @@ def test_read_back_it_is_the_same(tmp_path_factory, points, colours, objects):
     assert (model.vertices == points).all()
     assert (model.triangles == FACES).all()
     assert (model.colours == colours).all()
-    assert [model.things[row].id for row in model.thing_of] == [str(n) for n in objects]
+    assert [model.objects[row].id for row in model.object_of] == [str(n) for n in objects]
 
 
 def test_colours_and_objects_may_be_missing(tmp_path):
     path = write_ply(tmp_path / "a.ply", np.zeros((4, 3)), FACES, comments=("made by a test",))
     model = read_ply(path)
     assert (model.colours == 255).all()
-    assert [t.id for t in model.things] == ["0"]
+    assert [t.id for t in model.objects] == ["0"]
     assert b"\ncomment made by a test\n" in path.read_bytes()
     empty = write_ply(tmp_path / "b.ply", np.zeros((0, 3)), np.zeros((0, 3), int))
     assert len(read_ply(empty).triangles) == 0

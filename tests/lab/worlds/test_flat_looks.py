@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph_lab.worlds.flat.flat import look
+from placegraph_lab.worlds.flat.flat import read_material
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.render import GeometryImage, measured
 from placegraph_lab.worlds.flat.textures import PAINTERS, Material, paint
@@ -30,7 +30,13 @@ def test_a_look_has_its_size_its_colour_and_some_pattern(kind):
 @given(st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.floats(0.2, 2.0))
 def test_furniture_keeps_to_its_body(name, width, depth, stretch):
     model = MODELS[name]
-    body = Body(width, depth, model.height * stretch, look(model.look, ""), look(model.trim, ""))
+    body = Body(
+        width,
+        depth,
+        model.height * stretch,
+        read_material(model.material, ""),
+        read_material(model.trim, ""),
+    )
     parts = model.made(body)
     points = np.concatenate([part.vertices for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)

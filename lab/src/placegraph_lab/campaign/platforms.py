@@ -94,13 +94,13 @@ def compare_poses(one: dict[str, Any], other: dict[str, Any]) -> str:
     return list_differences(*others)
 
 
-def round_numbers(told: Any) -> Any:  # noqa: ANN401  # JSON
+def round_numbers(value: Any) -> Any:  # noqa: ANN401  # JSON
     """Round the numbers of JSON to nine digits."""
-    if isinstance(told, dict):
-        return {k: round_numbers(v) for k, v in told.items()}
-    if isinstance(told, list):
-        return [round_numbers(v) for v in told]
-    return float(f"{told:.9g}") if isinstance(told, float) else told
+    if isinstance(value, dict):
+        return {k: round_numbers(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [round_numbers(v) for v in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 def list_differences(one: dict[str, Any], other: dict[str, Any]) -> str:

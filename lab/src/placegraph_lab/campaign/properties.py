@@ -241,19 +241,19 @@ def rows(effort: Effort) -> Iterator[Row]:
     """Yield a row for each property; each is tried at least once."""
     worlds: dict[object, object] = {}
     whole = sum(p.share for p in PROPERTIES)
-    for number, known in enumerate(PROPERTIES):
-        if known.world not in worlds:
+    for number, tested in enumerate(PROPERTIES):
+        if tested.world not in worlds:
             folder = effort.folder / f"world{len(worlds)}"
             folder.mkdir(parents=True)
-            worlds[known.world] = known.world(folder)
+            worlds[tested.world] = tested.world(folder)
         yield try_property(
-            known, worlds[known.world], (effort.seed, number), effort.seconds * known.share / whole,
+            tested, worlds[tested.world], (effort.seed, number), effort.seconds * tested.share / whole,
             effort.report,
         )  # fmt: skip
 
 
 def try_property(
-    known: Property,
+    tested: Property,
     world: object,
     seed: tuple[int, int],
     seconds: float,
@@ -265,11 +265,11 @@ def try_property(
     while not k or monotonic() - start < seconds:
         rng = np.random.default_rng((*seed, k))
         try:
-            broken = known.trial(world, rng)
+            broken = tested.trial(world, rng)
         except PlacegraphError as error:
             broken = f"{type(error).__name__}: {error}"
         found["untyped" if broken else "accepted"] += 1
         if broken:
-            report(f"{known.name}, seed {(*seed, k)}: {broken}")
+            report(f"{tested.name}, seed {(*seed, k)}: {broken}")
         k += 1
-    return Row.counted(PART, known.name, found, seed[0], monotonic() - start)
+    return Row.counted(PART, tested.name, found, seed[0], monotonic() - start)

@@ -79,7 +79,7 @@ def box_model(boxes: Mapping[str, Any]) -> Model:
     corners = [box_corners(s.mean(axis=0), s[1] - s[0], np.eye(3)) for s in spans]
     columns: dict[str, Any] = dict(join_pieces([box_piece(c, i) for i, c in enumerate(corners)]))
     return Model(
-        path=Path("boxes"), things=tuple(ModelObject(str(i), label) for i, label in enumerate(boxes, 1)),
+        path=Path("boxes"), objects=tuple(ModelObject(str(i), label) for i, label in enumerate(boxes, 1)),
         picture_of=np.zeros(12 * len(boxes), np.int64), pictures=(Texture(None),),
         **columns,
     )  # fmt: skip

@@ -117,15 +117,15 @@ def scan(tmp_path):
 
 
 def labels_of(model):
-    return [model.things[i].label for i in model.thing_of.tolist()]
+    return [model.objects[i].label for i in model.object_of.tolist()]
 
 
 def test_labels_texture_attributes_relations(scan):
     assert is_scan3r(scan.path)
     model = read_scan3r(scan.path)
     assert labels_of(model) == ["floor"] * 2 + ["box"] * 2 + ["unknown"] * 2
-    assert [t.id for t in model.things] == ["1", "2", "unknown"]
-    box = model.things[1]
+    assert [t.id for t in model.objects] == ["1", "2", "unknown"]
+    box = model.objects[1]
     seen = {"color": "dark, gray", "shape": "square", "affordances": "placing items on"}
     assert box.attributes == seen
     assert model.relations == ((1, "standing on", 0),)
@@ -202,7 +202,7 @@ def test_braces_in_names_mislead_nobody(scan):
     content = json.loads(path.read_text())
     content["scans"][1]["objects"][1]["affordances"] = ["}}{", "{"]
     scan.write_json(path, content)
-    assert read_scan3r(scan.path).things[1].attributes["affordances"] == "}}{, {"
+    assert read_scan3r(scan.path).objects[1].attributes["affordances"] == "}}{, {"
     path.write_text(path.read_text()[:-2])
     with pytest.raises(InputError, match=r"objects\.json is not JSON"):
         read_scan3r(scan.path)
@@ -303,7 +303,7 @@ def test_only_input_errors_of_spoilt_files(tmp_path, name, data):
     path.write_bytes(data.draw(damaged(path.read_bytes())))
     with refusing():
         model = read_scan3r(folder.path, reference_frame=True, undo_moves=True)
-        assert len(model.thing_of) == len(model.triangles)
+        assert len(model.object_of) == len(model.triangles)
 
 
 @given(any_json("reference", "scans", "transform", "rigid", "type", "removed", "symmetry"))

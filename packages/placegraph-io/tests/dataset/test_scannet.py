@@ -25,7 +25,7 @@ def scan(scannet_world, tmp_path):
 
 def letters(model, scan):
     drawn = [scan.mesh.letters[a] for a in scan.mesh.triangles[:, 0]]
-    return [(model.things[i].label, d) for i, d in zip(model.thing_of, drawn, strict=True)]
+    return [(model.objects[i].label, d) for i, d in zip(model.object_of, drawn, strict=True)]
 
 
 def test_objects_are_those_of_the_annotation_in_the_map_s_axes(scan):
@@ -36,7 +36,7 @@ def test_objects_are_those_of_the_annotation_in_the_map_s_axes(scan):
     assert set(letters(model, scan)) == {
         ("floor", "f"), ("dining table", "t"), ("office chair", "c"), ("unknown", "w"),
     }  # fmt: skip
-    assert [t.id for t in model.things] == ["0", "4", "2", "unknown"]
+    assert [t.id for t in model.objects] == ["0", "4", "2", "unknown"]
     assert model.left_out == {"vertices of no object": scan.mesh.letters.count("w")}
     assert model.path == scan.folder
 
@@ -75,7 +75,7 @@ def test_labels_come_from_a_column_of_the_table(scan):
     scan.write_table()
     scan.write_groups(".aggregation.json", [*scan.groups[1:], scan.groups[0] | {"label": "object"}])
     model = read_scannet(scan.folder, label_column="category")
-    said = {t.id: (t.label, t.attributes.get("raw_category")) for t in model.things}
+    said = {t.id: (t.label, t.attributes.get("raw_category")) for t in model.objects}
     assert said["4"] == ("table", "dining table")
     assert said["2"] == ("chair", "office chair")
     assert said["0"] == ("object", "object")  # an empty cell leaves the raw label
@@ -87,7 +87,7 @@ def test_a_table_may_be_given_and_is_missed(scan, tmp_path):
         read_scannet(scan.folder, label_column="nyu40class")
     table = scan.write_table().rename(tmp_path / "own.tsv")
     model = read_scannet(scan.folder, label_column="nyu40class", label_table=table)
-    assert {t.label for t in model.things} == {"floor", "table", "chair", "unknown"}
+    assert {t.label for t in model.objects} == {"floor", "table", "chair", "unknown"}
     with pytest.raises(OptionError, match=r"label_column is 'wordnet'; .*nyu40id, nyu40class"):
         read_scannet(scan.folder, label_column="wordnet", label_table=table)
 
@@ -163,8 +163,8 @@ def test_absent_segments_are_counted_and_all_absent_refused(scan):
         read_scannet(scan.folder)
     scan.write_groups(".aggregation.json", [])
     model = read_scannet(scan.folder)
-    assert [t.label for t in model.things] == ["unknown"]
-    assert not model.thing_of.any()
+    assert [t.label for t in model.objects] == ["unknown"]
+    assert not model.object_of.any()
 
 
 def test_a_segment_of_two_objects_is_the_last_one_s(scan):
@@ -216,10 +216,10 @@ def wide(scannet_world, tmp_path):
 
 def test_without_objects_connected_patches_of_a_class_are_objects(wide):
     model = read_scannet(wide.folder)
-    assert [(t.id, t.label) for t in model.things] == [
+    assert [(t.id, t.label) for t in model.objects] == [
         ("1", "wall"), ("2", "floor"), ("3", "table"), ("4", "table"), ("unknown", "unknown"),
     ]  # fmt: skip
-    tables = [np.unique(model.thing_of[np.array([d == "t" for _, d in letters(model, wide)])])]
+    tables = [np.unique(model.object_of[np.array([d == "t" for _, d in letters(model, wide)])])]
     assert np.concatenate(tables).tolist() == [2, 3]
     assert {d for label, d in letters(model, wide) if label == "unknown"} == {"c"}
     assert model.left_out["patches of fewer than 20 vertices"] == 2
@@ -263,8 +263,8 @@ def test_damage_is_an_input_error(scan, data):
     scan.file(ending).write_bytes(data.draw(damaged(whole)))
     with refusing(scan.folder):
         model = read_scannet(scan.folder)
-        assert len(model.thing_of) == len(model.triangles)
-        assert not len(model.thing_of) or model.thing_of.max() < len(model.things)
+        assert len(model.object_of) == len(model.triangles)
+        assert not len(model.object_of) or model.object_of.max() < len(model.objects)
     scan.file(ending).write_bytes(whole)
 
 

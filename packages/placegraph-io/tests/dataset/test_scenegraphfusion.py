@@ -85,7 +85,7 @@ def output(tmp_path):
 
 
 def things(model):
-    return {t.id: t for t in model.things}
+    return {t.id: t for t in model.objects}
 
 
 @pytest.mark.parametrize("binary", [False, True])
@@ -100,7 +100,7 @@ def test_segments_become_things(output, binary):
     assert found["3"].attributes == {"probability": "0.800"}
     assert found["5"].attributes == {"probability": "0.999"}
     assert found["8"].attributes == {"probability": "1.000"}
-    row = {t.id: i for i, t in enumerate(model.things)}
+    row = {t.id: i for i, t in enumerate(model.objects)}
     assert set(model.relations) == {
         (row["8"], "standing on", row["3"]),
         (row["5"], "attached to", row["3"]),
@@ -109,9 +109,9 @@ def test_segments_become_things(output, binary):
 
 def test_squares_lie_on_the_surface(output):
     model = read_scenegraphfusion(output.path)
-    row = {t.id: i for i, t in enumerate(model.things)}
+    row = {t.id: i for i, t in enumerate(model.objects)}
     corners = model.vertices[model.triangles]
-    floor, wall = (corners[model.thing_of == row[i]] for i in "35")
+    floor, wall = (corners[model.object_of == row[i]] for i in "35")
     assert np.allclose(floor[..., 2], 0)
     assert np.allclose(wall[..., 0], 0)
     low, high = floor.min(axis=(0, 1)), floor.max(axis=(0, 1))
@@ -121,7 +121,7 @@ def test_squares_lie_on_the_surface(output):
     assert (normals[:, 2] > 0).all()
     area = np.linalg.norm(normals, axis=1).sum() / 2
     assert 2.0 < area < 3.2  # they overlap a little, so that there are no holes
-    chair = model.triangles[model.thing_of == row["8"]]
+    chair = model.triangles[model.object_of == row["8"]]
     assert (model.colours[chair] == (0, 0, 255)).all()
 
 
@@ -132,12 +132,12 @@ def test_labels_on_a_mesh(output, tmp_path):
         "f 1 2 3\nf 4 5 6\nf 7 8 9\n"
     )
     model = read_scenegraphfusion(output.path / "predictions.json", mesh=mesh)
-    assert [model.things[i].label for i in model.thing_of] == ["floor", "wall", "unknown"]
+    assert [model.objects[i].label for i in model.object_of] == ["floor", "wall", "unknown"]
     assert len(model.triangles) == 3
     assert model.left_out["vertices of the mesh without a surfel within 0.1 m"] == 3
     assert model.left_out["labels of objects that are not there"] == 1  # the chair
     (relation,) = model.relations
-    assert [model.things[i].label for i in relation[::2]] == ["wall", "floor"]
+    assert [model.objects[i].label for i in relation[::2]] == ["wall", "floor"]
     mesh.write_text("v 9 9 9\nv 8 9 9\nv 9 8 9\nf 1 2 3\n")
     with pytest.raises(InputError, match="has no vertex within"):
         read_scenegraphfusion(output.path, mesh=mesh)
@@ -226,4 +226,4 @@ def test_only_input_errors_of_spoilt_files(tmp_path, name, data, binary):
     path.write_bytes(data.draw(damaged(path.read_bytes(), within=3000)))
     with refusing():
         model = read_scenegraphfusion(output.path)
-        assert len(model.thing_of) == len(model.triangles) > 0
+        assert len(model.object_of) == len(model.triangles) > 0

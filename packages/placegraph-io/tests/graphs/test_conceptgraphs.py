@@ -88,14 +88,14 @@ def write(folder, *, turned=True, mesh=True):
 def test_a_mesh_lends_objects_their_shape(turned, tmp_path):
     of = write(tmp_path / "run", turned=turned)
     model = read_conceptgraphs(tmp_path / "run", mesh=tmp_path / "run/mesh.ply")
-    assert [t.label for t in model.things] == ["table", "shelf", "stool", "unknown"]
-    assert [t.id for t in model.things] == ["0", "7", "14", "mesh"]
-    assert model.things[1].attributes == {"caption": "A wooden shelf."}
+    assert [t.label for t in model.objects] == ["table", "shelf", "stool", "unknown"]
+    assert [t.id for t in model.objects] == ["0", "7", "14", "mesh"]
+    assert model.objects[1].attributes == {"caption": "A wooden shelf."}
     assert model.relations == ((2, "next to", 0),)
     assert model.left_out == {"edges without two objects and a relationship": 1}
     for row in range(3):
-        assert (model.thing_of[of == row] == row).mean() > 0.93, row
-    floor = model.thing_of[of == 3]
+        assert (model.object_of[of == row] == row).mean() > 0.93, row
+    floor = model.object_of[of == 3]
     assert (floor == 3).mean() > 0.9, "what stands on it takes little of the floor"
 
 
@@ -103,7 +103,7 @@ def test_boxes_where_there_is_no_mesh(tmp_path):
     write(tmp_path / "run", turned=False)
     model = read_conceptgraphs(tmp_path / "run/obj_json_run1.json")
     assert len(model.triangles) == 3 * 12
-    corners = model.vertices[model.triangles[model.thing_of == 1]].reshape(-1, 3)
+    corners = model.vertices[model.triangles[model.object_of == 1]].reshape(-1, 3)
     x, y, z, _ = PLACES["shelf"]
     np.testing.assert_allclose(
         (corners.min(axis=0) + corners.max(axis=0)) / 2, (x, y, z), atol=0.01
@@ -140,7 +140,7 @@ def test_a_world_with_y_up(tmp_path):
     file.write_text(json.dumps(content))
     turned = read_conceptgraphs(tmp_path / "run", up="y")
     for row in range(3):
-        ends = [np.sort(m.vertices[m.triangles[m.thing_of == row]].reshape(-1, 3), axis=0)[[0, -1]]
+        ends = [np.sort(m.vertices[m.triangles[m.object_of == row]].reshape(-1, 3), axis=0)[[0, -1]]
                 for m in (upright, turned)]  # fmt: skip
         np.testing.assert_allclose(*ends, atol=1e-9)
 

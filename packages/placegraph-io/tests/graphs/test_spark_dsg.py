@@ -92,17 +92,17 @@ def read(tmp_path):
 
 
 def corners_of(model, row):
-    return model.vertices[model.triangles[model.thing_of == row]].reshape(-1, 3)
+    return model.vertices[model.triangles[model.object_of == row]].reshape(-1, 3)
 
 
 def test_objects_own_the_vertices_they_are_connected_with(read):
     nodes = [thing(0, 3, mesh_connections=[3, 4, 5]), thing(1, 4, mesh_connections=[6, 7, 8])]
     model = read(graph(nodes, mesh=mesh([7] * 9)))
-    found = [(t.id, t.label) for t in model.things]
+    found = [(t.id, t.label) for t in model.objects]
     assert found == [("O0", "chair"), ("O1", "cup"), ("mesh 7", "floor")]
     for row, first in ((0, 3), (1, 6), (2, 0)):
         assert corners_of(model, row).tolist() == POINTS[first : first + 3]
-    assert model.colours[model.triangles[model.thing_of == 1], 0].tolist() == [[60, 70, 80]]
+    assert model.colours[model.triangles[model.object_of == 1], 0].tolist() == [[60, 70, 80]]
     assert not model.left_out
 
 
@@ -114,7 +114,7 @@ def test_without_connections_label_and_box_decide(read):
     # of the cup's label there is nothing within its box: the box stands for it
     assert len(corners_of(model, 1)) == 36
     assert model.left_out == {"objects without a mesh, for which their box stands": 1}
-    assert [t.id for t in model.things[2:]] == ["mesh 3", "mesh 4"]
+    assert [t.id for t in model.objects[2:]] == ["mesh 3", "mesh 4"]
 
 
 @pytest.mark.parametrize("kind", ["AABB", "RAABB", "OBB"])
@@ -143,7 +143,7 @@ def test_an_object_of_khronos_has_its_own_mesh_in_its_box(read):
 def test_an_object_without_anything_is_left_out(read):
     model = read(graph([thing(0, 3), thing(1, 4, bounds=box([0, 0, 0], [1, 1, 1]))]))
     assert model.left_out["objects with neither mesh nor box"] == 1
-    assert set(model.thing_of.tolist()) == {1}
+    assert set(model.object_of.tolist()) == {1}
 
 
 def test_labels_names_rooms_and_relations(read):
@@ -165,7 +165,7 @@ def test_labels_names_rooms_and_relations(read):
         edge(("O", 1), ("O", 2)),
     ]
     model = read(graph(nodes, edges))
-    first, second, third = model.things
+    first, second, third = model.objects
     assert (first.label, first.name) == ("chair", "my chair")
     assert first.attributes == {"room": "kitchen", "colour": "red", "weight": "3"}
     assert (second.label, second.attributes) == ("label 99", {"room": "kitchen"})
@@ -179,7 +179,7 @@ def test_agents_and_dynamic_layers_are_no_objects(read):
     agent = {"type": "AgentNodeAttributes", "position": [0.0] * 3, "world_R_body": IDENTITY}
     node = {"id": node_id("a", 0), "layer": 2, "partition": 97, "attributes": agent}
     model = read(graph([node, thing(0, 3, bounds=box([0, 0, 0], [1, 1, 1]))]))
-    assert [t.id for t in model.things] == ["O0"]
+    assert [t.id for t in model.objects] == ["O0"]
 
 
 def test_version_1_0_as_hydra_saved_it(read):
@@ -200,7 +200,7 @@ def test_version_1_0_as_hydra_saved_it(read):
     for key in ("SPARK_DSG_header", "layer_keys", "layer_names", "metadata"):
         del content[key]
     model = read(content)
-    assert [(t.label, t.name) for t in model.things] == [("chair", "chair"), ("unknown", "")]
+    assert [(t.label, t.name) for t in model.objects] == [("chair", "chair"), ("unknown", "")]
     assert corners_of(model, 0).tolist() == POINTS[3:6]
     del content["mesh"]
     assert corners_of(read(content), 0).min(axis=0).tolist() == [0, 0, 0]
@@ -258,24 +258,24 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
         read_spark_dsg(path)
 
 
-def drawn(things=3):
+def drawn(objects=3):
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
-    vertices = np.concatenate([points[:1], *(points[1:] + k for k in range(things))])
+    vertices = np.concatenate([points[:1], *(points[1:] + k for k in range(objects))])
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
     return Model(
         path=Path("drawn"),
-        things=tuple(
+        objects=tuple(
             ModelObject(
                 f"id {k}", ("chair", "table")[k % 2], f"näme {k}", {"room": "hall", "n": str(k)}
             )
-            for k in range(things)
+            for k in range(objects)
         ),
         vertices=vertices,
-        triangles=np.concatenate([np.where(faces == 0, 0, faces + 3 * k) for k in range(things)]),
-        thing_of=np.repeat(np.arange(things), 4),
+        triangles=np.concatenate([np.where(faces == 0, 0, faces + 3 * k) for k in range(objects)]),
+        object_of=np.repeat(np.arange(objects), 4),
         colours=np.arange(3 * len(vertices)).reshape(-1, 3).astype(np.uint8),
         uv=np.zeros((len(vertices), 2)),
-        picture_of=np.zeros(4 * things, np.int64),
+        picture_of=np.zeros(4 * objects, np.int64),
         pictures=(Texture(None),),
         relations=((0, "on", 1), (1, "below", 0), (1, "next to", 2)),
         floor=-0.25,
@@ -288,13 +288,13 @@ def test_there_and_back(tmp_path):
     path.write_bytes(encode_spark_dsg(model, ["hall"] * 3, note={"floor": -0.25}))
     assert is_spark_dsg(path)
     back = read_spark_dsg(path)
-    assert back.things == model.things
+    assert back.objects == model.objects
     assert sorted(back.relations) == sorted(model.relations)
     assert back.floor == -0.25
     assert not back.left_out
     for row in range(3):
         assert corners_of(back, row) == pytest.approx(corners_of(model, row), abs=1e-6)
-        ours, theirs = (m.colours[m.triangles[m.thing_of == row]] for m in (model, back))
+        ours, theirs = (m.colours[m.triangles[m.object_of == row]] for m in (model, back))
         assert (ours == theirs).all()
 
 
@@ -331,11 +331,11 @@ def test_the_layout_is_the_one_of_1_1_3():
 
 def test_a_thing_without_triangles_is_written_without_a_box(tmp_path):
     model = drawn()
-    model = replace(model, things=(*model.things, ModelObject("bare", "ghost")))
+    model = replace(model, objects=(*model.objects, ModelObject("bare", "ghost")))
     path = tmp_path / "ours.json"
     path.write_bytes(encode_spark_dsg(model, ["hall"] * 4))
     back = read_spark_dsg(path)
-    assert back.things == model.things
+    assert back.objects == model.objects
     assert back.left_out == {"objects with neither mesh nor box": 1}
 
 

@@ -162,8 +162,8 @@ def _boxes(scene: Scene, head: Fields) -> list[Fields]:
 
 def _meshes(scene: Scene, head: Fields) -> list[Fields]:
     model = paint_vertices(scene)
-    order = np.argsort(model.thing_of, kind="stable")
-    ends = np.cumsum(np.bincount(model.thing_of, minlength=len(scene)))[:-1]
+    order = np.argsort(model.object_of, kind="stable")
+    ends = np.cumsum(np.bincount(model.object_of, minlength=len(scene)))[:-1]
     found = []
     for row, triangles in enumerate(np.split(model.triangles[order], ends)):
         corners = triangles.ravel()

@@ -38,7 +38,7 @@ def check_model(model: Model) -> None:
         bad = ~np.isfinite(values).all(axis=1) & used
         if bad.any():
             triangle = int(np.flatnonzero(bad[model.triangles].any(axis=1))[0])
-            thing = model.things[int(model.thing_of[triangle])]
+            thing = model.objects[int(model.object_of[triangle])]
             raise InputError(
                 f"{model.path}: {int(bad.sum())} {name} are not numbers, the first in object "
                 f"{thing.name or thing.id!r}; repair the mesh, or delete them."
@@ -75,7 +75,7 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
     """Turn a model so that its labelled floor is level, where `up` is "auto"."""
     if up != "auto":
         return model
-    rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
+    rows = np.array([is_floor(t.label) for t in model.objects], np.bool_)[model.object_of]
     if not rows.any():
         low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
         x, y, z = high - low
@@ -117,19 +117,19 @@ def clean_model(
             else "is it in millimetres? Then pass scale=0.001; else move it to its origin"
         )
         raise InputError(f"{model.path} reaches {reach:.3g} m from its origin; {mend}.")
-    flat = find_flat_triangles(model.vertices, model.triangles, model.thing_of)
+    flat = find_flat_triangles(model.vertices, model.triangles, model.object_of)
     if flat.any():
         left_out["triangles without area"] += int(flat.sum())
     rows = np.flatnonzero(~flat)
-    if (np.diff(model.thing_of[rows]) < 0).any():
-        rows = rows[np.argsort(model.thing_of[rows], kind="stable")]
-    triangles, thing_of, picture_of = (
-        column[rows] for column in (model.triangles, model.thing_of, model.picture_of)
+    if (np.diff(model.object_of[rows]) < 0).any():
+        rows = rows[np.argsort(model.object_of[rows], kind="stable")]
+    triangles, object_of, picture_of = (
+        column[rows] for column in (model.triangles, model.object_of, model.picture_of)
     )
     corner, compact = _index_used(triangles, len(model.vertices))
-    thing, things = _index_used(thing_of, len(model.things))
+    thing, things = _index_used(object_of, len(model.objects))
     picture, pictures = _index_used(picture_of, len(model.pictures))
-    missing = len(model.things) - len(thing)
+    missing = len(model.objects) - len(thing)
     if missing:
         left_out["objects without a triangle"] += missing
     mesh = Mesh(
@@ -141,11 +141,11 @@ def clean_model(
         texture_of=pictures,
         textures=(np.zeros((1, 1, 3), np.uint8),) * len(picture),
     )
-    row = np.full(len(model.things), -1)
+    row = np.full(len(model.objects), -1)
     row[thing] = np.arange(len(thing))
     return (
         mesh.snapped(),
-        [model.things[i] for i in thing.tolist()],
+        [model.objects[i] for i in thing.tolist()],
         [model.pictures[i] for i in picture.tolist()],
         row,
     )

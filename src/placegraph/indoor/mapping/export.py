@@ -77,10 +77,10 @@ def paint_vertices(scene: Scene) -> Model:
     edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
     return Model(
         path=Path(scene.source or "scene"),
-        things=tuple(ModelObject(*columns) for columns in objects),
+        objects=tuple(ModelObject(*columns) for columns in objects),
         vertices=mesh.vertices[row].astype(np.float64),
         triangles=triangles,
-        thing_of=mesh.object_of.astype(np.int64),
+        object_of=mesh.object_of.astype(np.int64),
         colours=_tint_vertices(mesh, triangles, mesh.colours[row]),
         uv=np.zeros((len(row), 2)),
         picture_of=np.zeros(len(triangles), np.int64),
@@ -291,7 +291,7 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
         raise OptionError(f"camera_paths: {len(paths)}; a .json holds {writer.MOST_PATHS} at most.")
     model = paint_vertices(scene)
     rooms = []
-    for thing, row in zip(model.things, scene.scene_of.tolist(), strict=True):
+    for thing, row in zip(model.objects, scene.scene_of.tolist(), strict=True):
         room, within = thing.attributes.get("room", ""), scene.scenes[row]
         named = len(scene.scenes) > 1 or not room
         rooms.append(" ".join(filter(None, [within if named else "", room])))
@@ -304,7 +304,7 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
 
 def _write_ply(scene: Scene, path: Path, table: Path) -> None:
     model = paint_vertices(scene)
-    ids = [t.id for t in model.things]
+    ids = [t.id for t in model.objects]
     own = {id_ for id_ in ids if id_.isdecimal() and id_.isascii() and str(int(id_)) == id_}
     own = {id_ for id_ in own if int(id_) < 1 << 30}
     last = max((int(id_) for id_ in own), default=-1)
@@ -313,7 +313,7 @@ def _write_ply(scene: Scene, path: Path, table: Path) -> None:
         last += id_ not in own
         numbers.append(int(id_) if id_ in own else last)
     entries = []
-    for number, thing in zip(numbers, model.things, strict=True):
+    for number, thing in zip(numbers, model.objects, strict=True):
         attributes = dict(thing.attributes)
         if str(number) != thing.id:
             key = "id"
@@ -324,7 +324,7 @@ def _write_ply(scene: Scene, path: Path, table: Path) -> None:
         entries.append(entry)
     table_content = {"written by": MARK, "objects": entries}
     write_file(table, [json.dumps(table_content, ensure_ascii=False, indent=1).encode()])
-    objects = np.array(numbers, np.int64)[model.thing_of]
+    objects = np.array(numbers, np.int64)[model.object_of]
     write_ply(
         path, model.vertices, model.triangles, model.colours, objects=objects, comments=(MARK,)
     )

@@ -100,8 +100,8 @@ def read_capture(
     )  # fmt: skip
     floor, guessed = _find_floor(path, fused, segments)
     model = Model(
-        path=path, things=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
-        thing_of=segments.object_of.astype(np.int64), colours=fused.colours,
+        path=path, objects=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
+        object_of=segments.object_of.astype(np.int64), colours=fused.colours,
         uv=np.zeros((len(fused.vertices), 2)),
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Texture(None),),
         floor=floor,

@@ -362,22 +362,22 @@ class _ModelBuilder:
     """Things with their triangles, as they come."""
 
     def __init__(self) -> None:
-        self.things: list[ModelObject] = []
+        self.objects: list[ModelObject] = []
         self.vertices: list[Floats] = []
         self.triangles: list[NDArray[np.int64]] = []
-        self.thing_of: list[int] = []
+        self.object_of: list[int] = []
         self.count = 0
 
     def add_object(
         self, label: str, name: str = "", attributes: dict[str, str] | None = None
     ) -> None:
-        self.things.append(ModelObject(str(len(self.things)), label, name, attributes or {}))
+        self.objects.append(ModelObject(str(len(self.objects)), label, name, attributes or {}))
 
     def add(self, vertices: Floats, triangles: NDArray[np.int64]) -> None:
         """Add triangles to the last object."""
         self.vertices.append(vertices)
         self.triangles.append(triangles + self.count)
-        self.thing_of.extend([len(self.things) - 1] * len(triangles))
+        self.object_of.extend([len(self.objects) - 1] * len(triangles))
         self.count += len(vertices)
 
     def box(self, a: Floats, b: Floats, heights: tuple[float, float], thick: float) -> None:
@@ -418,8 +418,8 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
     vertices = np.concatenate(parts.vertices)
     triangles = np.concatenate(parts.triangles)
     return Model(
-        path=path, things=tuple(parts.things), vertices=vertices, triangles=triangles,
-        thing_of=np.array(parts.thing_of, np.int64),
+        path=path, objects=tuple(parts.objects), vertices=vertices, triangles=triangles,
+        object_of=np.array(parts.object_of, np.int64),
         colours=np.full((len(vertices), 3), 255, np.uint8), uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(len(triangles), np.int64), pictures=(Texture(None),), floor=0.0,
     )  # fmt: skip

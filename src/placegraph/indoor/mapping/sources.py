@@ -124,7 +124,7 @@ def read_source(
     shared_options = {"up": axis, "object_property": options.object_property, "table": table}
     model: Model = kind.read(path, shared_options | dict(options.reader), _SHARED)
     left_out.update(model.left_out)
-    alone = len(model.things) == 1 and model.things[0].label == UNKNOWN
+    alone = len(model.objects) == 1 and model.objects[0].label == UNKNOWN
     nameless = options.segment == "auto" and alone and len(model.triangles) > _FEW
     if options.segment is True or nameless:
         why = ", as its file names none" if nameless else ""
@@ -148,26 +148,26 @@ def cut(
         left_out["relations of objects that were cut anew"] += len(model.relations)
     note = f"It was cut into {len(things)} objects by geometry and colour{why}."
     object_of = found.object_of.astype(np.int64)
-    model = replace(model, things=things, thing_of=object_of, floor=found.floor, relations=())
+    model = replace(model, objects=things, object_of=object_of, floor=found.floor, relations=())
     return Source(_label(model, table), notes=(note,))
 
 
 def _label(model: Model, table: Mapping[str, Entry] | None) -> Model:
     if table is None:
         return model
-    entries = [table.get(t.id) or table.get(t.name) for t in model.things]
+    entries = [table.get(t.id) or table.get(t.name) for t in model.objects]
     if not any(entries):
         raise InputError(
             f"labels: none of the {len(table)} ids ({_list_some(table)}) is an object of {model.path} "
-            f"({_list_some(t.id for t in model.things)}); is it the table of another mesh?"
+            f"({_list_some(t.id for t in model.objects)}); is it the table of another mesh?"
         )
     things = tuple(
         t
         if e is None
         else ModelObject(t.id, e.label, e.name or t.name, t.attributes | e.attributes)
-        for t, e in zip(model.things, entries, strict=True)
+        for t, e in zip(model.objects, entries, strict=True)
     )
-    return replace(model, things=things)
+    return replace(model, objects=things)
 
 
 def _list_some(words: Iterable[str]) -> str:

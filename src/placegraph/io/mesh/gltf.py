@@ -353,15 +353,15 @@ class _ModelReader:
     def __init__(self, gltf: _Gltf) -> None:
         self.gltf = gltf
         self.left_out: Counter[str] = Counter()
-        self.things: list[ModelObject] = []
-        self.thing_rows: dict[str, int] = {}
+        self.objects: list[ModelObject] = []
+        self.object_rows: dict[str, int] = {}
         self.shadings: dict[int | None, _Shading] = {}
         self.pictures: dict[Texture, int] = {}
         self.images: dict[int, bytes] = {}
         self.columns: dict[str, list[NDArray[Any]]] = {
             "vertices": [np.zeros((0, 3))],
             "triangles": [np.zeros((0, 3), np.int64)],
-            "thing_of": [np.zeros(0, np.int64)],
+            "object_of": [np.zeros(0, np.int64)],
             "colours": [np.zeros((0, 3), np.uint8)],
             "uv": [np.zeros((0, 2))],
             "picture_of": [np.zeros(0, np.int64)],
@@ -392,7 +392,7 @@ class _ModelReader:
         joined = {name: np.concatenate(arrays) for name, arrays in self.columns.items()}
         return Model(
             path=gltf.path,
-            things=tuple(self.things),
+            objects=tuple(self.objects),
             pictures=tuple(self.pictures) or (Texture(None),),
             left_out=self.left_out,
             relations=relations,
@@ -408,12 +408,12 @@ class _ModelReader:
         """
         entries = extras.get("relations")
         relations = tuple(
-            (self.thing_rows[r[0]], r[1], self.thing_rows[r[2]])
+            (self.object_rows[r[0]], r[1], self.object_rows[r[2]])
             for r in (entries if isinstance(entries, list) else [])
             if isinstance(r, list)
             and len(r) == 3
             and all(isinstance(word, str) for word in r)
-            and {r[0], r[2]} <= self.thing_rows.keys()
+            and {r[0], r[2]} <= self.object_rows.keys()
         )
         scenes = extras.get("scenes")
         if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
@@ -430,14 +430,14 @@ class _ModelReader:
         bare = re.sub(r"\.\d{3,}$", "", name)
         label = str(extras.get("label") or "") or bare or "unknown"
         id_ = _read_id(extras) or next(free)
-        if id_ in self.thing_rows:
-            other = self.things[self.thing_rows[id_]]
+        if id_ in self.object_rows:
+            other = self.objects[self.object_rows[id_]]
             if other.label != label:
                 raise self.gltf.error(
                     f"nodes {other.name!r} and {name!r} share extras.id {id_!r} but not their label; "
                     "give each object its own id"
                 )
-            return self.thing_rows[id_]
+            return self.object_rows[id_]
         own = extras.get(EXTRAS_KEY)
         own = own if isinstance(own, dict) else {}
         if own.get("name") == "" and bare == label:
@@ -448,9 +448,9 @@ class _ModelReader:
             for k, v in [*plain.items(), *self.gltf.object_of(own, "attributes").items()]
             if isinstance(v, str | int | float)
         }
-        self.thing_rows[id_] = len(self.things)
-        self.things.append(ModelObject(id_, label, name, attributes))
-        return len(self.things) - 1
+        self.object_rows[id_] = len(self.objects)
+        self.objects.append(ModelObject(id_, label, name, attributes))
+        return len(self.objects) - 1
 
     def add_primitive(self, primitive: Json, map_from_node: Floats, object_row: int) -> None:
         gltf = self.gltf
@@ -483,7 +483,7 @@ class _ModelReader:
             placed = points @ map_from_node[:3, :3].T + map_from_node[:3, 3]
         for name, array in (
             ("vertices", placed), ("triangles", corners + self.vertex_count), ("colours", colours),
-            ("uv", uv), ("thing_of", np.full(len(corners), object_row)),
+            ("uv", uv), ("object_of", np.full(len(corners), object_row)),
             ("picture_of", np.full(len(corners), shading.picture)),
         ):  # fmt: skip
             self.columns[name].append(array)

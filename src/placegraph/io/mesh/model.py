@@ -50,13 +50,13 @@ class Model:
     """A 3D file, in the map's axes (z up, metres)."""
 
     path: Path
-    things: tuple[ModelObject, ...]
+    objects: tuple[ModelObject, ...]
     vertices: NDArray[np.float64]
     """(V, 3) [m]; may hold NaN, which the builder refuses."""
     triangles: NDArray[np.int64]
     """(T, 3) rows of vertices."""
-    thing_of: NDArray[np.int64]
-    """(T,) rows of things."""
+    object_of: NDArray[np.int64]
+    """(T,) rows of objects."""
     colours: NDArray[np.uint8]
     """(V, 3) sRGB; 255 where there are none."""
     uv: NDArray[np.float64]
@@ -66,9 +66,9 @@ class Model:
     pictures: tuple[Texture, ...]
     """At least one."""
     left_out: Counter[str] = field(default_factory=Counter)
-    """What of the file could not be used, by reason."""
+    """Number of unusable parts of the file, by reason."""
     relations: tuple[tuple[int, str, int], ...] = ()
-    """(row of a thing, relation, row of another) where the file says so."""
+    """(row of an object, relation, row of another) where the file says so."""
     floor: float | None = None
     """Height of the floor [m] where the file says so."""
 

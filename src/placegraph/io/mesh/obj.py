@@ -100,7 +100,7 @@ def read_obj(
         named = [k for k in _NAMED if text.names[k]]
         several = [k for k in named if len(np.unique(text.name_of[k][face])) > 1]
         keyword = (several or named or ["o"])[0]
-    used, thing_of = np.unique(text.name_of[keyword][face], return_inverse=True)
+    used, object_of = np.unique(text.name_of[keyword][face], return_inverse=True)
     names = [text.names[keyword][i] if i >= 0 else "" for i in used.tolist()]
     pictures, picture_of = _read_textures(text, face)
     vertices = text.vertices[vertex]
@@ -114,10 +114,10 @@ def read_obj(
             text.left_out["vertices without the colour that others have"] += int((~there).sum())
     return Model(
         path=text.path,
-        things=tuple(_make_object(name, (table or {}).get(name)) for name in names),
+        objects=tuple(_make_object(name, (table or {}).get(name)) for name in names),
         vertices=vertices @ Z_UP.T if up == "y" else vertices,
         triangles=triangles,
-        thing_of=thing_of.reshape(-1),
+        object_of=object_of.reshape(-1),
         colours=colours[vertex],
         uv=uv,
         picture_of=picture_of,

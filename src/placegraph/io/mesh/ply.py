@@ -115,13 +115,13 @@ def read_ply(
             vertices = vertices[triangles.ravel()]
             colours = np.repeat(by_face[face_of], 3, axis=0)
             triangles = np.arange(len(vertices)).reshape(-1, 3)
-    things, thing_of, left_out = make_objects(ids, len(triangles), table or {})
+    things, object_of, left_out = make_objects(ids, len(triangles), table or {})
     return Model(
         path=path,
-        things=things,
+        objects=things,
         vertices=vertices @ Z_UP.T if up == "y" else vertices,
         triangles=triangles,
-        thing_of=thing_of,
+        object_of=object_of,
         colours=np.full(vertices.shape, 255, np.uint8) if colours is None else colours,
         uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(len(triangles), np.int64),

@@ -36,7 +36,7 @@ def later(room, room_world, tmp_path_factory):
     interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
     truth = make_rigid(rotation_z(0.6), np.zeros(3))
-    middle = room_world.interior.thing("chair").bounds.mean(axis=0)
+    middle = room_world.interior.find_object("chair").bounds.mean(axis=0)
     truth[:3, 3] = middle + np.array([0.5, -0.6, 0.0]) - truth[:3, :3] @ middle
     return SimpleNamespace(scene=scene, motion=truth, middle=middle, found=diff(room, scene))
 

@@ -69,7 +69,7 @@ def test_what_is_new_appears_with_a_surface(room_world, tmp_path_factory, before
     found = diff_capture(less, before.walk, before.poses)
     assert [c.kind for c in found] == ["appeared"]
     (table,) = found
-    low, high = room_world.interior.thing("side table").bounds
+    low, high = room_world.interior.find_object("side table").bounds
     assert np.all(table.box[0] > low - 0.1)
     assert np.all(table.box[1] < high + 0.1)
     assert np.ptp(table.box, axis=0)[:2].max() > 0.5 * (high - low)[:2].max()

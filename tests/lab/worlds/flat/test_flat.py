@@ -38,7 +38,7 @@ def chamber():
 
 def test_rooms_walls_and_the_outside(chamber):
     assert [room.name for room in chamber.rooms] == ["study"]
-    assert chamber.rooms[0].symbol.looks["walls"].kind == "wallpaper"
+    assert chamber.rooms[0].symbol.materials["walls"].kind == "wallpaper"
     assert chamber.room_of[0, 0] == OUTSIDE
     assert chamber.room_of[0, 2] == chamber.room_of[0, 7] == chamber.room_of[3, 11] == SOLID
     assert chamber.room_of[1, 3] == 0
@@ -57,7 +57,7 @@ def test_shipped_flats_load(name):
     flat = Flat.load(name)
     rooms, things = (3, 20) if name == "altbau" else (1, 8)
     assert len(flat.rooms) >= rooms
-    assert len(flat.things) >= things
+    assert len(flat.objects) >= things
 
 
 BOX = "[drawing]\n####\n#T #\n####\n[legend]\n"
@@ -86,7 +86,7 @@ BOX = "[drawing]\n####\n#T #\n####\n[legend]\n"
         (BOX + "T table: height=-1", "height='-1' is no length"),
         (BOX + "T table: height=inf", "height='inf' is no length"),
         (BOX + "T table: height=0", "height is 0"),
-        (BOX + "T table: look=velvet red", "look: 'velvet' is no look; write one of plain"),
+        (BOX + "T table: look=velvet red", "look: 'velvet' is no material; write one of plain"),
         (BOX + "T table: look=wood mahoganyish", "'mahoganyish' is no colour; write wood and a"),
         (BOX + "T table: look=wood", "'' is no colour"),
         (BOX + "T table: faces=up", "faces='up' is no glyph; write one or one of north"),
@@ -127,7 +127,7 @@ def test_errors_of_furnishing(row, kind, said, rng):
     page = ["#######", "#     #", row, "#     #", "#######"]
     flat = Flat.parse("[drawing]\n" + "\n".join(page) + "\n[legend]\n" + kind, source="x.txt")
     if not said:
-        assert flat.furnish(rng).things
+        assert flat.furnish(rng).objects
         return
     with pytest.raises(InputError) as error:
         flat.furnish(rng)

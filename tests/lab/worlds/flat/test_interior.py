@@ -31,11 +31,11 @@ BARE = "####\n#  #\n#  #\n####"
 
 def test_a_bare_room_is_floor_ceiling_and_four_walls():
     _, interior = furnished(BARE, head="metres = 1\nheight = 3")
-    assert [thing.name for thing in interior.things] == [
+    assert [thing.name for thing in interior.objects] == [
         "floor", "ceiling", "wall 1", "wall 2", "wall 3", "wall 4"
     ]  # fmt: skip
-    assert [thing.id for thing in interior.things] == list(range(6))
-    bounds = {thing.name: thing.bounds.tolist() for thing in interior.things}
+    assert [thing.id for thing in interior.objects] == list(range(6))
+    bounds = {thing.name: thing.bounds.tolist() for thing in interior.objects}
     for which, z in (("floor", 0.0), ("ceiling", 3.0)):
         expected = [[1 - SEAM, 1 - SEAM, z], [3 + SEAM, 3 + SEAM, z]]
         assert np.allclose(bounds[which], expected)
@@ -49,7 +49,7 @@ def test_a_bare_room_is_floor_ceiling_and_four_walls():
 
 def test_things_stay_in_their_rooms(altbau):
     flat, interior = altbau
-    for thing in interior.things[len(interior.things) - len(flat.things) :]:
+    for thing in interior.objects[len(interior.objects) - len(flat.objects) :]:
         low, high = thing.bounds
         assert low[2] >= 0.0
         assert high[2] <= flat.height + 1e-9
@@ -59,17 +59,17 @@ def test_things_stay_in_their_rooms(altbau):
 
 def test_moved_and_taken_away(altbau):
     _, interior = altbau
-    sofa, chair = interior.thing("sofa"), interior.thing("chair 1")
+    sofa, chair = interior.find_object("sofa"), interior.find_object("chair 1")
     moved = interior.moved("sofa", (0.5, -0.25), np.pi / 2)
     extent = np.diff(sofa.bounds, axis=0)[0]
-    turned = np.diff(moved.thing("sofa").bounds, axis=0)[0]
+    turned = np.diff(moved.find_object("sofa").bounds, axis=0)[0]
     assert turned == pytest.approx(extent[[1, 0, 2]])
-    shift = moved.thing("sofa").bounds.mean(axis=0) - sofa.bounds.mean(axis=0)
+    shift = moved.find_object("sofa").bounds.mean(axis=0) - sofa.bounds.mean(axis=0)
     assert shift == pytest.approx([0.5, -0.25, 0.0])
-    assert moved.thing("chair 1") is chair
+    assert moved.find_object("chair 1") is chair
     gone = moved.without("sofa")
-    assert len(gone.things) == len(interior.things) - 1
-    assert gone.thing("chair 1").id == chair.id  # ids stay
+    assert len(gone.objects) == len(interior.objects) - 1
+    assert gone.find_object("chair 1").id == chair.id  # ids stay
     assert sofa.id not in gone.mesh().object_of
     with pytest.raises(OptionError):
         gone.without("sofa")
@@ -118,7 +118,7 @@ def test_any_plan_is_watertight_and_as_drawn(rows, seed):
         free = np.array([_run(drawing, r, c, dr, dc) for r, c in cells])
         hits = cast.cast(origins, np.tile(np.array(direction, float), (len(cells), 1)))
         assert hits.distance == pytest.approx(0.5 * free + 0.25, abs=1e-5)
-        labels = {interior.things[i].label for i in mesh.object_of[hits.triangle]}
+        labels = {interior.objects[i].label for i in mesh.object_of[hits.triangle]}
         assert labels == {"wall"}
     rng = np.random.default_rng(seed)
     many = np.repeat(origins, 50, axis=0)

@@ -96,19 +96,19 @@ def test_a_walk_keeps_away_from_walls_and_furniture(seed):
 
 def test_depth_is_what_the_drawing_says(stage, interior):
     pose = level(1.5, 1.75, 1.25, np.pi)  # looks left, along -x
-    shot = stage.geometry(SMALL, pose)
-    names = np.array([thing.label for thing in interior.things])
-    middle = shot.depth[27, 48]
+    geometry = stage.geometry(SMALL, pose)
+    names = np.array([thing.label for thing in interior.objects])
+    middle = geometry.depth[27, 48]
     assert middle == pytest.approx(1.0, abs=1e-4)
-    wall = (names[shot.ids] == "wall") & (np.abs(shot.depth - 1.0) < 1e-3)
+    wall = (names[geometry.ids] == "wall") & (np.abs(geometry.depth - 1.0) < 1e-3)
     assert wall.mean() > 0.3
     u, v = np.meshgrid(np.arange(96) + 0.5, np.arange(54) + 0.5)
     across, down = (u - 48) / 69, (v - 27) / 69
     # x right of the camera is north here: the room ends at y = 1.5 and 3.5; floor 1.25 m below
     sides = np.minimum(1.0, np.where(across > 0, 1.75, 0.25) / np.maximum(np.abs(across), 1e-9))
     expected = np.minimum(sides, 1.25 / np.maximum(np.abs(down), 1e-9))
-    assert shot.depth == pytest.approx(expected, abs=1e-3)
-    assert (names[shot.ids[shot.depth < 0.99]] == "wall").any()
+    assert geometry.depth == pytest.approx(expected, abs=1e-3)
+    assert (names[geometry.ids[geometry.depth < 0.99]] == "wall").any()
 
 
 # ------------------------------------------------------------------------------------- captures
@@ -128,12 +128,12 @@ def test_a_capture_opens_with_all_it_has(folder, walk):
 def test_depth_and_instances_are_those_of_the_truth(folder, stage, walk):
     capture = open_capture(folder)
     for frame, pose in zip(capture, walk.map_from_camera, strict=True):
-        shot = stage.geometry(capture.depth_camera, pose)
-        assert np.array_equal(frame.labels(), shot.ids)
+        geometry = stage.geometry(capture.depth_camera, pose)
+        assert np.array_equal(frame.labels(), geometry.ids)
         depth = frame.depth()
         holes = np.isnan(depth)
         assert 0.01 < holes.mean() < 0.5
-        error = np.abs(depth - shot.depth)[~holes]
+        error = np.abs(depth - geometry.depth)[~holes]
         assert 0.0003 < np.median(error) < 0.01
         assert np.quantile(error, 0.99) < 0.05
 
@@ -152,7 +152,7 @@ def test_odometry_begins_at_home_and_drifts_a_little(flat):
 
 
 def test_a_changed_flat_is_seen_as_it_is_now(interior, tmp_path):
-    chair = interior.thing("chair")
+    chair = interior.find_object("chair")
     at = chair.bounds.mean(axis=0)
     walk = Walk(np.array([0.0]), level(at[0] - 1.2, at[1] - 0.3, 1.3, 0.0)[None])
     found = {}

@@ -35,7 +35,7 @@ def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
     assert 1 <= len(flat.rooms) <= 3
     assert {room.name for room in flat.rooms} <= ROOMS.keys()
     assert len({room.name for room in flat.rooms}) == len(flat.rooms)
-    assert {blot.symbol.label for blot in flat.things} <= WORDS
+    assert {blot.symbol.label for blot in flat.objects} <= WORDS
 
 
 @given(SEEDS)
@@ -43,10 +43,10 @@ def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
 def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
     _, interior, rng = _furnished(seed)
     for state in (interior, changed(interior, rng)):
-        floors = {t.room: t.bounds for t in state.things if t.label == "floor"}
+        floors = {t.room: t.bounds for t in state.objects if t.label == "floor"}
         standing = [
             t
-            for t in state.things
+            for t in state.objects
             if t.label not in SHELL and t.bounds[0, 2] < 0.005 and t.bounds[1, 2] > 0.05
         ]
         for thing in standing:
@@ -66,12 +66,14 @@ def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
 def test_months_later(seed):
     _, interior, _ = _furnished(seed)
     one, other = (changed(interior, np.random.default_rng(seed)) for _ in range(2))
-    assert [t.id for t in one.things] == [t.id for t in other.things]
-    assert all((a.bounds == b.bounds).all() for a, b in zip(one.things, other.things, strict=True))
-    later = {t.id: t for t in one.things}
-    before = {t.id: t for t in interior.things}
-    assert len(later) == len(one.things)
-    for thing in interior.things:
+    assert [t.id for t in one.objects] == [t.id for t in other.objects]
+    assert all(
+        (a.bounds == b.bounds).all() for a, b in zip(one.objects, other.objects, strict=True)
+    )
+    later = {t.id: t for t in one.objects}
+    before = {t.id: t for t in interior.objects}
+    assert len(later) == len(one.objects)
+    for thing in interior.objects:
         # what stands on a thing that is not built in went with it
         if thing.label in SHELL:
             assert later[thing.id] is thing
@@ -81,16 +83,16 @@ def test_months_later(seed):
 def test_the_map_of_a_home():
     _, interior, _ = _furnished(3)
     scene = scene_of(interior)
-    assert scene.graph.ids == tuple(str(t.id) for t in interior.things)
-    assert scene.graph.labels == tuple(t.label for t in interior.things)
-    boxes = np.array([t.bounds for t in interior.things])
+    assert scene.graph.ids == tuple(str(t.id) for t in interior.objects)
+    assert scene.graph.labels == tuple(t.label for t in interior.objects)
+    boxes = np.array([t.bounds for t in interior.objects])
     assert np.allclose(scene.graph.positions, boxes.mean(axis=1), atol=1e-3)
-    assert {a["room"] for a in scene.attributes} == {t.room for t in interior.things}
+    assert {a["room"] for a in scene.attributes} == {t.room for t in interior.objects}
     assert "standing on" in scene.graph.relations
     assert scene.has_colours
     later = changed(interior, np.random.default_rng(0), moved=0, removed=0.5, added=0)
     fewer = scene_of(later, name="later")
-    assert len(fewer) == len(later.things) < len(scene)
+    assert len(fewer) == len(later.objects) < len(scene)
     assert fewer.scenes == ("later",)
 
 
@@ -108,7 +110,7 @@ def test_a_capture_in_memory():
     assert last.rgb() is last.rgb()
     values = np.unique(last.labels())
     assert {last.label_names[v] for v in values.tolist() if v >= 0} <= {
-        t.label for t in interior.things
+        t.label for t in interior.objects
     }
     assert np.allclose(np.linalg.norm(one.gravity, axis=1), 1.0)
     # odometry begins level, at its own origin

@@ -55,7 +55,7 @@ def filmed(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture
     for word, others in SYNONYMS.items():
         for other in others:
             plain.setdefault(other, set()).add(word)
-    labels = {thing.label for thing in state.things}
+    labels = {thing.label for thing in state.objects}
     return record(
         state,
         walk,

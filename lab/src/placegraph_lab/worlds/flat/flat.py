@@ -32,7 +32,7 @@ the next ``key=``. Kinds are
 ``wall``, ``window``, ``door``, ``doorway``
     openings lie in a wall and lead through it: `base`, `height` [m];
 ``room``
-    a label that stands on the floor and gives its room a name and the looks `walls`, `floor` and
+    a label that stands on the floor and gives its room a name and the materials `walls`, `floor` and
     `ceiling`;
 ``spot``
     floor, and a place to ask for by `Flat.position`;
@@ -200,7 +200,7 @@ class Flat(Drawing):
         return tuple(found)
 
     @cached_property
-    def things(self) -> tuple[Blot, ...]:
+    def objects(self) -> tuple[Blot, ...]:
         """Furniture in reading order."""
         return tuple(
             sorted(
@@ -233,14 +233,14 @@ class Flat(Drawing):
             kind = self.legend[glyph].kind
             if kind in OPENINGS:
                 mask[cell] = kind in (WINDOW, DOOR)
-        for blot in self.things:
+        for blot in self.objects:
             if self.base(blot) < HEADROOM and blot.symbol.kind not in ("rug", "picture"):
                 mask[tuple(np.array(sorted(blot.cells)).T)] = True
         return mask
 
     def host(self, blot: Blot) -> Blot | None:
         """Return the thing that carries another."""
-        return next((b for b in self.things if self._carries(b, blot)), None)
+        return next((b for b in self.objects if self._carries(b, blot)), None)
 
     def base(self, blot: Blot) -> float:
         """Height of a thing's lower edge above the floor [m]."""
@@ -308,7 +308,7 @@ class Flat(Drawing):
                     f"{self.where(cell)}: {glyph!r} stands in no room; "
                     "draw it inside, or close the walls (#) around it."
                 )
-        _ = self.things  # says what stands in nothing
+        _ = self.objects  # says what stands in nothing
 
 
 def shipped() -> tuple[str, ...]:
@@ -356,7 +356,7 @@ class Symbol:
     depth: float | None = None  # depth from its back [m]; None: as drawn
     faces: str = ""  # A direction of the page, a glyph to look at, or empty: away from the wall
     host: str = ""  # glyph of what it stands on or in
-    looks: Mapping[str, Material] = field(default_factory=dict)
+    materials: Mapping[str, Material] = field(default_factory=dict)
     """``look`` and ``trim``; of rooms ``walls``, ``floor`` and ``ceiling``."""
 
     @property
@@ -401,8 +401,8 @@ def symbol(line: str, where: str) -> tuple[str, Symbol]:
         depth=numbers.get("depth"),
         faces=given.get("faces", ""),
         host=given.get("in", ""),
-        looks={
-            key: look(given[key], f"{place}, {key}")
+        materials={
+            key: read_material(given[key], f"{place}, {key}")
             for key in ("look", "trim", "walls", "floor", "ceiling")
             if key in given
         },
@@ -415,19 +415,19 @@ def _defaults(kind: str) -> dict[str, str]:
         return _DEFAULTS.get(kind, {})
     model = MODELS[kind]
     numbers = {"height": model.height, "base": model.base, "depth": model.depth}
-    return {"look": model.look, "trim": model.trim} | {
+    return {"look": model.material, "trim": model.trim} | {
         key: str(value) for key, value in numbers.items() if value is not None
     }
 
 
-def look(text: str, place: str) -> Material:
-    """Read a look such as ``wood saddlebrown`` or ``plaster #e9e3d5``.
+def read_material(text: str, place: str) -> Material:
+    """Read a material such as ``wood saddlebrown`` or ``plaster #e9e3d5``.
 
     Raises `InputError`: the kind or the colour is unknown.
     """
     kind, _, colour = text.partition(" ")
     if kind not in PAINTERS:
-        raise InputError(f"{place}: {kind!r} is no look; write one of {', '.join(PAINTERS)}.")
+        raise InputError(f"{place}: {kind!r} is no material; write one of {', '.join(PAINTERS)}.")
     try:
         red, green, blue = ImageColor.getrgb(colour.strip())[:3]
     except ValueError:

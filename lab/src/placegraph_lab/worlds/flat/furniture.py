@@ -22,7 +22,7 @@ SQUARE: Size = (1.0, 1.0)  # extent of a texture that repeats [m]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangles of one look.
+    """Triangles of one material.
 
     `vertices`: (V, 3) [m]; `triangles`: (T, 3) rows of vertices; `uv`: (V, 2), one unit is the
     texture's extent `size` [m].
@@ -31,7 +31,7 @@ class Part:
     vertices: Floats
     triangles: NDArray[np.int32]
     uv: Floats
-    look: Material
+    material: Material
     size: Size
 
     def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> Part:
@@ -41,23 +41,23 @@ class Part:
 
 
 def quad(
-    corner: ArrayLike, right: ArrayLike, up: ArrayLike, look: Material, size: Size | None
+    corner: ArrayLike, right: ArrayLike, up: ArrayLike, material: Material, size: Size | None
 ) -> Part:
     """Rectangle seen from the front: its lower left corner and its edges to the right and up.
 
-    `size`: extent of the texture [m]; None: the whole face where the look asks for it, else a
+    `size`: extent of the texture [m]; None: the whole face where the material asks for it, else a
     metre square. The texture's upper left corner is the face's.
     """
     c, r, u = (np.asarray(vector, np.float64) for vector in (corner, right, up))
     wide, high = float(np.linalg.norm(r)), float(np.linalg.norm(u))
     if size is None:
-        size = (wide, high) if look.kind in WHOLE else SQUARE
+        size = (wide, high) if material.kind in WHOLE else SQUARE
     across, down = wide / size[0], high / size[1]
     return Part(
         np.array([c, c + r, c + r + u, c + u]),
         np.array([[0, 1, 2], [0, 2, 3]], np.int32),
         np.array([[0, down], [across, down], [across, 0], [0, 0]]),
-        look,
+        material,
         size,
     )
 
@@ -76,22 +76,22 @@ FACES = {
 def box(
     low: ArrayLike,
     high: ArrayLike,
-    look: Material,
+    material: Material,
     *,
     front: Material | None = None,
     top: Material | None = None,
     without: Iterable[str] = (),
 ) -> list[Part]:
-    """Box between two corners [m], with another look at its front or top, or without some faces."""
+    """Box between two corners [m], with another material at its front or top, or without some faces."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    looks = {"front": front or look, "top": top or look}
+    materials = {"front": front or material, "top": top or material}
     missing = set(without)
     return [
         quad(
             low + np.array(corner) * (high - low),
             np.array(right) * (high - low),
             np.array(up) * (high - low),
-            looks.get(face, look),
+            materials.get(face, material),
             None,
         )
         for face, (corner, right, up) in FACES.items()
@@ -103,7 +103,7 @@ def frustum(
     middle: ArrayLike,
     radii: Size,
     heights: Size,
-    look: Material,
+    material: Material,
     *,
     sides: int = 12,
     turn: float = 0.0,
@@ -132,25 +132,25 @@ def frustum(
         np.concatenate([*rings, *rings, centres]),
         np.concatenate(triangles).astype(np.int32),
         np.concatenate([*walls_uv, *caps_uv, np.zeros((2, 2))]),
-        look,
+        material,
         SQUARE,
     )
 
 
 def joined(parts: Iterable[Part]) -> list[Part]:
-    """Parts of the same look and texture size, joined to one each, in order of appearance."""
+    """Parts of the same material and texture size, joined to one each, in order of appearance."""
     groups: dict[tuple[Material, Size], list[Part]] = {}
     for part in parts:
-        groups.setdefault((part.look, part.size), []).append(part)
+        groups.setdefault((part.material, part.size), []).append(part)
     found = []
-    for (look, size), members in groups.items():
+    for (material, size), members in groups.items():
         starts = np.cumsum([0, *(len(m.vertices) for m in members[:-1])])
         found.append(
             Part(
                 np.concatenate([m.vertices for m in members]),
                 np.concatenate([m.triangles + s for m, s in zip(members, starts, strict=True)]),
                 np.concatenate([m.uv for m in members]),
-                look,
+                material,
                 size,
             )
         )
@@ -164,33 +164,33 @@ class Body:
     width: float
     depth: float
     height: float
-    look: Material
+    material: Material
     trim: Material
 
 
 def _block(b: Body) -> list[Part]:
-    return box((0, 0, 0), (b.width, b.depth, b.height), b.look, front=b.trim)
+    return box((0, 0, 0), (b.width, b.depth, b.height), b.material, front=b.trim)
 
 
 def _cabinet(b: Body) -> list[Part]:
     """Corpus with panelled fronts, a handle each, and a plinth if it is taller than 0.5 m."""
     plinth = 0.08 if b.height > 0.5 else 0.0
-    parts = box((0, 0, plinth), (b.width, b.depth - 0.02, b.height), b.look)
+    parts = box((0, 0, plinth), (b.width, b.depth - 0.02, b.height), b.material)
     if plinth:
         parts += box((0.03, 0.03, 0), (b.width - 0.03, b.depth - 0.06, plinth), b.trim)
     doors = max(1, round(b.width / 0.5))
-    front = Material("panel", b.look.colour)
+    front = Material("panel", b.material.colour)
     for k in range(doors):
         x0, x1 = b.width * k / doors + 0.004, b.width * (k + 1) / doors - 0.004
         y = b.depth - 0.02
-        parts += box((x0, y, plinth), (x1, b.depth, b.height - 0.01), b.look, front=front)
+        parts += box((x0, y, plinth), (x1, b.depth, b.height - 0.01), b.material, front=front)
         x, z = (x1 - 0.05 if k % 2 == 0 else x0 + 0.04), plinth + 0.5 * (b.height - plinth)
         parts += box((x, b.depth, z - 0.06), (x + 0.012, b.depth + 0.02, z + 0.06), b.trim)
     return parts
 
 
 def _table(b: Body) -> list[Part]:
-    parts = box((0, 0, b.height - 0.04), (b.width, b.depth, b.height), b.look)
+    parts = box((0, 0, b.height - 0.04), (b.width, b.depth, b.height), b.material)
     parts += box(
         (0.08, 0.08, b.height - 0.12), (b.width - 0.08, b.depth - 0.08, b.height - 0.04), b.trim
     )
@@ -209,7 +209,7 @@ def _legs(b: Body, height: float, thick: float, inset: float) -> list[Part]:
 def _round_table(b: Body) -> list[Part]:
     middle, radius = (b.width / 2, b.depth / 2), min(b.width, b.depth) / 2
     return [
-        frustum(middle, (radius, radius), (b.height - 0.04, b.height), b.look, sides=16),
+        frustum(middle, (radius, radius), (b.height - 0.04, b.height), b.material, sides=16),
         frustum(middle, (0.05, 0.05), (0.03, b.height - 0.04), b.trim, sides=8),
         frustum(middle, (radius * 0.6, 0.06), (0, 0.04), b.trim, sides=12),
     ]
@@ -219,22 +219,22 @@ def _chair(b: Body) -> list[Part]:
     """Legs, a seat at 45 cm, and a back of two rails between two posts."""
     seat = min(0.45, 0.55 * b.height)
     parts = _legs(b, seat - 0.04, 0.04, 0.0)
-    parts += box((0, 0, seat - 0.04), (b.width, b.depth, seat), b.look)
+    parts += box((0, 0, seat - 0.04), (b.width, b.depth, seat), b.material)
     for x in (0.0, b.width - 0.04):
         parts += box((x, 0, seat), (x + 0.04, 0.04, b.height), b.trim)
     for low, high in ((0.35, 0.55), (0.7, 0.98)):
         z0, z1 = (seat + share * (b.height - seat) for share in (low, high))
-        parts += box((0.04, 0.005, z0), (b.width - 0.04, 0.035, z1), b.look)
+        parts += box((0.04, 0.005, z0), (b.width - 0.04, 0.035, z1), b.material)
     return parts
 
 
 def _sofa(b: Body) -> list[Part]:
     """Base, back, arms and a cushion for every 0.7 m."""
     seat, arm, back = 0.42, 0.16, 0.22
-    parts = box((0, 0, 0.06), (b.width, b.depth, seat - 0.12), b.look)
-    parts += box((0, 0, seat - 0.12), (b.width, back, b.height), b.look)
+    parts = box((0, 0, 0.06), (b.width, b.depth, seat - 0.12), b.material)
+    parts += box((0, 0, seat - 0.12), (b.width, back, b.height), b.material)
     for x in (0.0, b.width - arm):
-        parts += box((x, back, seat - 0.12), (x + arm, b.depth, seat + 0.2), b.look)
+        parts += box((x, back, seat - 0.12), (x + arm, b.depth, seat + 0.2), b.material)
     cushions = max(1, round((b.width - 2 * arm) / 0.7))
     step = (b.width - 2 * arm) / cushions
     for k in range(cushions):
@@ -250,24 +250,26 @@ def _bed(b: Body) -> list[Part]:
     parts = box((0, 0, 0.1), (b.width, b.depth, 0.3), b.trim)
     parts += box((0, 0, 0.3), (b.width, 0.05, max(b.height, 0.6)), b.trim)
     parts += box((0.03, 0.05, 0.3), (b.width - 0.03, b.depth - 0.03, 0.48), white)
-    parts += box((0.0, 0.65, 0.46), (b.width, b.depth, 0.53), b.look)
+    parts += box((0.0, 0.65, 0.46), (b.width, b.depth, 0.53), b.material)
     pillows = max(1, round(b.width / 0.8))
     step = b.width / pillows
     for k in range(pillows):
         x0, x1 = k * step + 0.08, (k + 1) * step - 0.08
-        parts += box((x0, 0.1, 0.48), (x1, 0.55, 0.6), Material("stripes", b.look.colour))
+        parts += box((x0, 0.1, 0.48), (x1, 0.55, 0.6), Material("stripes", b.material.colour))
     return parts + _legs(b, 0.1, 0.06, 0.02)
 
 
 def _shelf(b: Body) -> list[Part]:
     """Back, sides and boards every 0.35 m with a row of books on each."""
-    parts = box((0, 0, 0), (b.width, 0.015, b.height), b.look)
+    parts = box((0, 0, 0), (b.width, 0.015, b.height), b.material)
     for x in (0.0, b.width - 0.025):
-        parts += box((x, 0.015, 0), (x + 0.025, b.depth, b.height), b.look)
+        parts += box((x, 0.015, 0), (x + 0.025, b.depth, b.height), b.material)
     rows = max(1, round(b.height / 0.35))
     step = (b.height - 0.025) / rows
     for k in range(rows + 1):
-        parts += box((0.025, 0.015, k * step), (b.width - 0.025, b.depth, k * step + 0.025), b.look)
+        parts += box(
+            (0.025, 0.015, k * step), (b.width - 0.025, b.depth, k * step + 0.025), b.material
+        )
     for k in range(rows):
         low, high = k * step + 0.025, (k + 1) * step - 0.03
         spines = Material("books", b.trim.colour)
@@ -283,7 +285,7 @@ def _shelf(b: Body) -> list[Part]:
 
 def _counter(b: Body) -> list[Part]:
     """Kitchen cupboards under a worktop that stands out."""
-    below = _cabinet(Body(b.width, b.depth - 0.02, b.height - 0.04, b.look, b.trim))
+    below = _cabinet(Body(b.width, b.depth - 0.02, b.height - 0.04, b.material, b.trim))
     top = box((0, 0, b.height - 0.04), (b.width, b.depth, b.height), b.trim)
     return below + top
 
@@ -291,7 +293,7 @@ def _counter(b: Body) -> list[Part]:
 def _stove(b: Body) -> list[Part]:
     """Cooker: a dark oven window, knobs, four plates."""
     dark = Material("plain", (24, 24, 28))
-    parts = box((0, 0, 0), (b.width, b.depth - 0.02, b.height), b.look)
+    parts = box((0, 0, 0), (b.width, b.depth - 0.02, b.height), b.material)
     y = b.depth - 0.02
     parts += box((0.06, y, 0.2), (b.width - 0.06, y + 0.015, b.height - 0.2), dark)
     parts += box((0.06, y, b.height - 0.16), (b.width - 0.06, b.depth, b.height - 0.14), b.trim)
@@ -306,14 +308,14 @@ def _stove(b: Body) -> list[Part]:
 def _basin(b: Body) -> list[Part]:
     """Open tub: four walls and a bottom; with a tap at its back."""
     rim, floor = 0.06, max(0.05, b.height - 0.4)
-    parts = box((0, 0, 0), (b.width, b.depth, floor), b.look)
+    parts = box((0, 0, 0), (b.width, b.depth, floor), b.material)
     for low, high in (
         ((0, 0), (b.width, rim)),
         ((0, b.depth - rim), (b.width, b.depth)),
         ((0, rim), (rim, b.depth - rim)),
         ((b.width - rim, rim), (b.width, b.depth - rim)),
     ):
-        parts += box((*low, floor), (*high, b.height), b.look)
+        parts += box((*low, floor), (*high, b.height), b.material)
     x = b.width / 2
     parts += box((x - 0.02, 0.01, b.height), (x + 0.02, 0.04, b.height + 0.2), b.trim)
     return parts + box((x - 0.02, 0.04, b.height + 0.17), (x + 0.02, 0.16, b.height + 0.2), b.trim)
@@ -321,19 +323,19 @@ def _basin(b: Body) -> list[Part]:
 
 def _washstand(b: Body) -> list[Part]:
     """Basin on a column."""
-    bowl = Body(b.width, b.depth, 0.18, b.look, b.trim)
+    bowl = Body(b.width, b.depth, 0.18, b.material, b.trim)
     raised = [p.transformed(np.eye(3), (0, 0, b.height - 0.18)) for p in _basin(bowl)]
     x, y = b.width / 2, b.depth / 2
-    return [*raised, frustum((x, y), (0.11, 0.08), (0, b.height - 0.18), b.look)]
+    return [*raised, frustum((x, y), (0.11, 0.08), (0, b.height - 0.18), b.material)]
 
 
 def _toilet(b: Body) -> list[Part]:
     """Bowl with a seat before a cistern."""
     x, radius = b.width / 2, min(b.width, b.depth) * 0.42
     y = b.depth - radius
-    parts = box((0.02, 0, 0.42), (b.width - 0.02, 0.16, b.height), b.look)
-    parts += box((x - 0.12, 0.02, 0), (x + 0.12, y, 0.4), b.look)
-    parts.append(frustum((x, y), (radius * 0.6, radius), (0, 0.4), b.look))
+    parts = box((0.02, 0, 0.42), (b.width - 0.02, 0.16, b.height), b.material)
+    parts += box((x - 0.12, 0.02, 0), (x + 0.12, y, 0.4), b.material)
+    parts.append(frustum((x, y), (radius * 0.6, radius), (0, 0.4), b.material))
     parts.append(frustum((x, y), (radius, radius), (0.4, 0.43), b.trim))
     return parts
 
@@ -342,7 +344,7 @@ def _drum(b: Body) -> list[Part]:
     """Round thing: bin, stool, pot, boiler; the top wears the trim."""
     middle, radius = (b.width / 2, b.depth / 2), min(b.width, b.depth) / 2
     return [
-        frustum(middle, (radius * 0.85, radius), (0, b.height - 0.02), b.look),
+        frustum(middle, (radius * 0.85, radius), (0, b.height - 0.02), b.material),
         frustum(middle, (radius, radius * 0.97), (b.height - 0.02, b.height), b.trim),
     ]
 
@@ -354,7 +356,7 @@ def _lamp(b: Body) -> list[Part]:
     return [
         frustum(middle, (radius * 0.7, radius * 0.65), (0, 0.03), b.trim),
         frustum(middle, (0.015, 0.015), (0.03, b.height - shade), b.trim, sides=6),
-        frustum(middle, (radius, radius * 0.7), (b.height - shade, b.height), b.look),
+        frustum(middle, (radius, radius * 0.7), (b.height - shade, b.height), b.material),
     ]
 
 
@@ -363,26 +365,26 @@ def _pendant(b: Body) -> list[Part]:
     middle, radius = (b.width / 2, b.depth / 2), min(b.width, b.depth) / 2
     shade = min(0.25, 0.5 * b.height)
     return [
-        frustum(middle, (radius, radius * 0.5), (0, shade), b.look),
+        frustum(middle, (radius, radius * 0.5), (0, shade), b.material),
         frustum(middle, (0.012, 0.012), (shade, b.height), b.trim, sides=6),
     ]
 
 
 def _picture(b: Body) -> list[Part]:
-    """Frame on the wall; the look is what it shows, the trim its edge."""
-    return box((0, 0, 0), (b.width, b.depth, b.height), b.trim, front=b.look)
+    """Frame on the wall; the material is its picture, the trim its edge."""
+    return box((0, 0, 0), (b.width, b.depth, b.height), b.trim, front=b.material)
 
 
 def _screen(b: Body) -> list[Part]:
     """Screen on a foot, in the middle of its footprint."""
     y, x = b.depth / 2, b.width / 2
-    parts = box((0, y - 0.02, 0.08), (b.width, y + 0.02, b.height), b.trim, front=b.look)
+    parts = box((0, y - 0.02, 0.08), (b.width, y + 0.02, b.height), b.trim, front=b.material)
     parts += box((x - 0.03, y - 0.03, 0.02), (x + 0.03, y - 0.02, 0.2), b.trim)
     return parts + box((x - 0.15, y - 0.1, 0), (x + 0.15, y + 0.1, 0.02), b.trim)
 
 
 def _rug(b: Body) -> list[Part]:
-    return box((0, 0, 0), (b.width, b.depth, b.height), b.trim, top=b.look)
+    return box((0, 0, 0), (b.width, b.depth, b.height), b.trim, top=b.material)
 
 
 def _plant(b: Body) -> list[Part]:
@@ -400,8 +402,10 @@ def _plant(b: Body) -> list[Part]:
         z1 = min(b.height, z0 + 0.35 * b.height)
         centre, mid, wide = (x + dx * r, y + dy * r), (z0 + z1) / 2, r * 0.7
         turn = 0.7 * k
-        parts.append(frustum(centre, (wide * 0.2, wide), (z0, mid), b.look, sides=6, turn=turn))
-        parts.append(frustum(centre, (wide, wide * 0.15), (mid, z1), b.look, sides=6, turn=turn))
+        parts.append(frustum(centre, (wide * 0.2, wide), (z0, mid), b.material, sides=6, turn=turn))
+        parts.append(
+            frustum(centre, (wide, wide * 0.15), (mid, z1), b.material, sides=6, turn=turn)
+        )
     return parts
 
 
@@ -411,7 +415,7 @@ def _coats(b: Body) -> list[Part]:
     coats = max(1, round(b.width / 0.3))
     for k in range(coats):
         x = b.width * (k + 0.5) / coats
-        colour = tuple(int(c * (0.5, 1.0, 0.75)[k % 3]) for c in b.look.colour)
+        colour = tuple(int(c * (0.5, 1.0, 0.75)[k % 3]) for c in b.material.colour)
         coat = Material("fabric", (colour[0], colour[1], colour[2]))
         long = (0.05, 0.2, 0.0)[k % 3] * b.height
         parts += box((x - 0.11, 0.03, long), (x + 0.11, max(0.1, b.depth), b.height - 0.12), coat)
@@ -424,7 +428,7 @@ class Model:
 
     build: Callable[[Body], list[Part]]
     height: float  # own height [m]
-    look: str
+    material: str
     trim: str
     base: float | None = None
     """Height of its lower edge above the floor [m]; None: it stands on what carries it."""

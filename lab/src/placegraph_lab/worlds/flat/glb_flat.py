@@ -21,7 +21,7 @@ def write_glb(interior: Interior, path: str | Path) -> Path:
     """Write the things of a flat as a .glb file; the same flat gives the same bytes."""
     materials: list[Material] = []
     parts = []
-    for thing in interior.things:
+    for thing in interior.objects:
         surfaces = []
         for surface in thing.surfaces:
             surfaces.append(

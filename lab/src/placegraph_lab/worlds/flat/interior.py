@@ -41,7 +41,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class FlatObject:
     """One object of the flat."""
 
     id: int
@@ -58,8 +58,8 @@ class Thing:
         points = np.concatenate([surface.vertices for surface in self.surfaces])
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
-    def moved(self, shift: tuple[float, float], yaw: float = 0.0) -> Thing:
-        """Thing turned by `yaw` [rad] about its middle and moved by `shift` x, y [m]."""
+    def moved(self, shift: tuple[float, float], yaw: float = 0.0) -> FlatObject:
+        """Return the object turned by `yaw` [rad] about its middle and moved by `shift` x, y [m]."""
         rotation = rotation_z(yaw)
         middle = self.bounds.mean(axis=0)
         offset = middle - rotation @ middle + (*shift, 0.0)
@@ -81,40 +81,40 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """Things and lamps of a flat, in map coordinates: x right, y up the page, z up, floor z = 0."""
+    """Objects and lamps of a flat, in map coordinates: x right, y up the page, z up, floor z = 0."""
 
-    things: tuple[Thing, ...]
+    objects: tuple[FlatObject, ...]
     lamps: tuple[Lamp, ...]  # every room has one or more
 
-    def thing(self, name: str) -> Thing:
-        """Return the thing of this name.
+    def find_object(self, name: str) -> FlatObject:
+        """Return the object of this name.
 
         Raises `OptionError`: there is none.
         """
-        found = next((thing for thing in self.things if thing.name == name), None)
+        found = next((item for item in self.objects if item.name == name), None)
         if found is None:
-            names = ", ".join(thing.name for thing in self.things)
+            names = ", ".join(item.name for item in self.objects)
             raise OptionError(f"There is no {name!r} in the flat; there are {names}.")
         return found
 
     def without(self, name: str) -> Interior:
-        """Flat from which a thing was taken away; the others keep their ids.
+        """Return the flat without an object; the others keep their ids.
 
-        Raises `OptionError`: there is no such thing.
+        Raises `OptionError`: there is no such object.
         """
-        gone = self.thing(name)
-        return replace(self, things=tuple(thing for thing in self.things if thing is not gone))
+        gone = self.find_object(name)
+        return replace(self, objects=tuple(item for item in self.objects if item is not gone))
 
     def moved(self, name: str, shift: tuple[float, float], yaw: float = 0.0) -> Interior:
-        """Flat in which a thing was moved by `shift` x, y [m] and turned by `yaw` [rad].
+        """Return the flat with an object moved by `shift` x, y [m] and turned by `yaw` [rad].
 
         What stands on it stays where it was.
 
-        Raises `OptionError`: there is no such thing.
+        Raises `OptionError`: there is no such object.
         """
-        old = self.thing(name)
+        old = self.find_object(name)
         new = old.moved(shift, yaw)
-        return replace(self, things=tuple(new if t is old else t for t in self.things))
+        return replace(self, objects=tuple(new if t is old else t for t in self.objects))
 
     def write_glb(self, path: str | Path) -> Path:
         """Write a binary glTF 2.0 file; the same flat gives the same bytes."""
@@ -134,7 +134,7 @@ def furnish(flat: Flat, rng: np.random.Generator) -> Interior:
 
     Raises `InputError`: an opening leads through no wall, or what hangs has no wall behind it.
     """
-    pieces = shell(flat) + [_furniture(flat, blot) for blot in flat.things]
+    pieces = shell(flat) + [_furniture(flat, blot) for blot in flat.objects]
     labels = [piece.label for piece in pieces]
     counts: dict[str, int] = {}
     things = []
@@ -143,11 +143,13 @@ def furnish(flat: Flat, rng: np.random.Generator) -> Interior:
         several = labels.count(piece.label) > 1
         name = f"{piece.label} {counts[piece.label]}" if several else piece.label
         surfaces = tuple(
-            Surface(p.vertices, p.triangles, p.uv, paint(p.look, p.size, source))
+            Surface(p.vertices, p.triangles, p.uv, paint(p.material, p.size, source))
             for p in joined(piece.parts)
         )
         things.append(
-            Thing(index, name, piece.label, piece.room, surfaces, piece.emission, piece.is_window)
+            FlatObject(
+                index, name, piece.label, piece.room, surfaces, piece.emission, piece.is_window
+            )
         )
     return Interior(tuple(things), _lamps(flat, pieces))
 
@@ -167,7 +169,11 @@ def _furniture(flat: Flat, blot: Blot) -> Piece:
         width, depth = _extent(rectangle, facing)
         depth = min(depth, symbol.depth or depth)
         body = Body(
-            width - 2 * GAP, depth - GAP, symbol.height, symbol.looks["look"], symbol.looks["trim"]
+            width - 2 * GAP,
+            depth - GAP,
+            symbol.height,
+            symbol.materials["look"],
+            symbol.materials["trim"],
         )
         parts += _stand(model.made(body), rectangle, facing, base)
         if model.emission > 0.0:  # what hangs shines from under its shade, others from over it

@@ -56,7 +56,7 @@ class _Hits(NamedTuple):
 
 def mesh_of(interior: Interior) -> Mesh:
     """One mesh of all things of a flat; `object_of` holds their ids."""
-    surfaces = [(thing.id, s) for thing in interior.things for s in thing.surfaces]
+    surfaces = [(thing.id, s) for thing in interior.objects for s in thing.surfaces]
     counts = [len(s.vertices) for _, s in surfaces]
     starts = np.cumsum([0, *counts[:-1]])
     faces = [len(s.triangles) for _, s in surfaces]
@@ -90,8 +90,8 @@ class Stage:
         texels, self._starts, self._sizes = self.mesh.texels()
         linear = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
         self._texels = linear[texels]
-        emission = np.zeros(max(thing.id for thing in interior.things) + 1, np.float32)
-        for thing in interior.things:
+        emission = np.zeros(max(thing.id for thing in interior.objects) + 1, np.float32)
+        for thing in interior.objects:
             emission[thing.id] = thing.emission * (daylight if thing.is_window else 1.0 - daylight)
         self._emission = emission
         strength = np.array([3.0 * daylight if lamp.is_window else 1.6 * (1.0 - daylight)
@@ -216,13 +216,13 @@ def develop(
     return np.rint(encoded * 255.0).astype(np.uint8)
 
 
-def measured(shot: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16]:
+def measured(geometry: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16]:
     """Depth image (h, w) uint16 [mm], 0 = no reading.
 
     The error grows with the square of the distance and is partly common to neighbours; holes are
     at grazing angles, at edges, in blobs, beyond `FARTHEST`, and 2 % of the rest.
     """
-    z = np.nan_to_num(shot.depth.astype(np.float64), nan=np.inf)
+    z = np.nan_to_num(geometry.depth.astype(np.float64), nan=np.inf)
     near = np.minimum(z, FARTHEST + 1.0)
     sigma = 0.0012 + 0.0019 * (near - 0.4) ** 2
     common = _smooth(rng.standard_normal((z.shape[0] // 4 + 2, z.shape[1] // 4 + 2)), z.shape)
@@ -237,7 +237,7 @@ def measured(shot: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16
         before[axis], after[axis] = (1, 0), (0, 1)
         edge |= np.pad(jump, before) | np.pad(jump, after)
     knots = rng.standard_normal((z.shape[0] // 12 + 2, z.shape[1] // 12 + 2))
-    lost = (z > FARTHEST) | (shot.facing < 0.12) | (_smooth(knots, z.shape) > 1.6)
+    lost = (z > FARTHEST) | (geometry.facing < 0.12) | (_smooth(knots, z.shape) > 1.6)
     lost |= edge & (rng.random(z.shape) < 0.6)
     lost |= rng.random(z.shape) < 0.02
     return np.where(lost, 0, np.rint(noisy * 1000.0)).astype(np.uint16)

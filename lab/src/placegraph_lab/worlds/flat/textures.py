@@ -1,6 +1,6 @@
 """Procedural textures of drawn flats: wood, plaster, tiles, cloth, book spines, pictures.
 
-A look is a kind and a colour, written ``wood saddlebrown`` or ``plaster #e8e0d0``. `paint` makes
+A material is a kind and a colour, written ``wood saddlebrown`` or ``plaster #e8e0d0``. `paint` makes
 its image for a surface of a given size; the same generator gives the same image.
 """
 
@@ -27,12 +27,12 @@ class Material:
     colour: tuple[int, int, int]
 
 
-def paint(look: Material, size: tuple[float, float], rng: np.random.Generator) -> Image:
+def paint(material: Material, size: tuple[float, float], rng: np.random.Generator) -> Image:
     """Image (h, w, 3) uint8 sRGB of a surface `size` = width, height [m]."""
     width, height = (int(np.clip(round(s * PIXELS_PER_METRE), 2, LARGEST)) for s in size)
     canvas = np.empty((height, width, 3))
-    canvas[:] = np.array(look.colour) / 255.0
-    PAINTERS[look.kind](canvas, size, rng)
+    canvas[:] = np.array(material.colour) / 255.0
+    PAINTERS[material.kind](canvas, size, rng)
     return np.round(np.clip(canvas, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
@@ -224,7 +224,7 @@ def _ink(rng: np.random.Generator) -> Shades:
 
 
 def _picture(canvas: Shades, size: tuple[float, float], rng: np.random.Generator) -> None:
-    """A landscape or a composition of blocks in a frame of the look's colour."""
+    """A landscape or a composition of blocks in a frame of the material's colour."""
     h, w = canvas.shape[:2]
     border = max(1, round(_pixels(canvas, size, 0.04)[0]))
     inner = canvas[border : h - border, border : w - border]
@@ -258,7 +258,7 @@ def _panel(canvas: Shades, size: tuple[float, float], rng: np.random.Generator) 
 
 
 def _window(canvas: Shades, size: tuple[float, float], rng: np.random.Generator) -> None:
-    """Sky over roofs or trees behind two wings in a frame of the look's colour."""
+    """Sky over roofs or trees behind two wings in a frame of the material's colour."""
     h, w = canvas.shape[:2]
     frame = canvas.copy()
     canvas[:] = np.linspace(0, 1, h)[:, None, None] * np.array([0.15, 0.1, 0.03])
@@ -295,7 +295,7 @@ PAINTERS: dict[str, Callable[[Shades, tuple[float, float], np.random.Generator],
     "panel": _panel,
     "window": _window,
 }
-"""Kinds of looks: each paints on a canvas that already has the look's colour."""
+"""Kinds of materials: each paints on a canvas that already has the material's colour."""
 
 WHOLE = frozenset({"rug", "books", "picture", "panel", "window", "wallpaper", "plaster"})
 """Kinds painted for the whole surface; the others are a metre square that repeats."""

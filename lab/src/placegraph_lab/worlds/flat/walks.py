@@ -311,11 +311,11 @@ def write_walk(
     for i, (pose, exposure) in enumerate(zip(walk.map_from_camera, factors, strict=True)):
         picture = develop(stage.radiance(camera, pose), float(exposure), sensor)
         Image.fromarray(picture).save(folder / f"rgb/{i:06d}.jpg", quality=92)
-        shot = stage.geometry(half, pose)
+        geometry = stage.geometry(half, pose)
         if depth:
-            Image.fromarray(measured(shot, sensor)).save(folder / f"depth/{i:06d}.png")
+            Image.fromarray(measured(geometry, sensor)).save(folder / f"depth/{i:06d}.png")
         if labels:
-            ids = np.append(numbers, 0)[shot.ids]  # -1 is the last
+            ids = np.append(numbers, 0)[geometry.ids]  # -1 is the last
             Image.fromarray(ids.astype(np.uint16)).save(folder / f"{labels}/{i:06d}.png")
     content = camera.to_dict() | {"depth": half.to_dict() | {"scale": 1000}}
     if labels:
@@ -330,7 +330,7 @@ def write_walk(
     lines = (f"{stamp:.4f} {x:.6f} {y:.6f} {z:.6f}" for stamp, (x, y, z) in rows)
     (folder / "gravity.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     if labels == "labels":
-        names = sorted({thing.label for thing in interior.things})
+        names = sorted({thing.label for thing in interior.objects})
         text = json.dumps({str(k + 1): name for k, name in enumerate(names)}, indent=1)
         (folder / "labels.json").write_text(text, encoding="utf-8")
     return folder
@@ -348,9 +348,9 @@ def _clear(folder: Path) -> None:
 
 def _numbers(interior: Interior, labels: str | None) -> NDArray[np.int64]:
     """Pixel value of every id; 0 is nothing."""
-    names = sorted({thing.label for thing in interior.things})
-    numbers = np.zeros(max(thing.id for thing in interior.things) + 1, np.int64)
-    for thing in interior.things:
+    names = sorted({thing.label for thing in interior.objects})
+    numbers = np.zeros(max(thing.id for thing in interior.objects) + 1, np.int64)
+    for thing in interior.objects:
         numbers[thing.id] = names.index(thing.label) + 1 if labels == "labels" else thing.id + 1
     return numbers
 

@@ -107,11 +107,13 @@ def _slab(flat: Flat, room: Room, which: str) -> Piece:
     for left, low, right, high in tiles:
         wide, deep = (right - left, 0, 0), (0, high - low, 0)
         if which == "floor":
-            part = quad((left, low, 0), wide, deep, room.symbol.looks["floor"], size)
+            part = quad((left, low, 0), wide, deep, room.symbol.materials["floor"], size)
             shift = (left - x0, y1 - high)
         else:
             back = (0, low - high, 0)
-            part = quad((left, high, flat.height), wide, back, room.symbol.looks["ceiling"], size)
+            part = quad(
+                (left, high, flat.height), wide, back, room.symbol.materials["ceiling"], size
+            )
             shift = (left - x0, low - y0)
         part.uv[:] += np.array(shift) / size
         parts.append(part)
@@ -169,7 +171,11 @@ def _stretch(
                 continue
             up = np.array([0.0, 0.0, high - low])
             part = quad(
-                left + np.array([0.0, 0.0, low]), right - left, up, room.symbol.looks["walls"], size
+                left + np.array([0.0, 0.0, low]),
+                right - left,
+                up,
+                room.symbol.materials["walls"],
+                size,
             )
             offset = np.linalg.norm(left - start), flat.height - high
             part.uv[:] += np.array(offset) / size
@@ -232,16 +238,16 @@ def _opening(flat: Flat, hole: Hole, levels: list[float]) -> Piece:
     x0, y0, x1, y1 = hole.rectangle
     wide, thick = (x1 - x0, y1 - y0) if hole.through_y else (y1 - y0, x1 - x0)
     low, high = hole.heights
-    parts = _reveal(wide, thick, [z for z in levels if low <= z <= high], symbol.looks["trim"])
+    parts = _reveal(wide, thick, [z for z in levels if low <= z <= high], symbol.materials["trim"])
     for room, near in zip(hole.rooms, (True, False), strict=True):
         if room >= 0:
-            parts += _casing(wide, thick, low, high, symbol.looks["trim"], near=near)
+            parts += _casing(wide, thick, low, high, symbol.materials["trim"], near=near)
     if symbol.kind in (WINDOW, DOOR):
         middle = thick / 2
         if symbol.kind == WINDOW:  # towards the outside
             middle = thick * (0.7 if hole.rooms[1] < 0 else 0.3)
         half = min(0.02, thick / 4)
-        pane = symbol.looks["look"]
+        pane = symbol.materials["look"]
         parts += [
             quad((0, middle - half, low), (wide, 0, 0), (0, 0, high - low), pane, None),
             quad((wide, middle + half, low), (-wide, 0, 0), (0, 0, high - low), pane, None),
@@ -249,7 +255,7 @@ def _opening(flat: Flat, hole: Hole, levels: list[float]) -> Piece:
     if symbol.kind == DOOR:
         for y in (middle - half - 0.05, middle + half):
             parts += box(
-                (wide - 0.12, y, 1.03), (wide - 0.06, y + 0.05, 1.06), symbol.looks["trim"]
+                (wide - 0.12, y, 1.03), (wide - 0.06, y + 0.05, 1.06), symbol.materials["trim"]
             )
     inner = [flat.rooms[r].name for r in hole.rooms if r >= 0]
     origin, rotation = _frame(hole)
@@ -270,23 +276,23 @@ def _frame(hole: Hole) -> tuple[Floats, Floats]:
     return np.array([x1, y0, 0.0]), quarter
 
 
-def _reveal(wide: float, thick: float, levels: list[float], look: Material) -> list[Part]:
+def _reveal(wide: float, thick: float, levels: list[float], material: Material) -> list[Part]:
     """Jambs, head and sill, seen from within the opening."""
     through, along = np.array([0.0, thick, 0.0]), np.array([wide, 0.0, 0.0])
     size = (1.0, 1.0)
     parts = [
-        quad((0, 0, levels[0]), along, through, look, size),
-        quad((0, thick, levels[-1]), along, -through, look, size),
+        quad((0, 0, levels[0]), along, through, material, size),
+        quad((0, thick, levels[-1]), along, -through, material, size),
     ]
     for low, high in pairwise(levels):
         up = (0.0, 0.0, high - low)
-        parts.append(quad((0, 0, low), through, up, look, size))
-        parts.append(quad((wide, thick, low), -through, up, look, size))
+        parts.append(quad((0, 0, low), through, up, material, size))
+        parts.append(quad((wide, thick, low), -through, up, material, size))
     return parts
 
 
 def _casing(
-    wide: float, thick: float, low: float, high: float, look: Material, *, near: bool
+    wide: float, thick: float, low: float, high: float, material: Material, *, near: bool
 ) -> list[Part]:
     """Boards around the opening on one face of the wall."""
     y0, y1 = (-BOARD, 0.0) if near else (thick, thick + BOARD)
@@ -294,4 +300,4 @@ def _casing(
     boards.append(((-CASING, y0, high), (wide + CASING, y1, high + CASING)))
     if low > 0.0:
         boards.append(((-CASING, y0, low - CASING), (wide + CASING, y1, low)))
-    return [part for a, b in boards for part in box(a, b, look)]
+    return [part for a, b in boards for part in box(a, b, material)]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
-from placegraph_lab.worlds.flat.flat import look
+from placegraph_lab.worlds.flat.flat import read_material
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, joined
-from placegraph_lab.worlds.flat.interior import Interior, Surface, Thing
+from placegraph_lab.worlds.flat.interior import FlatObject, Interior, Surface
 from placegraph_lab.worlds.flat.textures import paint
 
 Floats = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Kind:
     width: Range
     depth: Range
     height: Range
-    look: str = "wood"
+    material: str = "wood"
     trim: str = "metal"
     place: str = "wall"
     """``wall``: its back to one; ``middle``; ``hung`` on a wall; ``ceiling``; ``on`` another."""
@@ -60,20 +60,20 @@ class RoomKind:
 
     side: Range  # shorter side [m]
     stretch: Range  # longer side as a multiple of the shorter one
-    things: tuple[Some, ...]
+    objects: tuple[Some, ...]
     wet: bool = False
     windows: int = 1  # at most
 
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Looks that the homes of a hotel or a housing estate share."""
+    """Materials that the homes of a hotel or a housing estate share."""
 
     walls: tuple[str, ...]  # A room has one of them
     floor: str
     wet_walls: str
     wet_floor: str
-    looks: dict[
+    materials: dict[
         str, str
     ]  # of the slots ``wood``, ``front``, ``fabric``, ``second``, ``metal``, ``top``
     height: float  # of the rooms [m]
@@ -82,9 +82,9 @@ class Style:
 
 
 def _style(  # one line a style
-    walls: str, floor: str, wet: str, looks: str, height: float, sill: float, door: str
+    walls: str, floor: str, wet: str, materials: str, height: float, sill: float, door: str
 ) -> Style:
-    """Style of looks written with commas."""
+    """Build a style from materials written with commas."""
     wet_walls, wet_floor = wet.split(", ")
     slots = ("wood", "front", "fabric", "second", "metal", "top")
     return Style(
@@ -92,7 +92,7 @@ def _style(  # one line a style
         floor=floor,
         wet_walls=wet_walls,
         wet_floor=wet_floor,
-        looks=dict(zip(slots, looks.split(", "), strict=True)),
+        materials=dict(zip(slots, materials.split(", "), strict=True)),
         height=height,
         window=(sill, 1.3 if sill > 0.5 else 1.8),
         door=door,
@@ -425,56 +425,56 @@ def changed(
             "the last a number of things."
         )
     later = interior
-    for thing in interior.things:
-        if thing.label in BUILT_IN or thing.id not in {t.id for t in later.things}:
+    for item in interior.objects:
+        if item.label in BUILT_IN or item.id not in {t.id for t in later.objects}:
             continue
         fate = rng.random()
         if fate < removed:
-            later = _without(later, thing)
+            later = _without(later, item)
         elif fate < removed + moved:
-            later = _moved(later, thing, rng)
+            later = _moved(later, item, rng)
     for _ in range(int(rng.integers(added + 1))):
         later = _with_another(later, interior, rng)
     return later
 
 
-def find_cargo(things: Iterable[Thing], host: Thing) -> list[Thing]:
-    """Return the things that stand on a thing, directly or not."""
+def find_cargo(objects: Iterable[FlatObject], host: FlatObject) -> list[FlatObject]:
+    """Return the objects that stand on an object, directly or not."""
     low, high = host.bounds
     found = []
-    for thing in things:
-        at, top = thing.bounds
+    for item in objects:
+        at, top = item.bounds
         within = (at[:2] > low[:2] - STANDS).all() and (top[:2] < high[:2] + STANDS).all()
         # taps reach over the top that something else stands on, legs of tables stand in rugs
-        if thing.id != host.id and within and low[2] + 0.005 < at[2] <= high[2] + STANDS:
-            found.append(thing)
+        if item.id != host.id and within and low[2] + 0.005 < at[2] <= high[2] + STANDS:
+            found.append(item)
     return found
 
 
-def _without(interior: Interior, thing: Thing) -> Interior:
-    gone = {thing.id, *(t.id for t in find_cargo(interior.things, thing))}
+def _without(interior: Interior, item: FlatObject) -> Interior:
+    gone = {item.id, *(t.id for t in find_cargo(interior.objects, item))}
     lamps = tuple(
         lamp
         for lamp in interior.lamps
-        if lamp.is_window or thing.emission == 0.0 or not _over(lamp.position, thing.bounds)
+        if lamp.is_window or item.emission == 0.0 or not _over(lamp.position, item.bounds)
     )
-    return Interior(tuple(t for t in interior.things if t.id not in gone), lamps)
+    return Interior(tuple(t for t in interior.objects if t.id not in gone), lamps)
 
 
-def _moved(interior: Interior, thing: Thing, rng: np.random.Generator) -> Interior:
-    """Interior with a thing, and what stands on it, elsewhere; as it was, if there is no room."""
-    floor = _floor(interior, thing.room)
-    if floor is None or thing.bounds[0, 2] > STANDS:  # hangs, or stands on something
+def _moved(interior: Interior, item: FlatObject, rng: np.random.Generator) -> Interior:
+    """Interior with an object, and its cargo, elsewhere; as it was, if there is no room."""
+    floor = _floor(interior, item.room)
+    if floor is None or item.bounds[0, 2] > STANDS:  # hangs, or stands on something
         return interior
-    cargo = find_cargo(interior.things, thing)
-    away = {thing.id, *(t.id for t in cargo)}
-    others = [t for t in interior.things if t.id not in away]
-    middle = thing.bounds.mean(axis=0)
+    cargo = find_cargo(interior.objects, item)
+    away = {item.id, *(t.id for t in cargo)}
+    others = [t for t in interior.objects if t.id not in away]
+    middle = item.bounds.mean(axis=0)
     for _ in range(TRIES):
-        shift, yaw = _somewhere(thing.bounds, floor, rng)
-        there = thing.moved((float(shift[0]), float(shift[1])), yaw)
-        if _fits(there, others, floor):
-            carried = {thing.id: there}
+        shift, yaw = _somewhere(item.bounds, floor, rng)
+        there = item.moved((float(shift[0]), float(shift[1])), yaw)
+        if _has_space(there, others, floor):
+            carried = {item.id: there}
             for load in cargo:
                 arm = load.bounds.mean(axis=0) - middle
                 step = (rotation_z(yaw) @ arm - arm)[:2] + shift
@@ -483,11 +483,11 @@ def _moved(interior: Interior, thing: Thing, rng: np.random.Generator) -> Interi
                 replace(lamp, position=(*(np.array(lamp.position[:2]) + shift).tolist(),
                                         lamp.position[2]))
                 if not lamp.is_window and any(t.emission > 0.0 and _over(lamp.position, t.bounds)
-                                              for t in (thing, *cargo))
+                                              for t in (item, *cargo))
                 else lamp
                 for lamp in interior.lamps
             )  # fmt: skip
-            return Interior(tuple(carried.get(t.id, t) for t in interior.things), lamps)
+            return Interior(tuple(carried.get(t.id, t) for t in interior.objects), lamps)
     return interior
 
 
@@ -511,14 +511,14 @@ def _somewhere(bounds: Floats, floor: Floats, rng: np.random.Generator) -> tuple
     return target - middle, turn * np.pi / 2
 
 
-def _fits(there: Thing, others: list[Thing], floor: Floats) -> bool:
+def _has_space(there: FlatObject, obstacles: list[FlatObject], floor: Floats) -> bool:
     low, high = there.bounds
     if (low[:2] < floor[0] - 1e-6).any() or (high[:2] > floor[1] + 1e-6).any():
         return False
-    return all(_apart(other, low, high) for other in others)
+    return all(_apart(other, low, high) for other in obstacles)
 
 
-def _apart(other: Thing, low: Floats, high: Floats) -> bool:
+def _apart(other: FlatObject, low: Floats, high: Floats) -> bool:
     at, top = other.bounds
     margin = 0.0
     if other.label in {"floor", "ceiling", "wall"} or top[2] < STANDS:  # or a rug
@@ -534,32 +534,32 @@ def _apart(other: Thing, low: Floats, high: Floats) -> bool:
 def _with_another(interior: Interior, before: Interior, rng: np.random.Generator) -> Interior:
     """Interior with one thing more; as it was, if there is no room."""
     plain = str(rng.choice(BROUGHT))
-    rooms = [thing.room for thing in interior.things if thing.label == "floor"]
+    rooms = [item.room for item in interior.objects if item.label == "floor"]
     room = str(rng.choice(rooms))
     floor = _floor(interior, room)
-    here = {thing.label for thing in interior.things}
+    here = {item.label for item in interior.objects}
     words = [word for word in SYNONYMS.get(plain, (plain,)) if word in here] or [plain]
-    number = max(thing.id for thing in (*interior.things, *before.things)) + 1
+    number = max(item.id for item in (*interior.objects, *before.objects)) + 1
     label = words[0]
     kind, model = KINDS[plain], MODELS[KINDS[plain].model]
     width, depth, height = (
         float(rng.uniform(*sizes)) for sizes in (kind.width, kind.depth, kind.height)
     )
-    looks = STYLES[str(rng.choice(list(STYLES)))].looks
+    materials = STYLES[str(rng.choice(list(STYLES)))].materials
     body = Body(
         width,
         depth,
         height,
-        look(looks.get(kind.look, kind.look), plain),
-        look(looks.get(kind.trim, kind.trim), plain),
+        read_material(materials.get(kind.material, kind.material), plain),
+        read_material(materials.get(kind.trim, kind.trim), plain),
     )
     surfaces = tuple(
-        Surface(part.vertices, part.triangles, part.uv, paint(part.look, part.size, rng))
+        Surface(part.vertices, part.triangles, part.uv, paint(part.material, part.size, rng))
         for part in joined(model.made(body))
     )
-    fresh = Thing(number, f"{label} {number}", label, room, surfaces, model.emission)
-    others = [t for t in interior.things if t.label != words[0]] + [
-        t for t in interior.things if t.label == words[0]
+    fresh = FlatObject(number, f"{label} {number}", label, room, surfaces, model.emission)
+    others = [t for t in interior.objects if t.label != words[0]] + [
+        t for t in interior.objects if t.label == words[0]
     ]
     for _ in range(TRIES):
         if floor is None:
@@ -568,16 +568,16 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
         to = rng.uniform(floor[0] + half, np.maximum(floor[1] - half, floor[0] + half))
         shift = to - fresh.bounds.mean(axis=0)[:2]
         there = fresh.moved((float(shift[0]), float(shift[1])), float(rng.choice(_TURNS)))
-        if _fits(there, others, floor):
-            return replace(interior, things=(*interior.things, there))
+        if _has_space(there, others, floor):
+            return replace(interior, objects=(*interior.objects, there))
     return interior
 
 
 def _floor(interior: Interior, room: str) -> Floats | None:
     """Lowest and highest corner (2, 2) of a room's floor [m]; None: no such room."""
-    for thing in interior.things:
-        if thing.label == "floor" and thing.room == room:
-            return thing.bounds[:, :2]
+    for item in interior.objects:
+        if item.label == "floor" and item.room == room:
+            return item.bounds[:, :2]
     return None
 
 

@@ -58,9 +58,9 @@ def drawn(rng: np.random.Generator, style: str) -> str:
         furnisher.furnish(area)
     sill, high = of.window
     legend = [
-        f"= window: base={sill:g} height={high:g} trim={of.looks['top']}",
-        f": doorway: trim={of.looks['wood']}",
-        f"+ door: look={of.door} trim={of.looks['wood']}",
+        f"= window: base={sill:g} height={high:g} trim={of.materials['top']}",
+        f": doorway: trim={of.materials['wood']}",
+        f"+ door: look={of.door} trim={of.materials['wood']}",
     ]
     for number, area in enumerate(layout.areas, 1):
         inside = np.argwhere(furnisher.page[area.floor.rows, area.floor.columns] == " ")
@@ -83,7 +83,7 @@ def scene_of(interior: Interior, *, name: str = "home") -> SceneMap:
     from placegraph.indoor.map.relations import find_relations
     from placegraph.indoor.scene_map import SceneMap
 
-    things = interior.things
+    things = interior.objects
     mesh = interior.mesh()  # whose objects are ids
     row = np.zeros(max(thing.id for thing in things) + 1, np.int32)
     row[[thing.id for thing in things]] = np.arange(len(things))

@@ -250,8 +250,8 @@ class Furnisher:
 
     def furnish(self, area: Area) -> None:
         """Place the things of a room: what makes it that kind of room first, then the rest."""
-        likely = {some.what for some in area.of.things if some.chance >= CHIEF}
-        wanted = [what for what, count in self._drawn(area.of.things) for _ in range(count)]
+        likely = {some.what for some in area.of.objects if some.chance >= CHIEF}
+        wanted = [what for what, count in self._drawn(area.of.objects) for _ in range(count)]
         order = self._rng.permutation(len(wanted)).tolist()
         self._end = len(self.legend) + self._most
         for i in sorted(order, key=lambda i: wanted[i] not in likely):
@@ -264,7 +264,7 @@ class Furnisher:
         size = self._size(kind)
         for _ in range(TRIES):
             box, facing = self._somewhere(kind, size, area)
-            if self._fits(kind, box, area, size[2]) and self._walkable(kind, box):
+            if self._has_space(kind, box, area, size[2]) and self._walkable(kind, box):
                 self._put(what, box, facing, size[2], area)
                 return
 
@@ -292,7 +292,7 @@ class Furnisher:
             at = int(rng.choice([first, last - width]))
         return floor.inward(side, at, width, depth), OPPOSITE[side]
 
-    def _fits(self, kind: Kind, box: Box, area: Area, height: float) -> bool:
+    def _has_space(self, kind: Kind, box: Box, area: Area, height: float) -> bool:
         if box == area.floor or not (
             area.floor.top <= box.top
             and area.floor.left <= box.left
@@ -387,7 +387,7 @@ class Furnisher:
         for _ in range(TRIES // 2):
             low, high = sorted((first, last - size[0]))
             spot = box.outward(side, int(rng.integers(low, high + 1)), *size[:2], gap=gap)
-            if self._fits(kind, spot, area, size[2]) and self._walkable(kind, spot):
+            if self._has_space(kind, spot, area, size[2]) and self._walkable(kind, spot):
                 faces = glyph if kind.model == "chair" else ""
                 self._put(what, spot, OPPOSITE[side], size[2], area, faces=faces)
                 return
@@ -400,7 +400,7 @@ class Furnisher:
         first, last = box.span(back)
         for at in self._rng.permutation([first - size[0], last]).tolist():
             spot = box.inward(back, int(at), *size[:2])
-            if self._fits(kind, spot, area, size[2]) and self._walkable(kind, spot):
+            if self._has_space(kind, spot, area, size[2]) and self._walkable(kind, spot):
                 self._put(what, spot, facing, size[2], area)
                 return
 
@@ -432,15 +432,15 @@ class Furnisher:
             words.append(f"depth={self._rng.uniform(*kind.depth):.2f}")
         words.append(f"faces={faces}")
         words += [f"in={host}"] * bool(host)
-        own = self._rng.random() < OWN and kind.look in {"fabric", "second", "wood"}
-        look = self._look(kind.look)
+        own = self._rng.random() < OWN and kind.material in {"fabric", "second", "wood"}
+        material = self._material(kind.material)
         if own:
-            look = f"{look.split()[0]} {self._rng.choice(_COLOURS)}"
-        trim = look if kind.trim == kind.look else self._look(kind.trim)
-        return " ".join([*words, f"look={look} trim={trim}"])
+            material = f"{material.split()[0]} {self._rng.choice(_COLOURS)}"
+        trim = material if kind.trim == kind.material else self._material(kind.trim)
+        return " ".join([*words, f"look={material} trim={trim}"])
 
-    def _look(self, slot: str) -> str:
-        return self._style.looks.get(slot, slot)
+    def _material(self, slot: str) -> str:
+        return self._style.materials.get(slot, slot)
 
     def _keep_free(self, area: Area, side: str, hole: Box) -> None:
         first, last = hole.span(side)

@@ -50,10 +50,10 @@ def record(
     if labels not in {"labels", "instances", None}:
         raise OptionError(f"labels is {labels!r}; it is 'labels', 'instances' or None.")
     light, sensor, motion = rng.spawn(3)
-    said = {t.label: (words or {}).get(t.label, t.label) for t in interior.things}
+    said = {t.label: (words or {}).get(t.label, t.label) for t in interior.objects}
     names = sorted(set(said.values()))
-    value = np.full(max(t.id for t in interior.things) + 2, -1, np.int32)  # the last is nothing
-    for thing in interior.things:
+    value = np.full(max(t.id for t in interior.objects) + 2, -1, np.int32)  # the last is nothing
+    for thing in interior.objects:
         value[thing.id] = names.index(said[thing.label]) if labels == "labels" else thing.id
     half = camera.resized(camera.width // 2, camera.height // 2)
     shared = _SharedScene(interior, light, daylight, camera, half, value if labels else None)
@@ -136,16 +136,16 @@ class _Rendered:
 
     @cached_property
     def _depth(self) -> NDArray[np.float32]:
-        shot = self._shared.stage.geometry(self._shared.half, self._pose)
-        millimetres = measured(shot, self._depth_noise)
+        geometry = self._shared.stage.geometry(self._shared.half, self._pose)
+        millimetres = measured(geometry, self._depth_noise)
         return np.where(millimetres > 0, millimetres / np.float32(1000.0), np.nan).astype("f4")
 
     @cached_property
     def _labels(self) -> NDArray[np.int32] | None:
         if self._shared.value is None:
             return None
-        shot = self._shared.stage.geometry(self._shared.half, self._pose)
-        values: NDArray[np.int32] = self._shared.value[shot.ids]
+        geometry = self._shared.stage.geometry(self._shared.half, self._pose)
+        values: NDArray[np.int32] = self._shared.value[geometry.ids]
         return values
 
 
@@ -172,7 +172,7 @@ def visit(
 
     Raises `OptionError`: A number is out of its range, or nobody can stand anywhere.
     """
-    boxes = [t.bounds for t in interior.things if t.label not in SHELL and _in_the_way(t.bounds)]
+    boxes = [t.bounds for t in interior.objects if t.label not in SHELL and _in_the_way(t.bounds)]
     now = _Refurnished(**{f.name: getattr(flat, f.name) for f in fields(flat)}, boxes=tuple(boxes))
     walk = stroll(now, rng, frames=frames, rate=rate, tilt=0.0)
     poses, _ = split_pose(walk.map_from_camera)
@@ -187,19 +187,19 @@ def _aim(
     poses: NDArray[np.float64], interior: Interior, rate: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Yaw and angle downwards (T,) [rad] on a way of poses (T, 4) that head along it."""
-    things = {
-        room: np.array([t.bounds.mean(axis=0) for t in interior.things
+    targets_in = {
+        room: np.array([t.bounds.mean(axis=0) for t in interior.objects
                         if t.room == room and t.label not in SHELL])
-        for room in {t.room for t in interior.things}
+        for room in {t.room for t in interior.objects}
     }  # fmt: skip
-    floors = {t.room: t.bounds[:, :2] for t in interior.things if t.label == "floor"}
+    floors = {t.room: t.bounds[:, :2] for t in interior.objects if t.label == "floor"}
     yaw, down = np.empty(len(poses)), np.empty(len(poses))
     at, low, left = float(poses[0, 3]), 0.15, 0
     goal: NDArray[np.float64] | None = None
     for i, pose in enumerate(poses):
         if left == 0:
             room = next((r for r, f in floors.items() if _within(pose[:2], f)), "")
-            goal = _target(pose, at, things.get(room, np.zeros((0, 3))), rng)
+            goal = _target(pose, at, targets_in.get(room, np.zeros((0, 3))), rng)
             left = max(1, round(float(rng.uniform(*DWELL)) * rate))
         left -= 1
         wish, dip = float(pose[3]), 0.15
@@ -215,17 +215,17 @@ def _aim(
 
 
 def _target(
-    pose: NDArray[np.float64], yaw: float, things: NDArray[np.float64], rng: np.random.Generator
+    pose: NDArray[np.float64], yaw: float, targets: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Something in the room (3,) to look at, rather ahead than behind; None: where one goes."""
-    away = things - pose[:3]
+    away = targets - pose[:3]
     far = np.hypot(away[:, 0], away[:, 1])
-    things, away = things[far > 0.6], away[far > 0.6]
-    if not len(things):
+    targets, away = targets[far > 0.6], away[far > 0.6]
+    if not len(targets):
         return None
     turn = np.abs(wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - yaw))
     weights = np.exp(-turn)
-    found: NDArray[np.float64] = things[rng.choice(len(things), p=weights / weights.sum())]
+    found: NDArray[np.float64] = targets[rng.choice(len(targets), p=weights / weights.sum())]
     return found
 
 

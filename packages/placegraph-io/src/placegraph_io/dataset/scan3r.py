@@ -454,10 +454,10 @@ def _read_labelled(folder: Path, annotation: Annotation, left_out: Counter[str])
     if mesh is not None:
         model = read_obj(mesh, groups="usemtl")
         ids = _find_vertex_ids(folder, model, labelled, left_out)[model.triangles]
-        things, thing_of, missing = make_objects(
+        things, object_of, missing = make_objects(
             majority_vote(ids), len(model.triangles), annotation.objects
         )
-        model = replace(model, things=things, thing_of=thing_of)
+        model = replace(model, objects=things, object_of=object_of)
         left_out += model.left_out + missing
     elif labelled is not None:
         model = read_ply(labelled, object_property="objectId", table=annotation.objects)
@@ -466,7 +466,7 @@ def _read_labelled(folder: Path, annotation: Annotation, left_out: Counter[str])
         left_out[f"colours, which {MESHES[0]} would have"] += 1
     else:
         raise InputError(f"{folder} has neither {MESHES[0]} nor {LABELLED[0]}; download the mesh.")
-    row = {thing.id: i for i, thing in enumerate(model.things)}
+    row = {thing.id: i for i, thing in enumerate(model.objects)}
     pairs = [(row.get(a), name, row.get(b)) for a, name, b in annotation.relations]
     relations = tuple((a, name, b) for a, name, b in pairs if a is not None and b is not None)
     if len(relations) < len(pairs):
@@ -530,10 +530,10 @@ def _transform_model(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool)
         return model
     back = {m.scan_id: np.linalg.inv(m.scan_from_reference) for m in rooms.scan(scan).moves}
     scan_from_reference = np.linalg.inv(rooms.reference_from(scan))
-    for row, thing in enumerate(model.things):
+    for row, thing in enumerate(model.objects):
         if thing.id in back:
             moved = back[thing.id] @ scan_from_reference
-            own = model.thing_of == row
+            own = model.object_of == row
             used, corners = np.unique(model.triangles[own], return_inverse=True)
             triangles = model.triangles.copy()
             triangles[own] = corners.reshape(-1, 3) + len(model.vertices)

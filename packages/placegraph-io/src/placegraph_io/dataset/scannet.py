@@ -127,17 +127,17 @@ def camera_of_matrix(
     name: object,
     intrinsic: NDArray[np.float64],
     size: tuple[int, int],
-    said: tuple[int, int] | None = None,
+    calibrated_size: tuple[int, int] | None = None,
 ) -> Camera:
     """Return the camera of images of this width and height [px] by ScanNet's 4 x 4 intrinsics.
 
-    ScanNet puts the centre of the first pixel at (0, 0), we at (0.5, 0.5). Where the intrinsics are
-    `said` to be of another size, they are brought to the images'. `InputError` about `name` where
+    ScanNet puts the centre of the first pixel at (0, 0), we at (0.5, 0.5). Intrinsics
+    of another `calibrated_size` are scaled to the images'. `InputError` about `name` where
     that makes no camera.
     """
     k = intrinsic
     try:
-        camera = Camera(*(said or size), k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
+        camera = Camera(*(calibrated_size or size), k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
         camera = camera.resized(*size)
     except (OptionError, ZeroDivisionError) as error:
         raise InputError(f"{name}: {error} Export the intrinsics again.") from error
@@ -262,7 +262,7 @@ class LabelImages:
     camera: Camera | None = None
     kind: LabelKind = "labels"
     names: dict[int, str] = field(default_factory=dict)
-    known: LabelTable | None = None
+    table: LabelTable | None = None
     notes: tuple[str, ...] = ()  # Why label images are not used
 
     def reader(self, index: int) -> Callable[[], NDArray[np.int32]] | None:
@@ -270,7 +270,7 @@ class LabelImages:
         if self.camera is None or index not in self.files:
             return None
         offset = 1 if self.kind == "instances" else 0
-        return label_file(self.files[index], self.camera, offset, self.known)
+        return label_file(self.files[index], self.camera, offset, self.table)
 
 
 def find_labels(
@@ -311,8 +311,8 @@ def find_labels(
             return LabelImages(notes=(note,))
         size = image_size(next(iter(files.values())))
         view = camera if size == (camera.width, camera.height) else camera.resized(*size)
-        names, known = _read_meanings(folder, kind, label_column)
-        return LabelImages(files, view, kind, names, known)
+        names, table = _read_meanings(folder, kind, label_column)
+        return LabelImages(files, view, kind, names, table)
     return LabelImages()
 
 
@@ -427,8 +427,8 @@ def read_scannet(
         segments = _segments(files, len(mesh.vertices))
         left_out: Counter[str] = Counter()
         of_vertex = _group_of_vertex(files, groups, segments, left_out)
-        things = [_make_object(group, labels, left_out) for group in groups]
-        model = _model(mesh, things, of_vertex, left_out)
+        objects = [_make_object(group, labels, left_out) for group in groups]
+        model = _model(mesh, objects, of_vertex, left_out)
     named = scan.folder if scan.folder.absolute().name == scan.name else model.path
     if align:
         map_from_scan = alignment_of(scan)
@@ -558,10 +558,10 @@ def _read_classes(scan: Scan) -> Model:
     left_out[f"patches of fewer than {MIN_PATCH} vertices"] = int(small.sum())
     known &= ~small
     row = np.where(known, np.cumsum(known) - 1, -1)
-    things = [
+    objects = [
         ModelObject(str(i), NYU40[int(c) - 1]) for i, c in enumerate(label[roots[known]], start=1)
     ]
-    return _model(mesh, things, row[inverse], left_out)
+    return _model(mesh, objects, row[inverse], left_out)
 
 
 def label_patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -580,12 +580,12 @@ def label_patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDA
 
 
 def _model(
-    mesh: Model, things: list[ModelObject], of_vertex: NDArray[np.int64], left_out: Counter[str]
+    mesh: Model, objects: list[ModelObject], of_vertex: NDArray[np.int64], left_out: Counter[str]
 ) -> Model:
     """Return the model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
     left_out["vertices of no object"] = int((of_vertex < 0).sum())
-    thing_of = majority_vote(of_vertex[mesh.triangles])
-    if (thing_of < 0).any() or not things:
-        thing_of = np.where(thing_of < 0, len(things), thing_of)
-        things = [*things, ModelObject(UNKNOWN, UNKNOWN)]
-    return replace(mesh, things=tuple(things), thing_of=thing_of, left_out=+left_out)
+    object_of = majority_vote(of_vertex[mesh.triangles])
+    if (object_of < 0).any() or not objects:
+        object_of = np.where(object_of < 0, len(objects), object_of)
+        objects = [*objects, ModelObject(UNKNOWN, UNKNOWN)]
+    return replace(mesh, objects=tuple(objects), object_of=object_of, left_out=+left_out)

@@ -64,24 +64,24 @@ def read_scenegraphfusion(
     graph = _read_graph(_find_file(folder, PREDICTIONS), folder)
     left_out: Counter[str] = Counter()
     surfels = read_surfels(_find_file(folder, SURFELS), left_out)
-    ids = graph.thing_of(surfels.segments)
+    ids = graph.object_of(surfels.segments)
     if not (ids >= 0).any():
         raise InputError(
             f"{surfels.path} and {graph.path} share no segment; take both from one run."
         )
     if mesh is None:
         model = make_squares(surfels, ids)
-        of = model.thing_of
+        of = model.object_of
     else:
         model, of = transfer_labels(Path(mesh), surfels, ids, left_out)
-    things, thing_of, missing = make_objects(of, len(model.triangles), graph.table())
+    things, object_of, missing = make_objects(of, len(model.triangles), graph.table())
     row = {thing.id: i for i, thing in enumerate(things)}
     relations = {(row.get(str(a)), name, row.get(str(b))) for a, name, b in graph.relations()}
     return replace(
         model,
         path=folder,
-        things=things,
-        thing_of=thing_of,
+        objects=things,
+        object_of=object_of,
         relations=tuple(
             sorted((a, n, b) for a, n, b in relations if a is not None and b is not None)
         ),
@@ -106,7 +106,7 @@ class _Graph:
     edges: dict[tuple[int, int], str]  # Likeliest relation
     owner: dict[int, int]  # Smallest segment of the thing that a segment is part of
 
-    def thing_of(self, segments: Rows) -> Rows:
+    def object_of(self, segments: Rows) -> Rows:
         """Return the number of the thing of each segment, -1: nothing was predicted of it."""
         known = np.array(sorted(self.owner), np.int64)
         things = np.array([self.owner[i] for i in known.tolist()], np.int64)
@@ -298,7 +298,7 @@ def transfer_labels(
 def make_squares(surfels: Surfels, ids: Rows) -> Model:
     """Return a square for the surfels of each thing in each cube, at their mean.
 
-    `thing_of` holds numbers of things, not rows.
+    `object_of` holds ids of objects, not rows.
     """
     cells = np.floor(surfels.points / GRID)
     low = cells.min(axis=0)
@@ -331,10 +331,10 @@ def make_squares(surfels: Surfels, ids: Rows) -> Model:
     of[group] = ids
     return Model(
         path=surfels.path,
-        things=(),
+        objects=(),
         vertices=vertices,
         triangles=np.concatenate([first + (0, 1, 2), first + (0, 2, 3)], axis=1).reshape(-1, 3),  # noqa: RUF005
-        thing_of=np.repeat(of, 2),
+        object_of=np.repeat(of, 2),
         colours=np.repeat(np.rint(mean(surfels.colours)).astype(np.uint8), 4, axis=0),
         uv=np.zeros((len(vertices), 2)),
         picture_of=np.zeros(2 * len(count), np.int64),

@@ -39,7 +39,7 @@ _MIN_VERTICES = 20  # near an object, that determine how its box is rotated
 
 
 class _Object(NamedTuple):
-    thing: ModelObject
+    model_object: ModelObject
     centre: Floats  # (3,) [m]
     extent: Floats  # (3,) full lengths [m]
 
@@ -79,7 +79,7 @@ def read_conceptgraphs(
         held._replace(centre=turn @ held.centre, extent=np.abs(turn) @ held.extent)
         for held in objects
     ]
-    relations = _relations(file, [held.thing for held in objects], left_out)
+    relations = _relations(file, [held.model_object for held in objects], left_out)
     turned = _is_turned(file.parent)
     if mesh is not None:
         model = _cut_mesh(file, Path(mesh), objects, turned, up)
@@ -139,7 +139,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
 
 
 def _relations(
-    file: Path, things: list[ModelObject], left_out: Counter[str]
+    file: Path, objects: list[ModelObject], left_out: Counter[str]
 ) -> tuple[tuple[int, str, int], ...]:
     edges = file.with_name(file.name.replace("obj_json_", "edge_json_", 1))
     if not edges.is_file():
@@ -147,7 +147,7 @@ def _relations(
     content = read_json(edges)
     if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
         raise InputError(f"{edges} must be a JSON object of edges: edge_0, edge_1.")
-    row = {thing.id: i for i, thing in enumerate(things)}
+    row = {each.id: i for i, each in enumerate(objects)}
     found = []
     for entry in content.values():
         ends = [row.get(str(entry.get(name))) for name in ("object_1_id", "object_2_id")]
@@ -178,7 +178,7 @@ def _boxes(file: Path, objects: list[_Object]) -> Model:
     columns: dict[str, Any] = dict(join_pieces(pieces))
     return Model(
         path=file,
-        things=tuple(held.thing for held in objects),
+        objects=tuple(held.model_object for held in objects),
         picture_of=np.zeros(12 * len(pieces), np.int64),
         pictures=(Texture(None),),
         **columns,
@@ -207,9 +207,9 @@ def _cut_mesh(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: 
             "ConceptGraphs' poses."
         )
     bare = Counter({"objects that the mesh does not show": int((owned == 0).sum())})
-    things = (*(held.thing for held in objects), ModelObject("mesh", UNKNOWN))
+    parts = (*(held.model_object for held in objects), ModelObject("mesh", UNKNOWN))
     return replace(
-        model, path=file, things=things, thing_of=of, relations=(), left_out=+bare + model.left_out
+        model, path=file, objects=parts, object_of=of, relations=(), left_out=+bare + model.left_out
     )
 
 

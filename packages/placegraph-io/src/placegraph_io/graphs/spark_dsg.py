@@ -46,17 +46,17 @@ class DsgMesh:
 
 @dataclass(slots=True, eq=False)
 class Piece:
-    """Triangles of one thing, with vertices of their own."""
+    """Triangles of one object, with vertices of their own."""
 
-    thing: int
+    row: int  # of the object, or -1
     vertices: Floats
     triangles: NDArray[np.int64]
     colours: NDArray[np.uint8]
 
     @classmethod
-    def from_mesh(cls, mesh: DsgMesh, thing: int, turn: Floats, shift: Floats) -> Piece:
+    def from_mesh(cls, mesh: DsgMesh, row: int, turn: Floats, shift: Floats) -> Piece:
         """Return all triangles of a mesh, rotated (3, 3) and translated (3,)."""
-        return cls(thing, mesh.points @ turn.T + shift, mesh.faces, mesh.colours)
+        return cls(row, mesh.points @ turn.T + shift, mesh.faces, mesh.colours)
 
 
 def read_mesh(entry: Any) -> DsgMesh | None:  # noqa: ANN401  # JSON
@@ -94,7 +94,7 @@ def split_mesh(
 
     `owner` is (V,) the row of the object that each vertex is connected with, or -1; `wanted` are row,
     semantic label and box of each object that may own triangles. Returns a piece for each object that
-    owns triangles, and semantic label and piece (whose thing is -1) of the others.
+    owns triangles, and semantic label and piece (whose row is -1) of the others.
     """
     face_owner = _majority(owner[mesh.faces])
     face_label = _majority(mesh.labels[mesh.faces])
@@ -125,10 +125,10 @@ def box_corners(centre: Floats, lengths: Floats, turn: Floats) -> Floats:
     return corners
 
 
-def box_piece(corners: Floats, thing: int) -> Piece:
+def box_piece(corners: Floats, row: int) -> Piece:
     """Return twelve triangles, seen from outside, of a box's corners (8, 3)."""
     faces = np.array([f for a, b, c, d in _QUADS for f in ((a, b, c), (a, c, d))])
-    return Piece(thing, corners, faces, np.full((8, 3), GREY, np.uint8))
+    return Piece(row, corners, faces, np.full((8, 3), GREY, np.uint8))
 
 
 def _majority(values: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -146,9 +146,9 @@ def _are_inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
     return within
 
 
-def _cut_faces(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
+def _cut_faces(mesh: DsgMesh, faces: NDArray[np.bool_], row: int) -> Piece:
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
-    return Piece(thing, mesh.points[used], corners.reshape(-1, 3), mesh.colours[used])
+    return Piece(row, mesh.points[used], corners.reshape(-1, 3), mesh.colours[used])
 
 
 def read_box(entry: object, version: tuple[int, int, int]) -> Box | None:
@@ -182,8 +182,8 @@ def join_pieces(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
     return {
         "vertices": np.concatenate([np.zeros((0, 3)), *(p.vertices for p in pieces)]),
         "triangles": np.concatenate([np.zeros((0, 3), np.int64), *faces]),
-        "thing_of": np.concatenate(
-            [np.zeros(0, np.int64), *(np.full(len(p.triangles), p.thing) for p in pieces)]
+        "object_of": np.concatenate(
+            [np.zeros(0, np.int64), *(np.full(len(p.triangles), p.row) for p in pieces)]
         ),
         "colours": np.concatenate([np.zeros((0, 3), np.uint8), *(p.colours for p in pieces)]),
         "uv": np.zeros((int(starts[-1]), 2)),
@@ -305,7 +305,7 @@ class _Node:
 
     id: int
     label: int  # Semantic label, or -1
-    thing: ModelObject
+    model_object: ModelObject
     box: Box | None
     connections: NDArray[np.int64]
     mesh: DsgMesh | None  # Mesh of a Khronos object, in the frame of its box
@@ -327,17 +327,17 @@ class _Reader:
             if (int(n["layer"]) == layer and "bounding_box" in n["attributes"])
         ]
         rooms = find_rooms(self.content, layer, self._layer("ROOMS", ROOMS))
-        taken: set[str] = set()
-        nodes = [self._node(n, version, names, rooms, taken) for n in found]
+        used_ids: set[str] = set()
+        nodes = [self._node(n, version, names, rooms, used_ids) for n in found]
         scene = read_mesh(self.content.get("mesh"))
-        pieces, things = self._pieces(nodes, scene, names)
+        pieces, objects = self._pieces(nodes, scene, names)
         return Model(
             path=self.path,
-            things=things,
+            objects=objects,
             picture_of=np.zeros(sum(len(p.triangles) for p in pieces), np.int64),
             pictures=(Texture(None),),
             left_out=self.left_out,
-            relations=self._relations([n.id for n in nodes], [n.thing.id for n in nodes]),
+            relations=self._relations([n.id for n in nodes], [n.model_object.id for n in nodes]),
             floor=self._floor(),
             **join_pieces(pieces),
         )
@@ -375,7 +375,7 @@ class _Reader:
         version: tuple[int, int, int],
         names: dict[int, str],
         rooms: dict[int, str],
-        taken: set[str],
+        used_ids: set[str],
     ) -> _Node:
         attributes, number = node["attributes"], int(node["id"])
         metadata = as_object(attributes.get("metadata"))
@@ -390,9 +390,9 @@ class _Reader:
             word = f"label {label}"
             self.left_out["labels without a name"] += 1
         id_ = str(own["id"]) if "id" in own else node_name(number)
-        while id_ in taken:
+        while id_ in used_ids:
             id_ += "'"
-        taken.add(id_)
+        used_ids.add(id_)
         known = as_object(own.get("attributes")) if own else metadata
         if not own and number in rooms:
             known = {"room": rooms[number], **known}
@@ -433,8 +433,8 @@ class _Reader:
     def _pieces(
         self, nodes: list[_Node], scene: DsgMesh | None, names: dict[int, str]
     ) -> tuple[list[Piece], tuple[ModelObject, ...]]:
-        """Return the pieces, and their things: objects first, then unowned surfaces."""
-        things = [n.thing for n in nodes]
+        """Return the pieces, and their objects, then one object for each label of unowned surfaces."""
+        objects = [n.model_object for n in nodes]
         pieces = []
         bare = []
         for i, node in enumerate(nodes):
@@ -450,17 +450,17 @@ class _Reader:
             pieces += owned
             for label, piece in rest:
                 word = names.get(label, UNKNOWN if label < 0 else f"label {label}")
-                piece.thing = len(things)
-                things.append(ModelObject("mesh" if label < 0 else f"mesh {label}", word))
+                piece.row = len(objects)
+                objects.append(ModelObject("mesh" if label < 0 else f"mesh {label}", word))
                 pieces.append(piece)
-        meshed = {piece.thing for piece in pieces}
+        meshed = {piece.row for piece in pieces}
         for i in (i for i in bare if i not in meshed):
             if (box := nodes[i].box) is None:
                 self.left_out["objects with neither mesh nor box"] += 1
                 continue
             self.left_out["objects without a mesh, for which their box stands"] += 1
             pieces.append(box_piece(box_corners(*box), i))
-        return pieces, tuple(things)
+        return pieces, tuple(objects)
 
     def _owners(self, count: int, nodes: list[tuple[int, _Node]]) -> NDArray[np.int64]:
         """Return the row of the object that each vertex of the scene's mesh is connected with, or -1."""

@@ -49,12 +49,12 @@ def encode_spark_dsg(
     becomes a chain of agents; `note`: more metadata of the graph, under ``placegraph``.
     """
     corners, triangles, vertex_thing, vertex = _owned(model)
-    labels = sorted({t.label for t in model.things})
+    labels = sorted({t.label for t in model.objects})
     number = {label: i for i, label in enumerate(labels)}
-    semantic = np.array([number[t.label] for t in model.things], np.int64)
-    boxes = _boxes(corners, vertex_thing, len(model.things))
+    semantic = np.array([number[t.label] for t in model.objects], np.int64)
+    boxes = _boxes(corners, vertex_thing, len(model.objects))
     colours = model.colours[vertex]
-    ends = np.searchsorted(vertex_thing, np.arange(len(model.things) + 1))
+    ends = np.searchsorted(vertex_thing, np.arange(len(model.objects) + 1))
     own = [np.arange(low, high) for low, high in pairwise(ends.tolist())]
     objects = [
         _object(i, model, int(semantic[i]), boxes[i], rows, colours[rows])
@@ -107,7 +107,7 @@ def _owned(
     had (W,).
     """
     count = len(model.vertices)
-    pairs = model.thing_of[:, None] * count + model.triangles
+    pairs = model.object_of[:, None] * count + model.triangles
     unique, corners = np.unique(pairs, return_inverse=True)
     thing, vertex = np.divmod(unique, max(count, 1))
     return model.vertices[vertex], corners.reshape(-1, 3), thing, vertex
@@ -158,7 +158,7 @@ def _object(
     vertices: NDArray[np.int64],
     colours: NDArray[np.uint8],
 ) -> Json:
-    thing = model.things[row]
+    thing = model.objects[row]
     mean = colours.mean(axis=0) if len(colours) else np.zeros(3)
     own = {"id": thing.id, "name": thing.name, "attributes": thing.attributes}
     tint = tuple(int(v) for v in np.rint(mean))
@@ -190,7 +190,7 @@ def _relations(model: Model) -> list[Json]:
     entries_of: dict[tuple[int, int], list[list[str]]] = {}
     for a, relation, b in model.relations:
         if a != b:
-            entry = [model.things[a].id, relation, model.things[b].id]
+            entry = [model.objects[a].id, relation, model.objects[b].id]
             entries_of.setdefault((min(a, b), max(a, b)), []).append(entry)
     return [
         _edge(node_id("O", a), node_id("O", b), {OWN: entries})
