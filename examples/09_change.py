@@ -1,4 +1,4 @@
-"""What changed since the map was made? The walk shows it, and a newer map takes it over."""
+"""Find changes since a map was made with a walk, and update the map."""
 
 import sys
 from pathlib import Path

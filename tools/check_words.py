@@ -20,11 +20,17 @@ DOCS = (
     "lab/README.md",
 )
 ODD_OPENINGS = frozenset({"What", "Where", "How", "Who", "Whatever", "Of", "As", "Such"})
-ODD_SHARE = 0.01  # of all docstrings
+ODD_SHARE = 0.005  # of all docstrings
 LONGEST_SENTENCE = 35  # words
 # Bare participles, pronouns and metaphors; docs/glossary.md has the terms that stand instead.
 OLD_NAMES = frozenset(Path(__file__).with_name("old_names.txt").read_text("utf-8").split())
-EXCEPTIONS: dict[str, str] = {}  # names that stay, each with its reason
+EXCEPTIONS: dict[str, str] = {  # names that stay, each with its reason
+    "answered": "member of WorldEstimate",
+    "others": "option --others of training, key of its results",
+    "sight": "column of the table of words of a sharded world, option of a table",
+    "things": "key of a question in the server's JSON",
+    "told": "key of the summary of a ROS stream",
+}
 
 
 def _files(roots: tuple[str, ...], suffix: str) -> Iterator[Path]:

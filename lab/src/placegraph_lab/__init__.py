@@ -1,1 +1,1 @@
-"""What placegraph is made and measured with; the library never imports it."""
+"""Worlds, trainings, benchmarks and campaigns of placegraph; the library never imports it."""

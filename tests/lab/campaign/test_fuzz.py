@@ -79,9 +79,9 @@ def test_a_worker_that_dies_is_counted_and_replaced(effort, monkeypatch):
     effort_ = effort(60.0)
     ((_, tally),) = run_targets(effort_, ["GLB"], most=8)
     assert tally.counts == {"typed": 6, "crash": 2}
-    (what,) = tally.found
+    (what,) = tally.faults
     assert signal.strsignal(signal.SIGABRT) in what
-    assert tally.found[what] == [2, 5]
+    assert tally.faults[what] == [2, 5]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.campaign.row import Row, mend, merged, total
+from placegraph_lab.campaign.row import Row, mark_fixed, merged, total
 from placegraph_lab.tables.named import reliability as module
 from placegraph_lab.tables.runner import LAB, Run
 
@@ -21,13 +21,13 @@ def test_rows_take_the_place_of_the_same_of_the_same_seed():
 
 def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
     row = Row.counted("fuzz", "GLB", FOUND, 7, 0.0)
-    (mended,) = mend([row], ["fuzz/GLB/7"])
+    (mended,) = mark_fixed([row], ["fuzz/GLB/7"])
     assert (mended.faults, mended.mended, mended.open) == (1, 1, 0)
     assert Row.from_dict(mended.to_dict()) == mended
     assert (total([row, mended]).faults, total([row, mended]).open) == (2, 1)
     assert merged([mended], [row]) == [row]
     with pytest.raises(KeyError, match="fuzz/GLB/8"):
-        mend([row], ["fuzz/GLB/8"])
+        mark_fixed([row], ["fuzz/GLB/8"])
 
 
 class Parts:

@@ -41,7 +41,7 @@ BAKERY, BENCH, FOUNTAIN, TREE = "shop=bakery", "amenity=bench", "amenity=fountai
 
 @pytest.fixture(scope="module")
 def words(harbour, pool):
-    fits = pool.fits
+    fits = pool.word_weights
     return make_word_fits(fits, *harbour.word_counts)
 
 

@@ -138,7 +138,7 @@ class TrialFolder:
     )  # Files that the command makes when it is let run
     seconds: float = 0.0  # duration of that run
     counts: Counter[str] = field(default_factory=Counter)
-    taken: float = 0.0
+    elapsed: float = 0.0
 
     @classmethod
     def prepare(
@@ -154,7 +154,9 @@ class TrialFolder:
             name: b for name, b in read_files(made.folder).items() if command.makes_file(name)
         }
         if result.code or not all((made.folder / name).exists() for name in command.makes):
-            raise RuntimeError(f"{command.what} ended with {result.code}: {result.said[-400:]}")
+            raise RuntimeError(
+                f"{command.what} ended with {result.code}: {result.error_output[-400:]}"
+            )
         made.seconds = result.seconds
         return made
 
@@ -172,11 +174,11 @@ class TrialFolder:
             gone += [name for name in self.new if name not in there]
         return f"{gone[0]} is gone" if gone else ""
 
-    def count(self, outcome: str, why: str, said: str, report: Callable[[str], None]) -> None:
+    def count(self, outcome: str, why: str, output: str, report: Callable[[str], None]) -> None:
         """Count a trial, and report a fault."""
         self.counts[outcome] += 1
         if why:
-            report(f"{self.command.what}: {outcome}: {why} {said[-300:]}")
+            report(f"{self.command.what}: {outcome}: {why} {output[-300:]}")
 
     def run_undisturbed(self, commands: Commands, report: Callable[[str], None]) -> None:
         """Run the command after kills: it must make all files and remove leftovers."""
@@ -191,7 +193,10 @@ class TrialFolder:
         right = result.code == 0 and not why
         outcome = "accepted" if right else as_fault(result.outcome)
         self.count(
-            outcome, "" if right else f"the next run: {result.code} {why}", result.said, report
+            outcome,
+            "" if right else f"the next run: {result.code} {why}",
+            result.error_output,
+            report,
         )
 
 
@@ -207,15 +212,15 @@ def kill_once(
         sleep(AIM * rng.random())
     else:
         running.process.join(trial.seconds * rng.random())
-    alone = rng.random() < 0.5
-    running.kill(alone=alone)
+    without_children = rng.random() < 0.5
+    running.kill(without_children=without_children)
     result = running.end()
     why = trial.find_damage(old)
     if not result.killed and result.code:
         outcome = as_fault(result.outcome)
-        trial.count(outcome, f"it ended with {result.code}", result.said, report)
+        trial.count(outcome, f"it ended with {result.code}", result.error_output, report)
     elif why:
-        trial.count("untyped", why, result.said, report)
+        trial.count("untyped", why, result.error_output, report)
     elif left := running.helpers():
         trial.count("hang", f"processes {left} live on", "", report)
         running.kill()
@@ -232,7 +237,7 @@ def try_in_turn(
         trial = trials[count % len(trials)]
         start = perf_counter()
         once(trial)
-        trial.taken += perf_counter() - start
+        trial.elapsed += perf_counter() - start
         count += 1
     return count
 
@@ -242,8 +247,8 @@ def rows_of(trials: Sequence[TrialFolder], fault: str, seed: int) -> Iterator[Ro
     for trial in trials:
         if trial.counts:
             what = f"{fault} {trial.command.what}"
-            yield Row.counted("faults", what, trial.counts, seed, trial.taken)
-        trial.counts, trial.taken = Counter(), 0.0
+            yield Row.counted("faults", what, trial.counts, seed, trial.elapsed)
+        trial.counts, trial.elapsed = Counter(), 0.0
 
 
 def judge_refusal(
@@ -259,11 +264,11 @@ def judge_refusal(
     there = {name for name in read_files(trial.folder) if not trial.command.makes_file(name)}
     if clean and not why and (left := {n for n in there if not trial.command.keeps(n)}):
         why = f"{min(left)} is left"
-    if result.outcome == "typed" and not any(n in result.said for n in trial.command.makes):
+    if result.outcome == "typed" and not any(n in result.error_output for n in trial.command.makes):
         why = why or "its error names no file"
     outcome = as_fault(result.outcome) if why else result.outcome
     wrong = why or (f"it ended with {result.code}" if outcome not in ("accepted", "typed") else "")
-    trial.count(outcome, wrong, result.said, report)
+    trial.count(outcome, wrong, result.error_output, report)
 
 
 def as_fault(outcome: str) -> str:
@@ -303,7 +308,7 @@ def disks(
     for fault, once in faults.items():
         try_in_turn(trials, once, seconds / len(faults), 4 * len(trials))
         rows = list(rows_of(trials, fault, effort.seed))
-        yield replace(total(rows, fault), said=f"{len(rows)} commands")
+        yield replace(total(rows, fault), note=f"{len(rows)} commands")
 
 
 def fill_disk(trial: TrialFolder, commands: Commands, effort: Effort, rng: Generator) -> None:

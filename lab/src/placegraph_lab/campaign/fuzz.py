@@ -37,7 +37,7 @@ class Tally:
     """Outcomes of the inputs of one target."""
 
     counts: Counter[str] = field(default_factory=Counter)
-    found: dict[str, list[int]] = field(
+    faults: dict[str, list[int]] = field(
         default_factory=dict
     )  # Numbers of the faulty inputs, by fault
     reasons: dict[str, str] = field(default_factory=dict)  # message of the first, by fault
@@ -54,7 +54,7 @@ class Tally:
         """Count an input."""
         if outcome in FAULTS:
             where, _, why = reason.partition(": ")
-            self.found.setdefault(f"{outcome}: {where}", []).append(self.tried)
+            self.faults.setdefault(f"{outcome}: {where}", []).append(self.tried)
             self.reasons.setdefault(f"{outcome}: {where}", why)
         self.counts[outcome] += 1
         self.peak = max(self.peak, took)
@@ -168,7 +168,7 @@ def run_targets(
             effort.report(
                 f"{name}: {counts} in {tally.seconds:.0f} s, {tally.peak >> 20} MB at most"
             )
-            for fault, numbers in tally.found.items():
+            for fault, numbers in tally.faults.items():
                 times = f"{len(numbers)} times, first input {numbers[0]}"
                 effort.report(f"  {fault} ({times}): {tally.reasons[fault]}")
             for reason in tally.refused:

@@ -51,7 +51,7 @@ class Row:
     memory: int = 0  # it passed its bound of memory, or memory grew
     seed: int = 0
     seconds: float = 0.0  # wall time of all trials
-    said: str = ""  # other measurements, in a few words
+    note: str = ""  # other measurements, in a few words
     mended: int = (
         0  # Faults that were fixed since, each kind with a test and its first input drawn again
     )
@@ -71,17 +71,17 @@ class Row:
         cls,
         part: str,
         what: str,
-        found: Mapping[str, int],
+        outcomes: Mapping[str, int],
         seed: int,
         seconds: float,
-        said: str = "",
+        note: str = "",
     ) -> Row:
         """Return the row of counts by outcome; `KeyError` for an unknown outcome."""
-        counts = {name: found.get(name, 0) for name in OUTCOMES}
-        if strange := sorted(set(found) - set(OUTCOMES)):
+        counts = {name: outcomes.get(name, 0) for name in OUTCOMES}
+        if strange := sorted(set(outcomes) - set(OUTCOMES)):
             raise KeyError(strange[0])
         return cls(
-            part, what, sum(counts.values()), **counts, seed=seed, seconds=seconds, said=said
+            part, what, sum(counts.values()), **counts, seed=seed, seconds=seconds, note=note
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] =
     return sorted([*kept, *new], key=lambda r: PARTS.index(r.part))
 
 
-def mend(rows: Iterable[Row], names: Collection[str]) -> list[Row]:
+def mark_fixed(rows: Iterable[Row], names: Collection[str]) -> list[Row]:
     """Mark all faults of the rows named ``PART/WHAT/SEED`` as fixed.
 
     Raises `KeyError` with the first name that has no row with faults.

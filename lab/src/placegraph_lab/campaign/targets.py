@@ -54,12 +54,12 @@ class InProcessQueue:
     async def end(self) -> None:
         """Do nothing: there is no process."""
 
-    async def ask(self, verb: str, asked: Any) -> Answer:  # noqa: ANN401  # of the verb
+    async def ask(self, verb: str, request: Any) -> Answer:  # noqa: ANN401  # of the verb
         """Return the answer, or the problem of a `PlacegraphError`; other errors are raised."""
         module, function = VERBS[verb].split(":")
         try:
             answer = getattr(import_module(f"placegraph_serve.{module}"), function)(
-                self.dispatcher, asked
+                self.dispatcher, request
             )
         except PlacegraphError as error:
             return None, problem(error)

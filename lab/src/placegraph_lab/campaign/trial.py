@@ -168,7 +168,7 @@ class CommandResult:
     """Exit code and error output of a command."""
 
     code: int | None  # negative for a signal; None: it did not end in its time
-    said: str  # error output
+    error_output: str
     seconds: float
     killed: bool  # whether the trial killed it
 
@@ -181,7 +181,7 @@ class CommandResult:
             return "crash"
         if self.code == 0:
             return "accepted"
-        typed = self.code in range(3, 14) and "Traceback" not in self.said
+        typed = self.code in range(3, 14) and "Traceback" not in self.error_output
         return "typed" if typed else "untyped"
 
 
@@ -202,11 +202,11 @@ class Running:
     start: float = field(default_factory=time.perf_counter)
     killed: bool = False
 
-    def kill(self, *, alone: bool = False) -> None:
+    def kill(self, *, without_children: bool = False) -> None:
         """Kill the command, with its helpers or alone."""
         self.killed = True
         with suppress(ProcessLookupError):  # its group has its number, once it has begun
-            (os.kill if alone else os.killpg)(self.process.pid, signal.SIGKILL)
+            (os.kill if without_children else os.killpg)(self.process.pid, signal.SIGKILL)
         with suppress(ProcessLookupError):
             os.kill(self.process.pid, signal.SIGKILL)
 

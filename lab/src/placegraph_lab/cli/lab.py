@@ -42,13 +42,13 @@ tables = typer.Typer(
 @tables.callback()
 def table(
     context: typer.Context,
-    listed: Annotated[bool, typer.Option("--list", help="What there is, and exit.")] = False,
+    list_only: Annotated[bool, typer.Option("--list", help="What there is, and exit.")] = False,
 ) -> None:
     """Measure: print a table as Markdown, write its rows as JSON.
 
     Example: placegraph-lab table outdoor_recall --quick
     """
-    if listed or context.invoked_subcommand is None:
+    if list_only or context.invoked_subcommand is None:
         for name in names():
             one = load(name)
             typer.echo(f"{name:22} {one.asks}{f' [{one.paper}]' if one.paper else ''}")
@@ -57,7 +57,7 @@ def table(
 
 app = typer.Typer(
     name="placegraph-lab",
-    help="What placegraph is made and measured with.",
+    help="Worlds, trainings, benchmarks and campaigns of placegraph.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

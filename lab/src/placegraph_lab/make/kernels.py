@@ -169,7 +169,10 @@ def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, i
 
 
 def _merge(
-    tuple_names: dict[str, str], found: dict[str, int], names: dict[str, str], calls: dict[str, int]
+    tuple_names: dict[str, str],
+    new_calls: dict[str, int],
+    names: dict[str, str],
+    calls: dict[str, int],
 ) -> None:
     """Merge the calls of one run, whose names of tuples may differ."""
     renamed: dict[str, str] = {}
@@ -177,7 +180,7 @@ def _merge(
         plain = name.rstrip("0123456789")
         alike = sum(known.rstrip("0123456789") == plain for known in names.values())
         renamed[name] = names.setdefault(_spell(text, renamed), f"{plain}{alike or ''}")
-    for call, size in found.items():
+    for call, size in new_calls.items():
         calls[_spell(call, renamed)] = size
 
 

@@ -77,7 +77,7 @@ def paired(harbour, pool):
     views = pool.views[:3, :5]
     assert (views >= 0).all()
     places = PlaceGraphs.of_views(harbour, views.ravel())
-    fits = pool.fits
+    fits = pool.word_weights
     words = make_word_fits(fits, *harbour.word_counts)
     rows, every = np.arange(3), np.arange(len(places))
     return places, words, pair_batch(pool.texts, places, rows, every, (every // 5, every), words)

@@ -211,7 +211,7 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
 
 
 def test_fits_are_the_words_of_the_map(pool, harbour):
-    fits, texts = pool.fits, pool.texts
+    fits, texts = pool.word_weights, pool.texts
     assert len(fits.starts) == len(texts.mentions) + 1
     speakers = texts.starts[:-1]
     assert (fits.starts[speakers] == fits.starts[speakers + 1]).all()  # a speaker is no thing

@@ -79,7 +79,7 @@ def test_another_drive_is_infinitely_far(data, fold, relational):
             return np.full(len(scenes), -np.inf)
 
     found = evaluate(fold, "x", Nowhere(), Names(data), within=relational)
-    assert found.retrieval[5] == found.placed[10][15.0] == 0.0
+    assert found.retrieval[5] == found.refined[10][15.0] == 0.0
 
 
 def test_one_split_sees_only_its_own(data):
@@ -106,5 +106,5 @@ def test_the_whole_benchmark(measure, folder, tmp_path):
     assert {m for _, m in found} < set(MATCHERS)
     assert found["test", "relational"]["queries"] == 10
     assert found["test", "edit distance"]["queries"] == 3
-    assert found["test", "relational"]["placed"]["10"]["15.0"] == 1.0
+    assert found["test", "relational"]["refined"]["10"]["15.0"] == 1.0
     assert (tmp_path / "k360_tiny.k360").exists()

@@ -26,20 +26,20 @@ def home():
 
 def test_a_building_lies_around_its_home(home, tmp_path):
     floor = home.scene.bounds[:, :2]
-    assert (home.whole.min(axis=0) < floor[0]).all() or np.ptp(home.whole, axis=0).min() > 2.0
+    assert (home.outline.min(axis=0) < floor[0]).all() or np.ptp(home.outline, axis=0).min() > 2.0
     rooms = home.flat.room_of
     cells = np.argwhere(rooms >= 0)
     points = np.array([home.flat.corner(r + 0.5, c + 0.5) for r, c in cells.tolist()])
-    for ring in (home.whole, home.part):
+    for ring in (home.outline, home.part):
         if ring is not None:
             assert contains_points(points, [ring]).all()
     rng = np.random.default_rng(0)
-    file = extract(home, home.whole, tmp_path / "a.osm", rng, entrance=True)
+    file = extract(home, home.outline, tmp_path / "a.osm", rng, entrance=True)
     (drawn,) = find_footprints(file, "House")
     there = home.stands.to_map(
         drawn.base.to_earth(np.c_[drawn.rings[0], np.zeros(len(drawn.rings[0]))])
     )
-    assert np.abs(there[:-1, :2] - home.whole[:-1]).max() < 3.0
+    assert np.abs(there[:-1, :2] - home.outline[:-1]).max() < 3.0
     assert len(drawn.entrances) == len(home.doors) == 1
 
 

@@ -18,7 +18,7 @@ def told(**columns):
 
 def test_sums_and_rates():
     still = told(
-        sequence="seq00", changed=False, visible=(), found=(), moves=0, moves_found=0, removed=0,
+        sequence="seq00", changed=False, visible=(), detected=(), moves=0, moves_found=0, removed=0,
         removed_found=0, errors=(), right=(), wrong=(0.6,), new_right=0, new_wrong=0,
     )  # fmt: skip
     f = figures([told(), still])

@@ -50,7 +50,7 @@ SCENES = [
 def test_ranks_are_counted():
     twins = [scene(str(i), "sofa", "lamp", room="1") for i in range(9)]
     asked = ask([*twins, SCENES[0]], np.random.default_rng(0), facts=2, wrong=0.0, each=1)
-    assert {a.among for a in asked} == {10}
+    assert {a.candidates for a in asked} == {10}
     assert asked[-1].rank == 1
     assert asked[0].rank in (5, 6)  # of equals, the middle
     assert recall([RankedSentence("", "", 1, 0.0, 10, r) for r in (1, 2, 4, 9)]) == [

@@ -327,7 +327,9 @@ class RefineJob:
 
     place: str  # key of `PLACES`
     start: Start
-    seen: str  # what localizing looks at: `all`; from a disturbed start `depth` or `no depth`
+    senses: (
+        str  # evidence that localization uses: `all`; from a disturbed start `depth` or `no depth`
+    )
     by: str
     """`auto`, `none`, the word for a matcher, the same with `PAPER` behind it, or a key of `GICP`."""
     coarse: Job | None = None  # how the pose is found; None from a disturbed start
@@ -338,11 +340,11 @@ class RefineJob:
 
     @property
     def row(self) -> str:
-        return f"{self.seen}, {self.by}"
+        return f"{self.senses}, {self.by}"
 
     @property
     def depth(self) -> bool:
-        return self.coarse.options.depth if self.coarse else self.seen == "depth"
+        return self.coarse.options.depth if self.coarse else self.senses == "depth"
 
     @property
     def matcher(self) -> str:

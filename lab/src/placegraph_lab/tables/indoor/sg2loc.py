@@ -334,13 +334,13 @@ def recipes() -> dict[str, Recipe]:
 @dataclass(frozen=True)
 class Reply:
     filter: Answer  # of the filter alone; its seconds are the filter's
-    whole: Answer  # after refinement, where there is any
+    final: Answer  # after refinement, where there is any
     refining: float  # [s]
     right: bool  # whether it named the right one of merged scenes
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Reply:
-        return cls(**row | {name: Answer(**row[name]) for name in ("filter", "whole")})
+        return cls(**row | {name: Answer(**row[name]) for name in ("filter", "final")})
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ class Asking:
         best, of_window = estimate.best, window.fields | {"coverage": None}
         return Reply(
             filter=measure(coarse, window.truth, seconds=seconds - refining, **of_window),
-            whole=measure(estimate, window.truth, seconds=seconds, **of_window),
+            final=measure(estimate, window.truth, seconds=seconds, **of_window),
             refining=refining,
             right=best is not None and (len(scene.scenes) == 1 or best.scene == name),
         )

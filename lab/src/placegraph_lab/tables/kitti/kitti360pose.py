@@ -157,7 +157,7 @@ class Result:
     retrieval: dict[int, float]  # recall of the exact cell by rank
     centered: dict[int, dict[float, float]]
     """Recall by rank and radius [m], a cell's centre being the pose."""
-    placed: dict[int, dict[float, float]]
+    refined: dict[int, dict[float, float]]
     """The same, the pose being where in the cell the statements fit best."""
     p50: float  # median time for a query, all cells [s]
     off: dict[str, float] = field(default_factory=dict)
@@ -187,7 +187,7 @@ def evaluate(
     rows = split.poses if poses is None else np.fromiter(poses, np.int64)
     if not len(rows):
         raise OptionError("There are no poses to evaluate.")
-    exact, centered, placed, seconds = [], [], [], []
+    exact, centered, refined, seconds = [], [], [], []
     for n, pose in enumerate(rows.tolist()):
         query = description_of(
             data, pose, reading=split.reading, names=names, edge_distance=split.edge_distance
@@ -199,7 +199,7 @@ def evaluate(
         exact.append(split.cells[top] == data.poses.cells[pose])
         centered.append(_distances(split, pose, top, split.centers[top]))
         told = description_of(data, pose, names=honest)
-        placed.append(_distances(split, pose, top, within.poses(told, top)))
+        refined.append(_distances(split, pose, top, within.poses(told, top)))
         if progress is not None:
             progress(n + 1)
     return Result(
@@ -210,11 +210,11 @@ def evaluate(
         cells=len(split.cells),
         retrieval={k: float(np.mean([e[:k].any() for e in exact])) for k in RANKS},
         centered=_recall(centered),
-        placed=_recall(placed),
+        refined=_recall(refined),
         p50=float(np.median(seconds)),
         off={
             "centered": float(np.median([d[0] for d in centered])),
-            "placed": float(np.median([d[0] for d in placed])),
+            "refined": float(np.median([d[0] for d in refined])),
         },
         on_osm=bool(data.tags),
     )
@@ -269,7 +269,7 @@ def localization_table(results: Sequence[Result], split: str) -> str:
     for title, found in _grouped(results).items():
         if split in found:
             r = found[split]
-            cells = [shares(table[k].values()) for table in (r.centered, r.placed) for k in TOPS]
+            cells = [shares(table[k].values()) for table in (r.centered, r.refined) for k in TOPS]
             rows.append([title, *cells, f"{r.queries:,}"])
     return markdown(header, rows)
 

@@ -60,7 +60,7 @@ def bag_read(
     *,
     quick: Quick = False,
 ) -> None:
-    """What does reading a bag cost, beside `rosbags` and `mcap` alone? MB/s of each."""
+    """Read rates of bags [MB/s], beside `rosbags` and `mcap` alone."""
     if quick:
         megabytes, rounds, frames = 40, 3, 1000
     walk = open_capture(run.data / "house/seq00", labels=None)

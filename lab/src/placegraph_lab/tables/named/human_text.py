@@ -102,7 +102,7 @@ def human_text(
     baselines: Annotated[bool, option("Leave the map out.")] = False,
     quick: Quick = False,
 ) -> None:
-    """Does what people write find its place? 1,023 descriptions from Pittsburgh (RVS)."""
+    """Recall of 1,023 descriptions that people wrote in Pittsburgh (RVS)."""
     records = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
     places = landmarks(records)
     simple = Baselines(places)

@@ -391,7 +391,7 @@ def indoor_colmap(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """How near do single frames come, beside COLMAP and XFeat? Centimetres, recall, MB, milliseconds."""
+    """Single frames beside COLMAP and XFeat: errors [cm], recall, size of the map, time."""
     wanted = lab.check_names(lab.parts(only, ";"), [one.name for one in SETS], "set")
     rows: list[Row] = []
     weights = run.shared / "weights/xfeat.pt"

@@ -113,7 +113,7 @@ def indoor_filter(
     quick: lab.Quick = False,
     fresh: lab.Fresh = False,
 ) -> None:
-    """Do a few frames find their pose? Errors, recall, status, time: house and office."""
+    """Localization by a few frames: errors, recall, status and time in house and office."""
     names = lab.parts(only, ";" if ";" in only else ",")
     if quick:
         windows, every, office_every = "5,10", benches.QUICK_EVERY, 2 * OFFICE_EVERY

@@ -141,7 +141,7 @@ def indoor_refine(
     quick: lab.Quick = False,
     fresh: lab.Fresh = False,
 ) -> None:
-    """Does refining bring a pose to centimetres? Errors before and after, harm, covariances, time."""
+    """Errors of poses before and after refinement, harm, covariances and time."""
     names = lab.parts(only, ";")
     if quick:
         windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY

@@ -74,7 +74,7 @@ COLUMNS = (
 def indoor_render(
     run: Run, poses: Annotated[int, option("Poses of each map.")] = 24, *, quick: Quick = False
 ) -> None:
-    """What does a picture of the map cost? By map, size, engine, samples and threads."""
+    """Time to render the map, by map, size, engine, samples and threads."""
     poses = 2 if quick else poses
     house, office = (
         read_camera(run.data / f"{p}/camera.json").camera for p in ("house/seq00", "office")

@@ -252,7 +252,7 @@ def indoor_robustness(
     quick: lab.Quick = False,
     fresh: lab.Fresh = False,
 ) -> None:
-    """What goes wrong, and what becomes of the pose? Recall, `OK`, false `OK`, milliseconds."""
+    """Recall, `OK`, false `OK` and time for damaged frames, cameras and maps."""
     cases = all_cases()
     if quick:
         cases, windows = few(cases), min(windows, QUICK_WINDOWS)

@@ -211,7 +211,7 @@ def indoor_semantics(
     quick: lab.Quick = False,
     fresh: lab.Fresh = False,
 ) -> None:
-    """What is each encoder worth to the particle filter? Alone, and with depth and colour."""
+    """Errors and recall of the particle filter by encoder, alone and with depth and colour."""
     if quick:
         every, office_every = QUICK_EVERY, 2 * office_every
     bench = SemanticBench(run.data, run.cache, every, office_every)

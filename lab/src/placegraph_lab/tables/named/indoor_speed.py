@@ -158,7 +158,7 @@ def indoor_speed(
     *,
     quick: Quick = False,
 ) -> None:
-    """What does localizing indoors cost? By stage and map; the tracker, memory, cold starts."""
+    """Time of indoor localization by stage and map; tracker, memory, cold starts."""
     wanted = check_names(parts(only) or (["start"] if quick else []), PARTS, "part")
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     indoor_maps.house(run.data, run.cache)

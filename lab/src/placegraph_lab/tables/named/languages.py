@@ -164,7 +164,7 @@ def languages(
     *,
     quick: Quick = False,
 ) -> None:
-    """Is every language read as well as English? The same statements, said in each."""
+    """Reading rate of the same statements in each language, against English."""
     rows: list[dict[str, Any]] = []
     for town in parts(cities):
         city = open_city(town, run.osm, run.cache)

@@ -244,7 +244,7 @@ def outdoor_ablation(
     device: lab.Device = "auto",
     quick: lab.Quick = False,
 ) -> None:
-    """What is each part of the network worth? Trainings of full length that differ in one thing."""
+    """Ablation of the network: trainings of full length that differ in one part."""
     names, work = list(TRAINED), run.cache / "ablation"
     base = TrainOptions(epochs=epochs, descriptions=seed, check=100)
     measured = names_of(on)

@@ -110,7 +110,7 @@ def outdoor_candidates(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """Does time grow with the map? 447 to 1,000,000 cells, with candidates and without."""
+    """Time and recall against the number of cells (447 to 1,000,000), with candidates and without."""
     if quick:
         queries, without = 10, 20_000
     wanted = [int(n) for n in lab.parts(sizes)] or [*PAPER, *(() if quick else LARGER)]

@@ -132,7 +132,7 @@ def outdoor_dialogue(
     *,
     quick: Quick = False,
 ) -> None:
-    """How many questions until the place is found? Informative against random questions."""
+    """Questions until the place is found: informative against random ones."""
     rows: list[dict[str, Any]] = []
     ways: tuple[Asking, Asking] = ("best", "random")
     names = names_of(cities)

@@ -57,7 +57,7 @@ def outdoor_map_size(
     *,
     quick: Quick = False,
 ) -> None:
-    """How large is a map? Bytes of 110 to 447 cells, and of whole cities."""
+    """Bytes of maps of 110 to 447 cells, and of whole cities."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in names_of("monaco" if quick else cities):

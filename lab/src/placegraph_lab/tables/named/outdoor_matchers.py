@@ -259,7 +259,7 @@ def outdoor_matchers(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """Which matcher finds the cell? On graphs from OpenStreetMap."""
+    """Recall of the cell by matcher, on graphs from OpenStreetMap."""
     if quick:
         queries, slow = 40, 5
     asked_for = lab.check_names(lab.parts(settings), SETTINGS, "setting")

@@ -254,7 +254,7 @@ def outdoor_pairs(
     *,
     quick: Quick = False,
 ) -> None:
-    """How many pairs of a text and a cell are judged in a second? On one core, and on two."""
+    """Pairs of a text and a cell matched in a second, on one core and on two."""
     if quick:
         texts, cells = 3, 200
     asked = Question(city, run.osm, run.cache, texts, cells, seed, quick)

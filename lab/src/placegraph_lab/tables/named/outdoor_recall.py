@@ -192,7 +192,7 @@ def outdoor_recall(
     quick: Quick = False,
     baselines: Annotated[bool, option("Leave the map out.")] = False,
 ) -> None:
-    """Does a sentence find its place? Recall, calibration and time on OpenStreetMap extracts."""
+    """Recall, calibration and time of sentences on OpenStreetMap extracts."""
     if quick:
         queries, statements, settings = 100, "6", settings or "none,replaced"
     asked = protocols(

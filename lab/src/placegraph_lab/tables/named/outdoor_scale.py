@@ -87,7 +87,7 @@ def outdoor_scale(
     *,
     quick: Quick = False,
 ) -> None:
-    """Does time grow slower than the map? Copies of one city side by side, labels shuffled."""
+    """Time against the size of the map: copies of one city side by side, labels shuffled."""
     if quick:
         copies, queries = "1,2", 20
     osm = run.osm / EXTRACTS[city]

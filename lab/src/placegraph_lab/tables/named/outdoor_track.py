@@ -206,7 +206,7 @@ def outdoor_track(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """What is a way worth? A few sentences along a walk, against one place at a time."""
+    """A few sentences along a walk, against one place at a time."""
     rows: list[dict[str, Any]] = []
     names = names_of(cities)
     if quick:

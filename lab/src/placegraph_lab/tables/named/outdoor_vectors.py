@@ -197,7 +197,7 @@ def outdoor_vectors(
     *,
     quick: Quick = False,
 ) -> None:
-    """Which vector store? Build time, query time, memory and recall against map size."""
+    """Vector stores: build time, query time, memory and recall against the size of the map."""
     if quick:
         sizes, queries = "447", 20
     rows: list[dict[str, Any]] = []

@@ -211,9 +211,9 @@ def nats(
         return np.asarray(np.log(own) - np.log(ratio @ background))
 
 
-def mean(found: Iterable[Accuracy | None]) -> Accuracy | None:
+def mean(accuracies: Iterable[Accuracy | None]) -> Accuracy | None:
     """Mean over places of one kind, each counting alike; None where nothing was said in any."""
-    known = [f for f in found if f is not None]
+    known = [a for a in accuracies if a is not None]
     if not known:
         return None
     columns = {f.name: [getattr(k, f.name) for k in known] for f in fields(Accuracy)}
@@ -240,7 +240,7 @@ def patch_accuracy(
     *,
     quick: Quick = False,
 ) -> None:
-    """Which object does a patch show? Encoders where poses are known: house, office, homes."""
+    """Accuracy of encoders on patches where poses are known: house, office, homes."""
     if quick:
         every, homes = 10, 2
     asked: dict[str, Encoder] = {}

@@ -19,7 +19,16 @@ from typing import Annotated
 from typer import BadParameter
 
 from placegraph.core.files import write_output
-from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
+from placegraph_lab.campaign.row import (
+    FAULTS,
+    OUTCOMES,
+    PARTS,
+    Effort,
+    Row,
+    mark_fixed,
+    merged,
+    total,
+)
 from placegraph_lab.tables import runner as lab
 
 PAGE = "docs/benchmarks/reliability.md"
@@ -57,7 +66,7 @@ def reliability(
     quick: lab.Quick = False,
     fresh: Annotated[bool, lab.option("Forget what was written down of these parts.")] = False,
 ) -> None:
-    """What was done to break placegraph, and what became of it."""
+    """Faults, load and damaged inputs: trials, outcomes and open defects."""
     wanted, path = (
         lab.check_names(lab.parts(only), PARTS, "part"),
         run.out or lab.LAB / "results/reliability.json",
@@ -69,7 +78,7 @@ def reliability(
     def save() -> None:
         rows = merged(written(path), now, dropped)  # others may have written meanwhile
         try:
-            rows = mend(rows, healed)
+            rows = mark_fixed(rows, healed)
         except KeyError as error:
             raise BadParameter(f"{error} is no row with faults") from None
         run.save({"rows": [r.to_dict() for r in rows]})
@@ -98,7 +107,7 @@ def render_rows(rows: list[Row]) -> str:
         own = [row for row in rows if row.part == part]
         alike: dict[tuple[str, str], list[Row]] = {}
         for row in own:
-            alike.setdefault((row.what, row.said), []).append(row)
+            alike.setdefault((row.what, row.note), []).append(row)
         told += [_cells(each, *key) for key, each in [*alike.items(), (("all", ""), own)]]
     return lab.markdown(HEADER, told)
 
@@ -116,12 +125,12 @@ def summed(rows: list[Row]) -> str:
     return f"{whole.tried:,} trials{apart}, {whole.faults:,} faults found, {whole.open:,} open"
 
 
-def _cells(rows: list[Row], what: str, said: str) -> list[str]:
+def _cells(rows: list[Row], what: str, note: str) -> list[str]:
     row, seeds = total(rows), ", ".join(map(str, sorted({r.seed for r in rows})))
     counts = [lab.number(getattr(row, name)) for name in COUNTS]
     told = [f"**{c}**" if row.open and name in FAULTS and c != "0" else c
             for name, c in zip(COUNTS, counts, strict=True)]  # fmt: skip
-    return [row.part, what, *told, seeds, lab.number(row.seconds / 60, 1), said]
+    return [row.part, what, *told, seeds, lab.number(row.seconds / 60, 1), note]
 
 
 def written(path: Path) -> list[Row]:

@@ -181,12 +181,12 @@ def looked_at(
     )  # fmt: skip
 
 
-def recoveries(seen: Sequence[FrameResult]) -> list[int | None]:
+def recoveries(results: Sequence[FrameResult]) -> list[int | None]:
     """Frames after each kidnapping until one is `OK` and right; None: it was not before the next."""
-    starts = [i for i, s in enumerate(seen) if s.kidnapped]
+    starts = [i for i, s in enumerate(results) if s.kidnapped]
     found: list[int | None] = []
-    for start, end in pairwise([*starts, len(seen)]):
-        after = (i - start for i in range(start, end) if seen[i].sure and seen[i].right)
+    for start, end in pairwise([*starts, len(results)]):
+        after = (i - start for i in range(start, end) if results[i].sure and results[i].right)
         found.append(next(after, None))
     return found
 
@@ -228,19 +228,19 @@ class Row:
         )  # fmt: skip
 
     @property
-    def found(self) -> list[int]:
+    def delays(self) -> list[int]:
         """Frames until the pose is found again, of kidnappings after which it is."""
         return [r for r in self.recovered if r is not None]
 
     @property
     def most(self) -> str:
-        lost = len(self.recovered) - len(self.found)
-        return f"{max(self.found)}{f', {lost} never' * bool(lost)}" if self.found else "–"
+        lost = len(self.recovered) - len(self.delays)
+        return f"{max(self.delays)}{f', {lost} never' * bool(lost)}" if self.delays else "–"
 
 
-def longest(seen: Sequence[FrameResult], which: Callable[[FrameResult], bool]) -> int:
+def longest(results: Sequence[FrameResult], which: Callable[[FrameResult], bool]) -> int:
     most = run = 0
-    for one in seen:
+    for one in results:
         run = run + 1 if which(one) else 0
         most = max(most, run)
     return most
@@ -417,7 +417,7 @@ def lived(
     recordings: Sequence[Recording],
     frames: int,
     seed: int,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Life:
     """So many frames to and fro along recordings, kidnapped from one to the next, in one tracker."""
     live = scene.live(seed=seed, background=False, options=SENSES)
@@ -427,7 +427,7 @@ def lived(
     for done, (frame, truth, kidnapped) in enumerate(islice(endless, frames)):
         if done % max(1, frames // LOOKS) == 0:
             memory.append((done, resident()))
-            say(f"{done} frames, {memory[-1][1]:.0f} MB")
+            report(f"{done} frames, {memory[-1][1]:.0f} MB")
         start = perf_counter()
         samples = [(frame.stamp, frame.odometry)]
         seen.append(looked_at(live, frame, truth, samples, kidnapped=kidnapped and done > 0))
@@ -454,7 +454,7 @@ WALKED = (
     Col("", "place"), Col("drift", lambda r: f"{r.degrees:g}°"), Col("frames", "frames"),
     Col("right", "right", lab.share), Col("OK", "sure", lab.share), Col("right of OK", "tracked", 3),
     Col("foretold", "foretold", lab.share), Col("false OK", "false", 3), Col("longest", "longest"),
-    Col("found after", lambda r: float(np.median(r.found)) if r.found else None, 0),
+    Col("found after", lambda r: float(np.median(r.delays)) if r.delays else None, 0),
     Col("most", "most"), Col("CPU ms", "milliseconds", 0), Col("worst", "worst", 0),
 )  # fmt: skip
 PACED = (
@@ -481,7 +481,7 @@ def robot_live(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """How right a robot's pose is as it goes, how soon it is found again, and how late it is told."""
+    """A robot's pose on the way: share right, time to relocalize, latency."""
     wanted = lab.check_names(lab.parts(only) or (["walks"] if quick else []), PARTS, "part")
     places = Places(run.data, run.cache)
     house = places.scene("house")
@@ -538,7 +538,7 @@ def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -
 
 def summarize(life: Life) -> str:
     """Summarize a long run in sentences."""
-    row, found = life.row, life.row.found
+    row, found = life.row, life.row.delays
     held = life.memory[len(life.memory) // 4 :]
     grown = (held[-1][1] - held[0][1]) / max(1, held[-1][0] - held[0][0]) * 1e4
     some = life.memory[:: max(1, len(life.memory) // 6)]

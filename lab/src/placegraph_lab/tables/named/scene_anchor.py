@@ -58,14 +58,14 @@ class House:
     interior: Interior
     scene: SceneMap
     stands: Anchor
-    whole: Floats  # (n, 2) outline of the home's outer walls [m, map]
+    outline: Floats  # (n, 2) outline of the home's outer walls [m, map]
     part: Floats | None
     """The same of a building that the home is a part of; None: no side of it is free of windows."""
     doors: Floats  # (E, 2) middles of outer doors [m, map]
 
     @property
     def shape(self) -> str:
-        return "rectangle" if len(self.whole) == 5 else "other shape"
+        return "rectangle" if len(self.outline) == 5 else "other shape"
 
 
 def house(seed: int, number: int) -> House:
@@ -81,7 +81,7 @@ def house(seed: int, number: int) -> House:
     pad, thick = max(BESIDE) + 2 * THICK[1], int(rng.integers(THICK[0], THICK[1] + 1))
     grown = _grown(np.pad(inside, pad), thick + 1)
     origin = np.full(2, -pad * cell)
-    whole = trace_cells(grown, origin, cell)[0]
+    outline = trace_cells(grown, origin, cell)[0]
     openings = [flat.corner(*(np.mean(sorted(b.cells), axis=0) + 0.5)) for b in flat.openings]
     kinds = [b.symbol.kind for b in flat.openings]
     outer = [
@@ -90,7 +90,7 @@ def house(seed: int, number: int) -> House:
     doors = [a for a, k in zip(openings, kinds, strict=True) if k == DOOR]
     part = _extended(grown, origin, cell, outer, rng)
     return House(
-        flat, interior, scene_of(interior, name=f"home{number}"), stands, whole,
+        flat, interior, scene_of(interior, name=f"home{number}"), stands, outline,
         part, np.reshape(doors, (-1, 2)),
     )  # fmt: skip
 
@@ -159,7 +159,7 @@ def film(
     """Capture with fixes, and the map that was made of it."""
     at = visit(home.flat, home.interior, rng, frames=FIXES).map_from_camera[:, :3, 3]
     if around:
-        low, high = home.whole.min(axis=0) - AROUND, home.whole.max(axis=0) + AROUND
+        low, high = home.outline.min(axis=0) - AROUND, home.outline.max(axis=0) + AROUND
         turn = np.linspace(0, 2 * np.pi, FIXES) + rng.uniform(0, 7)
         way = (low + high) / 2 + np.stack([np.cos(turn), np.sin(turn)], axis=1) * (high - low) / 2
         at = np.column_stack([way, np.full(FIXES, 1.6)])
@@ -191,7 +191,7 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
     try:
         if row in BUILDINGS:
             shape, part, entrance = BUILDINGS[row]
-            ring = home.whole if part == "whole house" else home.part
+            ring = home.outline if part == "whole house" else home.part
             if home.shape != shape or ring is None:
                 return None
             file = extract(home, ring, folder / "a.osm", rng, entrance=entrance)
@@ -200,7 +200,7 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
         else:
             around, wanders, walls = WALKS[row]
             scene, capture = film(home, folder, rng, around=around, wanders=wanders)
-            file = extract(home, home.whole, folder / "a.osm", rng, entrance=False)
+            file = extract(home, home.outline, folder / "a.osm", rng, entrance=False)
             begun = process_time()
             found = fit_capture(scene, capture)
             if walls:
@@ -210,11 +210,11 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
     return {"row": row, "seconds": process_time() - begun} | score_candidates(home, found)
 
 
-def score_candidates(home: House, found: AnchorFit) -> dict[str, Any]:
+def score_candidates(home: House, fit: AnchorFit) -> dict[str, Any]:
     middle = home.scene.bounds.mean(axis=0) * (1, 1, 0)
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     true, candidates = home.stands.shift_origin(-middle), []
-    for anchor in found.anchors:
+    for anchor in fit.anchors:
         here = anchor.shift_origin(-middle)
         at = true.enu_from_map[:3, :3] @ true.to_map((here.longitude, here.latitude, true.height))
         off = np.array([*at[:2], float(wrap_angle(here.heading - true.heading))])
@@ -279,7 +279,7 @@ def scene_anchor(
     *,
     quick: Quick = False,
 ) -> None:
-    """How well do walls, entrances and fixes say where a map stands? Right turn, metres, degrees."""
+    """Anchors fitted to walls, entrances and fixes: right orientation, errors [m, degrees]."""
     asked = []
     with tempfile.TemporaryDirectory() as folder:
         for number in run.track(range(6 if quick else houses), "fitting"):

@@ -46,11 +46,11 @@ class WindowChanges:
     changed: bool  # whether anything in the sequence was
     visible: tuple[str, ...]
     """Ids of what was truly moved or removed, and whose old place enough pixels show."""
-    found: tuple[str, ...]  # of these, what is reported as moved or vanished
-    moves: int  # of `found`, what truly moved
+    detected: tuple[str, ...]  # of these, what is reported as moved or vanished
+    moves: int  # of `detected`, what truly moved
     moves_found: int  # ... and is reported as moved.
     removed: int
-    removed_found: int  # of `found`, what was truly removed, and is reported as vanished
+    removed_found: int  # of `detected`, what was truly removed, and is reported as vanished
     errors: tuple[tuple[float, float], ...]
     """Of the motions of those: metres of the box's middle, and degrees."""
     right: tuple[
@@ -113,7 +113,7 @@ def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0
     new_right = sum(any(_meet(box, other) for other in boxes) for box in appeared)
     return WindowChanges(
         folder.name, first, len(capture), estimate.status.name, changed=bool(changed),
-        visible=tuple(visible_ids), found=tuple(found), moves=len(found) - len(removed),
+        visible=tuple(visible_ids), detected=tuple(found), moves=len(found) - len(removed),
         moves_found=sum(e is not None for e in errors), removed=len(removed),
         removed_found=sum(reports[id_].kind == "vanished" for id_ in removed),
         errors=tuple(e for e in errors if e is not None),
@@ -170,9 +170,9 @@ def figures(windows: Sequence[WindowChanges]) -> dict[str, Any]:
     return {
         "windows": len(windows),
         "lost": sum(t.status == "LOST" for t in windows),
-        **{k: total(k) for k in ("visible", "found", "right", "wrong")},
+        **{k: total(k) for k in ("visible", "detected", "right", "wrong")},
         **{k: total(k) for k in ("moves", "moves_found", "removed", "removed_found")},
-        "recall": total("found") / seen if seen else None,
+        "recall": total("detected") / seen if seen else None,
         "precision": right / (right + wrong) if right + wrong else None,
         "median_m": float(np.median(errors[:, 0])) if len(errors) else None,
         "median_deg": float(np.median(errors[:, 1])) if len(errors) else None,
@@ -186,13 +186,13 @@ def figures(windows: Sequence[WindowChanges]) -> dict[str, Any]:
     }
 
 
-def _of(part: str, whole: str, other: str = "") -> Callable[[dict[str, Any]], str]:
-    return lambda f: f"{f[part]} of {f[whole] + (f[other] if other else 0)}"
+def _of(part: str, total: str, other: str = "") -> Callable[[dict[str, Any]], str]:
+    return lambda f: f"{f[part]} of {f[total] + (f[other] if other else 0)}"
 
 
 COLUMNS = (
     Col("map, frames", "name"), Col("windows", "windows"),
-    Col("recall of gone", lambda f: f"{lab.share(f['recall'])} ({_of('found', 'visible')(f)})"),
+    Col("recall of gone", lambda f: f"{lab.share(f['recall'])} ({_of('detected', 'visible')(f)})"),
     Col("precision", lambda f: f"{lab.share(f['precision'])} ({_of('right', 'right', 'wrong')(f)})"),
     Col("motions found", _of("moves_found", "moves")),
     Col("median error",
@@ -215,7 +215,7 @@ STARTS = {25: (0,), 10: (0, 8, 15)}  # first frames of windows, by length
 def scene_changes(
     run: lab.Run, seed: lab.Seed = 0, *, quick: lab.Quick = False, fresh: lab.Fresh = False
 ) -> None:
-    """Are changes found? A map of the house, and walks after furniture was moved or taken away."""
+    """Recall and precision of changes on walks after furniture was moved or taken away."""
     journal, code = run.journal(fresh=fresh), lab.code_key(lab.INDOOR)
     scene = build_scene(run.data / "house/map/house.glb", None)
     folders = sorted((run.data / "house").glob("seq[0-9]*"))

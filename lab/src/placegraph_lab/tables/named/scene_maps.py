@@ -135,7 +135,7 @@ def scene_maps(
         Path | None, lab.option("Of the network that labels images; those of --data if not given.")
     ] = None,
 ) -> None:
-    """How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes."""
+    """Bytes, seconds, memory and recall of scene maps of many sizes."""
     rows, refining = findings(), refinings()
     if only:
         asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in lab.parts(only, ";")]

@@ -217,7 +217,7 @@ def scene_retrieval(
     fresh: lab.Fresh = False,
     quick: lab.Quick = False,
 ) -> None:
-    """Which scene of a library was a walk taken in? Homes, rooms of the house, the office."""
+    """Recall of the scene that a walk was taken in: homes, rooms of the house, the office."""
     rows = lab.check_names(lab.parts(encoders, ";"), ROWS, "row")
     if quick:
         rows, scenes, thin = rows[:1], 0, True

@@ -326,7 +326,7 @@ def scene_sentences(
     *,
     quick: Quick = False,
 ) -> None:
-    """Which scene does a sentence describe, and does one about a pose help? Recall of both."""
+    """Recall of the scene that a sentence describes, and of poses with a sentence about them."""
     if quick:
         homes, each, every, draws = 12, 1, 100, 1
     glb = run.data / "house/map/house.glb"

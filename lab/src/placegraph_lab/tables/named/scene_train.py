@@ -20,14 +20,14 @@ from placegraph_learn.training import Progress, rows_of
 class EpochLines(Progress):
     """A line an epoch."""
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report = report
 
     def preparing(self, name: str, done: int, total: int) -> None:
-        self._say(f"looked at {name}, {done} of {total}")
+        self._report(f"looked at {name}, {done} of {total}")
 
     def epoch(self, row: Mapping[str, float]) -> None:
-        self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
+        self._report(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
 
 
 def by_chance(lessons: Sequence[Lesson]) -> Evaluation:
@@ -69,7 +69,7 @@ def scene_train(
     run: Run,
     *,
     homes: Annotated[int, option("Procedural homes, those held out too.")] = 60,
-    held: Annotated[int, option("Homes that are not learned.")] = 8,
+    held_out: Annotated[int, option("Homes that are not learned.")] = 8,
     frames: Annotated[int, option("Images of a walk through a home.")] = 10,
     epochs: Annotated[int, option("Rounds over all images.")] = 20,
     batch: Annotated[int, option("Images a step.")] = 8,
@@ -79,9 +79,9 @@ def scene_train(
     seed: Seed = 0,
     quick: Quick = False,
 ) -> None:
-    """Does the network of SceneGraphLoc learn? Procedural homes, and others it never saw."""
+    """Training of SceneGraphLoc's network on procedural homes, evaluated in other homes."""
     if quick:
-        homes, held, frames, epochs = 4, 1, 3, 1
+        homes, held_out, frames, epochs = 4, 1, 3, 1
     options = TrainOptions(
         epochs=epochs, batch=batch, others=others, points=points, rate=rate, seed=seed
     )
@@ -90,12 +90,12 @@ def scene_train(
     start, busy = perf_counter(), process_time()
     worlds = draw_homes(homes, seed=seed, frames=frames)
     weights = train(
-        worlds, work / "trained.safetensors", folder=work, held_out=held, options=options,
+        worlds, work / "trained.safetensors", folder=work, held_out=held_out, options=options,
         device="cpu", progress=EpochLines(run.log),
     )  # fmt: skip
     seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}
     lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
-    learned, asked = split(lessons, held)
+    learned, asked = split(lessons, held_out)
     fresh = Trainer(learned, weights.network.widths, options, "cpu").network
     networks = {"features alone": FeaturesOnly(), "untrained": fresh, "trained": weights.network}
     found: list[tuple[str, Evaluation]] = []
@@ -106,7 +106,7 @@ def scene_train(
             found.append((f"{where}: {name}", score))
     objects = float(np.mean([len(x.room) for x in asked]))
     print(
-        f"{len(learned)} homes learned, {held} held out, {objects:.0f} objects each, "
+        f"{len(learned)} homes learned, {held_out} held out, {objects:.0f} objects each, "
         f"{seconds['processor']:.0f} s of one core in this run.\n\n{render(COLUMNS, found)}"
     )
     run.save({

@@ -189,11 +189,11 @@ def _printed(table: int, heads: Sequence[str]) -> list[dict[str, Any]]:
 
 def _written(rows: list[dict[str, Any]]) -> str:
     heads = list(dict.fromkeys(head for row in rows for head in row if head != "row"))
-    whole = {"scenes", "windows", "objects a scene", "vertices an object"}
+    counts = {"scenes", "windows", "objects a scene", "vertices an object"}
     return lab.markdown(
         ["", *heads],
         [
-            [row["row"], *(lab.number(row.get(h), 0 if h in whole else 2) for h in heads)]
+            [row["row"], *(lab.number(row.get(h), 0 if h in counts else 2) for h in heads)]
             for row in rows
         ],
     )
@@ -217,12 +217,14 @@ def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[
     return rows
 
 
-def measured(name: str, row: str, replies: Sequence[Reply], *, whole: bool) -> list[dict[str, Any]]:
-    """Rows of a set, one for each state that its scenes were in; `whole`: with the final fit."""
+def measured(
+    name: str, row: str, replies: Sequence[Reply], *, refined: bool
+) -> list[dict[str, Any]]:
+    """Rows of a set, one for each state that its scenes were in; `refined`: with the final fit."""
     rows = []
-    for state in dict.fromkeys(r.whole.changed for r in replies):
-        told = [r for r in replies if r.whole.changed is state]
-        of = [r.whole if whole else r.filter for r in told]
+    for state in dict.fromkeys(r.final.changed for r in replies):
+        told = [r for r in replies if r.final.changed is state]
+        of = [r.final if refined else r.filter for r in told]
         its = score(of)
         at = {
             (m, d): sum(a.within(m, d) for a in of) / len(of)
@@ -277,19 +279,19 @@ def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[st
 
 def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
     for length in spec.lengths:
-        for name, recipe, whole in spec.rows:
-            yield from measured(of.name, name, asking.replies(of, recipe, length), whole=whole)
+        for name, recipe, refined in spec.rows:
+            yield from measured(of.name, name, asking.replies(of, recipe, length), refined=refined)
 
 
 def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
     for length in spec.lengths:
-        for name, recipe, whole in spec.rows:
+        for name, recipe, refined in spec.rows:
             if length > of.longest:
                 continue
             pace = spec.pace or _pace(asking, of, recipe)
             step = max(1, math.ceil(pace * of.rate))
             replies = asking.replies(of, recipe, length, step=step)
-            yield from measured(of.name, f"{name}, one frame in {step}", replies, whole=whole)
+            yield from measured(of.name, f"{name}, one frame in {step}", replies, refined=refined)
 
 
 def _pace(asking: Asking, of: Set, recipe: str) -> float:
@@ -309,9 +311,9 @@ def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
                         "row": f"{count} scenes, {title}",
                         "frames": frames,
                     } | told
-            for name, recipe, whole in spec.rows:
+            for name, recipe, refined in spec.rows:
                 replies = asking.replies(of, recipe, length, merged=count)
-                yield from measured(of.name, f"{count} scenes, {name}", replies, whole=whole)
+                yield from measured(of.name, f"{count} scenes, {name}", replies, refined=refined)
 
 
 def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) -> list[bool]:
@@ -330,9 +332,9 @@ def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) ->
 def _drifting(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
     for title, drift in ODOMETRY.items():
         for length in spec.lengths:
-            for name, recipe, whole in spec.rows:
+            for name, recipe, refined in spec.rows:
                 replies = asking.replies(of, recipe, length, drift=drift)
-                yield from measured(of.name, f"{name}, {title} odometry", replies, whole=whole)
+                yield from measured(of.name, f"{name}, {title} odometry", replies, refined=refined)
 
 
 _OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace"}

@@ -403,7 +403,7 @@ def statuses(
     fit: Annotated[bool, option("Fit the coefficients of status.py, and print only them.")] = False,
     quick: Quick = False,
 ) -> None:
-    """Is `OK` right, and said often enough? Templates, people's words, and traps."""
+    """Precision and recall of `OK` on templates, people's texts and traps."""
     cities = maps(run)
     sets = text_sets(run.osm, run.data / "text", cities, 20 if quick else texts, seed)
     if fit:

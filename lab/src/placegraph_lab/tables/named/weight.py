@@ -221,7 +221,7 @@ def weight(
         bool, option("Install the core in an empty environment.", "--install/--no-install")
     ] = True,
 ) -> None:
-    """How heavy is the house? Files and lines of every part, functions, prose, starts and sizes."""
+    """Size of the repository: files and lines of every part, functions, prose, starts."""
     root = LAB.parent
     parts = weights(root)
     print(f"{render(WEIGHTS, parts)}\n")

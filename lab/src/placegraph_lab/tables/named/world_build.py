@@ -147,7 +147,7 @@ def world_build(
     once: Annotated[bool, option("One build each, killed and taken up again.")] = False,
     quick: Quick = False,
 ) -> None:
-    """How fast and in how much memory a world is built, and whether it survives being killed."""
+    """Speed and memory of building a world, and builds resumed after a kill."""
     copies = "1" if quick else copies
     run.cache.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []

@@ -175,7 +175,7 @@ def world_locate(
     *,
     quick: Quick = False,
 ) -> None:
-    """What does a sentence, a film or a fix add? Recall of building, room and pose in a quarter."""
+    """Recall of building, room and pose in a quarter, by sentence, film and fix."""
     buildings = 6 if quick else min(buildings, 240)
     with tempfile.TemporaryDirectory() as folder:
         world, visits = quarter(buildings, Path(folder), seed)

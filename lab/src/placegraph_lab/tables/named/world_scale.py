@@ -172,7 +172,7 @@ def world_scale(
     *,
     quick: Quick = False,
 ) -> None:
-    """What a search costs in maps of up to ten million cells, and whether it finds what all do."""
+    """Cost of a search in maps of up to ten million cells, and agreement with full search."""
     if quick:
         copies, queries = "1,2", 10
     folder = run.cache if maps is None else maps

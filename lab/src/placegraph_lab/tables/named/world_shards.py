@@ -236,7 +236,7 @@ def world_shards(
     *,
     quick: lab.Quick = False,
 ) -> None:
-    """Does a world in shards answer as one map? What texts take as it grows, and with workers."""
+    """A world in shards against one map: agreement, time of texts as it grows, workers."""
     if quick:
         copies, queries = "1,2", 6
     folder = Path(worlds or run.cache / "worlds")

@@ -63,7 +63,7 @@ class RankedSentence:
     text: str
     facts: int
     wrong: float
-    among: int
+    candidates: int
     rank: int  # 1 if the scene was first; of equal scores the mean
 
 
@@ -183,7 +183,9 @@ def report(ranked: Sequence[RankedSentence]) -> str:
     for facts in dict.fromkeys(a.facts for a in ranked):
         cells = [
             shares(
-                recall([a for a in ranked if (a.facts, a.among, a.wrong) == (facts, among, wrong)])
+                recall(
+                    [a for a in ranked if (a.facts, a.candidates, a.wrong) == (facts, among, wrong)]
+                )
             )
             for among in AMONG
             for wrong in WRONG
@@ -221,10 +223,10 @@ def speed(scenes: Sequence[Scene], rng: Generator, *, library: int = 10_000) -> 
 
 def figures(ranked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
     """Recall of every row, with a sentence that came out last of it."""
-    keys = dict.fromkeys((a.facts, a.wrong, a.among) for a in ranked)
+    keys = dict.fromkeys((a.facts, a.wrong, a.candidates) for a in ranked)
     out = []
     for facts, wrong, among in keys:
-        own = [a for a in ranked if (a.facts, a.wrong, a.among) == (facts, wrong, among)]
+        own = [a for a in ranked if (a.facts, a.wrong, a.candidates) == (facts, wrong, among)]
         worst = max(own, key=lambda a: a.rank)
         out.append(
             {"facts": facts, "wrong": wrong, "among": among, "sentences": len(own)}
@@ -251,7 +253,7 @@ class Spoken:
     """One localization."""
 
     terms: str
-    said: str  # one of `SAID`
+    text_kind: str  # one of `SAID`
     text: str
     answer: Answer
 
@@ -317,7 +319,7 @@ def pose_figures(spoken: Sequence[Spoken]) -> dict[str, dict[str, dict[str, floa
     out: dict[str, dict[str, dict[str, float]]] = {}
     for terms in TERMS:
         for said in SAID:
-            own = [s.answer for s in spoken if (s.terms, s.said) == (terms, said)]
+            own = [s.answer for s in spoken if (s.terms, s.text_kind) == (terms, said)]
             if own:
                 right = np.array([a.within(*NEAR) for a in own])
                 sure = np.array([a.status == "OK" for a in own])

@@ -153,7 +153,7 @@ class Lessons:
         views = pool.views[rows][texts, slots]
         places = PlaceGraphs.of_views(city, views)
         every = np.arange(len(places))
-        fits = pool.fits
+        fits = pool.word_weights
         words = make_word_fits(fits, *city.word_counts)
         off = np.abs(city.views.positions[views][None] - pool.positions[rows][:, None]).max(2)
         return Batch(

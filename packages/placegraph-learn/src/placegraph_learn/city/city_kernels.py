@@ -55,19 +55,19 @@ def holds_as_said(edge_starts, channels, texts, starts, offsets, kinds, places, 
 
 
 @kernel(fastmath=True)
-def literal(agreement, holds, rarity, ends, said, counts, sizes):
+def literal(agreement, holds, rarity, ends, channels, counts, sizes):
     """Return the evidence (P, S, LITERAL) of statements for places if words alone decide (`score_literally`).
 
-    `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
+    `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `channels`
     (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.
     """
     out = np.zeros((len(counts), holds.shape[1], LITERAL), np.float32)
     for p in range(len(counts)):
         for s in range(counts[p]):
             a, b = ends[p, s]
-            background = background_probability(said[p, s], rarity[p, a], rarity[p, b])
+            background = background_probability(channels[p, s], rarity[p, a], rarity[p, b])
             score_literally(
                 agreement[p, a], agreement[p, b], holds[p, s], sizes[p], background,
-                min(a, b) == 0, said[p, s, len(CHANNEL_CHANCE)] > 0.0, out[p, s],
+                min(a, b) == 0, channels[p, s, len(CHANNEL_CHANCE)] > 0.0, out[p, s],
             )  # fmt: skip
     return out

@@ -355,7 +355,7 @@ class ExamplePool:
     """Q examples of one city, each with K viewpoints."""
 
     texts: TextGraphs
-    fits: WordWeights
+    word_weights: WordWeights
     positions: NDArray[np.float64]
     """(Q, 2) where the text was given [m]."""
     views: NDArray[np.int64]

@@ -263,14 +263,14 @@ class Cross(nn.Module):
 class Network(nn.Module):
     """Graph encoders of both sides, and the joint model (Eq. 9-19).
 
-    `known` is the length of the word vectors that stand for words; 0 where there are none.
+    `vector_size` is the length of the word vectors that stand for words; 0 where there are none.
     """
 
-    def __init__(self, shape: Shape, known: int = 0) -> None:
+    def __init__(self, shape: Shape, vector_size: int = 0) -> None:
         super().__init__()
         self.shape = shape
-        if known:
-            self.meaning = nn.Linear(known, shape.width, bias=False)
+        if vector_size:
+            self.meaning = nn.Linear(vector_size, shape.width, bias=False)
         self.table = nn.Parameter(torch.randn(BUCKETS, shape.width) * shape.width**-0.5)
         self.text, self.place = Side(2, shape), Side(7, shape)
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))

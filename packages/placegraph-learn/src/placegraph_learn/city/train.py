@@ -493,7 +493,7 @@ def write_pool(path: Path, pool: ExamplePool) -> None:
     """Write examples to a file."""
     arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
     arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
-    arrays |= {f"fit:{name}": column for name, column in pool.fits._asdict().items()}
+    arrays |= {f"fit:{name}": column for name, column in pool.word_weights._asdict().items()}
     arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
     write_map(path, "pool", VERSION, {}, arrays, quick=True)
 

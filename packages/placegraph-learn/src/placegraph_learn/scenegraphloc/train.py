@@ -169,7 +169,7 @@ class Picture:
     """Row of its place."""
     index: int
     """Which of the place's pictures."""
-    others: tuple[int, ...]
+    negatives: tuple[int, ...]
     """Rows of other places."""
 
 
@@ -235,7 +235,7 @@ class Trainer:
         return [drawn[k : k + size] for k in range(0, len(drawn), size)]
 
     def _step(self, batch: Sequence[Picture], rooms: dict[tuple[int, bool], Room]) -> float:
-        wanted = dict.fromkeys((row, False) for p in batch for row in (p.lesson, *p.others))
+        wanted = dict.fromkeys((row, False) for p in batch for row in (p.lesson, *p.negatives))
         wanted |= dict.fromkeys(key for p in batch if (key := (p.lesson, True)) in rooms)
         asked = [rooms[key] for key in wanted]
         vectors = unit(self.network.objects(together(asked, device=self.device)))
@@ -283,7 +283,7 @@ class Trainer:
     ) -> Tensor:
         """Return loss of each valid patch against its room, now or earlier, and others."""
         lesson = self.lessons[picture.lesson]
-        keys = [(picture.lesson, earlier), *((row, False) for row in picture.others)]
+        keys = [(picture.lesson, earlier), *((row, False) for row in picture.negatives)]
         objects = torch.cat([encoded[key] for key in keys])
         labels = [label for key in keys for label in rooms[key].labels]
         truth = Truth(
