@@ -417,7 +417,7 @@ def as_text(glb, buffer="parts/a%20b.bin", image="t.png"):
 
 def same(one, other):
     assert one.objects == other.objects
-    for name in ("vertices", "triangles", "thing_of", "uv", "picture_of", "colours"):
+    for name in ("vertices", "triangles", "object_of", "uv", "picture_of", "colours"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert [(p.data, p.factor) for p in one.pictures] == [
         (p.data, p.factor) for p in other.pictures

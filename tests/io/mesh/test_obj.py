@@ -210,7 +210,7 @@ def test_blocks_change_nothing(room, size):
     whole = read_obj(room)
     with patch.object(obj_lines, "BLOCK", size):
         parts = read_obj(room)
-    for name in ("vertices", "triangles", "thing_of", "colours", "uv", "picture_of"):
+    for name in ("vertices", "triangles", "object_of", "colours", "uv", "picture_of"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name))
     assert whole.objects == parts.objects
 
