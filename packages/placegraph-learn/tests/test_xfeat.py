@@ -1,4 +1,3 @@
-import pickle
 import sys
 import urllib.error
 
@@ -86,23 +85,6 @@ def test_cells_are_refined_as_kornia_does_it(weights, picture, warped):
     gaps = np.abs(ours[:, None] - centres).max(axis=2)
     assert gaps.min(axis=0).max() < 1e-2
     assert gaps.min(axis=1).max() < 1e-2
-
-
-class Evil:
-    def __reduce__(self):
-        return (print, ("run",))
-
-
-def test_a_file_that_is_no_weights_is_named(tmp_path, weights, capsys):
-    path = tmp_path / "odd.pt"
-    with pytest.raises(InputError, match=r"odd\.pt does not exist"):
-        matcher("xfeat", weights=path)
-    cut = weights.read_bytes()[:200_000]
-    for content in (b"", b"no weights at all", pickle.dumps(Evil()), cut):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=r"odd\.pt cannot be read as weights"):
-            matcher("xfeat", weights=path)
-    assert "run" not in capsys.readouterr().out
 
 
 def test_weights_of_another_network_are_named(tmp_path, weights):

@@ -3,6 +3,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,7 @@ def test_what_a_build_noted_and_is_damaged_is_named(extract, tmp_path, name, con
 
 def test_workers_do_not_matter(extract, tmp_path):
     build_world([extract], tmp_path / "one", SMALL)
-    build_world([extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, workers=2))
+    build_world([extract], tmp_path / "two", replace(SMALL, workers=2))
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
@@ -130,11 +131,8 @@ def test_words_that_were_kept_and_are_lost_are_counted_again(
         return real(target, *given)
 
     monkeypatch.setattr(module, "finish", losing)
-    monkeypatch.setattr(
-        words,
-        "count_file",
-        lambda path, real=words.count_file: again.append(path.stem) or real(path),
-    )
+    count = words.count_file
+    monkeypatch.setattr(words, "count_file", lambda p: again.append(p.stem) or count(p))
     build_world([extract], tmp_path / "w", SMALL)
     assert again == [made.shards[0].key]
     for name in ("words.table", "world.json"):
@@ -144,7 +142,7 @@ def test_words_that_were_kept_and_are_lost_are_counted_again(
 def test_another_build_in_the_same_folder(extract, tmp_path):
     build_world([extract], tmp_path / "w", SMALL)
     with pytest.raises(OptionError, match="begun with other options"):
-        build_world([extract], tmp_path / "w", BuildOptions(zoom=14, overlap=100.0, workers=1))
+        build_world([extract], tmp_path / "w", replace(SMALL, zoom=14))
     extract.write_text(extract.read_text().replace("bench", "clock"))
     with pytest.raises(OptionError, match="begun with other extracts"):
         build_world([extract], tmp_path / "w", SMALL)
@@ -162,7 +160,7 @@ def test_a_world_of_elsewhere_is_left_alone(extract, tmp_path):
 
 def test_a_worker_that_is_killed_is_replaced(extract, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "build_tile", killers.once)
-    options = BuildOptions(zoom=15, overlap=100.0, workers=2)
+    options = replace(SMALL, workers=2)
     monkeypatch.setenv("KILLED_ONCE", str(tmp_path / "killed"))
     build_world([extract], tmp_path / "w", options)
     assert (tmp_path / "killed").exists()
@@ -262,9 +260,7 @@ def cluster():
 
 def test_a_cluster_builds_the_same(cluster, extract, tmp_path):
     build_world([extract], tmp_path / "one", SMALL)
-    build_world(
-        [extract], tmp_path / "two", BuildOptions(zoom=15, overlap=100.0, scheduler=cluster)
-    )
+    build_world([extract], tmp_path / "two", replace(SMALL, scheduler=cluster))
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 

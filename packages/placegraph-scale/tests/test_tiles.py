@@ -1,4 +1,3 @@
-import errno
 import os
 import re
 import subprocess
@@ -74,12 +73,7 @@ def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
 
 
 def test_a_road_of_600_km_costs_its_part_in_populated_tiles(write_world, tmp_path):
-    park = [
-        (-70_000.0, -110_000.0),
-        (70_000.0, -110_000.0),
-        (70_000.0, 110_000.0),
-        (-70_000.0, 110_000.0),
-    ]
+    park = [(7e4 * x, 11e4 * y) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     nodes = [(0, 0, BENCH), (30, 0, TREE), (20_000, 5, BENCH), (-300_000, 7, {}), (300_000, 7, {})]
     path = write_world(
         [*nodes, *((x, y, {}) for x, y in park)],
@@ -185,8 +179,7 @@ def test_an_extract_that_changed_since_it_was_killed_begins_anew(write_world, tm
     split_up(path, tmp_path / "things")
     os.utime(path, (1, 1))
     again = split_up(path, tmp_path / "things")
-    assert again.objects == 1
-    assert again.of[1] == 10**9
+    assert (again.objects, again.of[1]) == (1, 10**9)
 
 
 @pytest.mark.parametrize(("what", "limit"), [("nodes.index", 0), ("things", 1 << 20)])
@@ -212,9 +205,9 @@ def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp
         [sys.executable, "-c", code, path, folder, str(limit)],
         check=True, capture_output=True, text=True, env=os.environ,
     )  # fmt: skip
-    assert what in said.stdout
-    assert "cannot be written" in said.stdout
-    assert "File too large" in said.stdout
+    for words in (what, "cannot be written", "File too large"):
+        assert words in said.stdout
+    assert what != "things" or "goes on" in said.stdout
     assert split_up(path, folder).objects == 81
 
 
@@ -262,29 +255,6 @@ def test_things_come_back(tmp_path_factory, drawn):
             np.testing.assert_array_equal(a, b)
 
 
-def test_things_in_another_order():
-    things = ElementTable.of([thing(1), thing(2, [(0, 0), (5, 5)]), thing(3)])
-    some = things.take(np.array([2, 1]))
-    assert some.osm_id.tolist() == [3, 2]
-    np.testing.assert_array_equal(some.element(1).parts[0], [(0, 0), (5e-7, 5e-7)])
-    both = ElementTable.joined([things, some])
-    assert both.osm_id.tolist() == [1, 2, 3, 3, 2]
-    np.testing.assert_array_equal(both.element(4).parts[0], some.element(1).parts[0])
-    low, high = both.ends()
-    np.testing.assert_array_equal(high[4] - low[4], (5e-7, 5e-7))
-
-
-def test_things_of_many_tiles(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "ROOM", 300)
-    spills = TileFiles(tmp_path)
-    for i in range(20):
-        spills.add("01" if i % 2 else "02", ElementTable.of([thing(i)]))
-    spills.flush()
-    found = ElementTable.joined(read_frames(tmp_path / "01.things", spills.sizes["01"]))
-    assert found.osm_id.tolist() == list(range(1, 20, 2))
-    assert (tmp_path / "02.things").stat().st_size == spills.sizes["02"]
-
-
 @given(at=st.integers(0, 60), cut=st.booleans())
 def test_a_damaged_file_is_named(tmp_path_factory, at, cut):
     path, size = put(tmp_path_factory.mktemp("spill"), [thing()])
@@ -300,18 +270,3 @@ def test_the_longest_version_counts():
     assert kept.osm_id.tolist() == [1, 2]
     assert len(kept.element(0).parts[0]) == 2
     assert drop_duplicates(kept) is kept
-
-
-def test_a_full_disk(tmp_path, monkeypatch):
-    class Full:
-        def __enter__(self):
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        def __exit__(self, *_):
-            pass
-
-    spills = TileFiles(tmp_path)
-    spills.add("0", ElementTable.of([thing()]))
-    monkeypatch.setattr("pathlib.Path.open", lambda *_: Full())
-    with pytest.raises(MapError, match=r"0\.things cannot be written: No space left.*goes on"):
-        spills.flush()

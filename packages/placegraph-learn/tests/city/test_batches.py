@@ -114,38 +114,24 @@ def test_what_holds_is_what_was_said_of_what_is_there(pool, paired):
     assert not batch.holds[~spoken].any()
 
 
-def test_the_literal_reading_counts_pairs_that_fit(paired):
+def test_the_literal_reading_counts_pairs_that_fit_and_ends_in_a_likelihood_ratio(paired):
     places, _, batch = paired
     assert batch.literal.shape[2] == LITERAL
-    sizes = np.diff(places.starts) + 1
-    for p in range(len(batch.text)):
-        for s in np.flatnonzero(batch.spoken[p]):
-            a, b = batch.agreement[p, batch.ends[p, s]]
-            expected = [a @ batch.holds[p, s] @ b + 0.02, a.sum() + 0.02, b.sum() + 0.02, sizes[p]]
-            assert batch.literal[p, s, :4] == pytest.approx(np.log(expected), rel=1e-3, abs=1e-4)
-
-
-def test_the_literal_reading_ends_in_a_likelihood_ratio(paired):
-    places, _, batch = paired
     of_me = 0
     for p in range(len(batch.text)):
         things = places.starts[p + 1] - places.starts[p]
         for s in np.flatnonzero(batch.spoken[p]):
             ends, said = batch.ends[p, s], batch.channels[p, s]
             a, b = batch.agreement[p, ends]
-            held = a @ batch.holds[p, s] @ b
-            chance = (said[:-1] * CHANNEL_CHANCE).sum() * np.exp(
-                -10.0 * batch.rarity[p, ends].sum()
-            )
-            pairs = (
-                things + SINGLE_SMOOTHING
-                if ends.min() == 0
-                else things * (things - 1) + PAIR_SMOOTHING
-            )
-            ratio = min(held / pairs, 1.0) / max(chance, 1e-7)
-            if said[-1]:
-                ratio = np.exp(-2.0 * held)
+            held, alone = a @ batch.holds[p, s] @ b, ends.min() == 0
+            counts = [held + 0.02, a.sum() + 0.02, b.sum() + 0.02, things + 1]
+            assert batch.literal[p, s, :4] == pytest.approx(np.log(counts), rel=1e-3, abs=1e-4)
+            rarity = np.exp(-10.0 * batch.rarity[p, ends].sum())
+            chance = (said[:-1] * CHANNEL_CHANCE).sum() * rarity
+            pairs = things * (things - 1) + PAIR_SMOOTHING
+            ratio = held / (things + SINGLE_SMOOTHING if alone else pairs)
+            ratio = np.exp(-2.0 * held) if said[-1] else min(ratio, 1.0) / max(chance, 1e-7)
             expected = np.log((1.0 - NOISE) * ratio + NOISE)
             assert batch.literal[p, s, 4] == pytest.approx(expected, rel=1e-3, abs=1e-3)
-            of_me += ends.min() == 0
+            of_me += alone
     assert of_me

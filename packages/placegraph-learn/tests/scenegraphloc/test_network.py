@@ -210,23 +210,6 @@ def test_normalisation_of_points_has_no_say(tiny, rng):
         assert torch.equal(tiny.objects(objects), before)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 3)])
-def test_any_grid_of_patches_is_encoded(tiny, rng, shape):
-    with torch.no_grad():
-        out = tiny.patches(torch.from_numpy(rng.normal(size=(2, *shape, 6))).float())
-    assert out.shape == (2, *shape, 8)
-    assert float(out.min()) >= 0.0
-
-
-def test_a_loss_falls_where_its_patch_comes_nearer_to_what_it_shows(rng):
-    objects = unit(torch.from_numpy(rng.normal(size=(4, 8))).float())
-    truth = Truth(torch.tensor([3, 0]), torch.tensor([2, -1]), torch.tensor([1, 1, 2, 3]))
-    far = torch.stack([objects[0], objects[1]])
-    near = torch.stack([unit(objects[0] + objects[2]), objects[1]])
-    assert float(losses(near, objects, truth)) < float(losses(far, objects, truth))
-    assert not bool(right(far, objects, truth))
-
-
 @pytest.mark.parametrize("wrong", [{"embedding": 0}, {"graph": 7}, {"points": (3, 0, 2)}])
 def test_impossible_widths_are_refused(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):

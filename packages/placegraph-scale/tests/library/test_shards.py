@@ -74,34 +74,40 @@ def test_many_shards_are_one_library(shards, signatures, tmp_path, rooms):
             assert mode.probability == pytest.approx(one[mode.scene], abs=0.05)
 
 
-def test_scenes_by_their_map_files(rooms, tmp_path):
-    made = SceneLibrary()
+@pytest.fixture
+def files(rooms, tmp_path):
+    library = SceneLibrary()
     for name, room in rooms.items():
         room.scene.save(tmp_path / f"{name}.scene")
-        made.add(name, tmp_path / f"{name}.scene")
-    scenes = [NamedEntry(n, made.entry(n), f"../{n}.scene") for n in made]
+        library.add(name, tmp_path / f"{name}.scene")
+    return library
+
+
+def test_scenes_by_their_map_files(files, rooms, tmp_path):
+    scenes = [NamedEntry(n, files.entry(n), f"../{n}.scene") for n in files]
     shards = write_shards(tmp_path / "shards", scenes)
     found = shards.search("a study with two desks")
     assert found.best.scene == "study"
     assert any(e.verdict == "for" for e in found.best.evidence)
     near = shards.open_scenes(found.stats["rows"][:2])
     assert near.names[0] == "study"
+    posed = shards.localize(rooms["study"].film(3), most=2, refine=False, seed=0)
+    assert posed.best.scene == "study"
     (tmp_path / "study.scene").write_bytes(b"another")
     with pytest.raises(MapError, match="another map"):
         SceneShards.open(tmp_path / "shards").open_scenes(found.stats["rows"][:1])
 
 
 def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
-    with pytest.raises(OptionError, match="no scene"):
-        write_shards(tmp_path / "none", [])
-    with pytest.raises(OptionError, match="size"):
-        write_shards(tmp_path / "none", [], size=0)
-    with pytest.raises(OptionError, match="says nothing of a place"):
-        shards.search("I do not know")
-    with pytest.raises(OptionError, match="most"):
-        shards.search("a sofa", most=0)
-    with pytest.raises(OptionError, match="row"):
-        shards.name(SCENES)
+    for words, ask in (
+        ("no scene", lambda: write_shards(tmp_path / "none", [])),
+        ("size", lambda: write_shards(tmp_path / "none", [], size=0)),
+        ("says nothing of a place", lambda: shards.search("I do not know")),
+        ("most", lambda: shards.search("a sofa", most=0)),
+        ("row", lambda: shards.name(SCENES)),
+    ):
+        with pytest.raises(OptionError, match=words):
+            ask()
     with pytest.raises(InputError, match="no map file"):
         shards.open_scenes([0])
 
@@ -139,11 +145,6 @@ def test_what_is_unfinished_is_no_library(signatures, tmp_path):
     (folder / "00001.shard").unlink()
     left = SceneShards.open(folder)
     assert (len(left), left.missing) == (2, 2)
-
-
-def test_no_shards(tmp_path):
-    with pytest.raises(InputError, match="no shards of a library"):
-        SceneShards.open(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -216,13 +217,9 @@ def test_options_are_those_of_a_library(shards, rooms):
     assert len(found.modes) == 3
 
 
-def test_on_the_command_line(rooms, tmp_path, run, monkeypatch):
+def test_on_the_command_line(files, tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    made = SceneLibrary()
-    for name, room in rooms.items():
-        room.scene.save(tmp_path / f"{name}.scene")
-        made.add(name, tmp_path / f"{name}.scene")
-    made.save(tmp_path / "rooms.library")
+    files.save(tmp_path / "rooms.library")
     told = run("library", "shard", "rooms.library", "-o", "rooms.shards", "--json")
     assert json.loads(told.out)["scenes"] == 3
     found = run("library", "search", "rooms.shards", "a study with two desks", "--json")
@@ -233,15 +230,3 @@ def test_on_the_command_line(rooms, tmp_path, run, monkeypatch):
     )
     assert "6 scenes in 3 shards" in twice.out
     assert SceneShards.open("two.shards").name(3).startswith("more: ")
-
-
-def test_a_pose_in_the_likeliest(rooms, tmp_path):
-    made = SceneLibrary()
-    for name, room in rooms.items():
-        room.scene.save(tmp_path / f"{name}.scene")
-        made.add(name, tmp_path / f"{name}.scene")
-    shards = write_shards(
-        tmp_path / "s", [NamedEntry(n, made.entry(n), f"../{n}.scene") for n in made]
-    )
-    found = shards.localize(rooms["study"].film(3), most=2, refine=False, seed=0)
-    assert found.best.scene == "study"

@@ -156,9 +156,8 @@ def test_a_world_in_a_folder_of_maps_is_part_of_it(folders, tmp_path):
 def test_by_the_command_line_and_a_server(folders, demo_world, run):
     from placegraph_serve.places import Places
 
-    told = run(
-        "locate", folders[1], WINDOW, "--capture", demo_world / "window", "--json", "--quiet"
-    )
+    frames = ("--capture", demo_world / "window")
+    told = run("locate", folders[1], WINDOW, *frames, "--json", "--quiet")
     assert TWIN_FLAT in told.out
     places = Places([folders[1]])
     assert {entry.kind for entry in places.entries()} == {"world", "scene"}

@@ -14,15 +14,11 @@ from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.names import NameIndex
 from placegraph_scale.folder import digest_of
 from placegraph_scale.shards import WorldFile, finish
-from placegraph_scale.shards import words as merge
 from placegraph_scale.shards import words as table
 from placegraph_scale.shards.words import (
-    ColumnFiles,
-    TextSorter,
     WordCounts,
     WordTable,
     count_file,
-    sort_rows,
 )
 from shards_world import ZOOM
 
@@ -118,15 +114,6 @@ def test_a_folder_without_one_is_missing_it(tmp_path):
     assert not is_world(tmp_path)
     with pytest.raises(InputError, match="world build"):
         WorldFile.read(tmp_path)
-
-
-def test_a_damaged_table_is_refused(world):
-    path = world / "words.table"
-    blob = bytearray(path.read_bytes())
-    blob[len(blob) // 2] ^= 255
-    path.write_bytes(blob)
-    with pytest.raises(MapError, match=r"words\.table"):
-        WordTable.open(path)
 
 
 WORDS = ("Rex", "The", "Theatre", "Station", "Stations", "4th", "West", "Street", "Lange", "Straße",
@@ -232,32 +219,6 @@ def test_a_table_is_the_same_however_little_memory_there_is(tmp_path_factory, fo
         expected = {i: n for i, n in held.items() if n}
         assert dict(zip(entries.shards.tolist(), entries.objects.tolist(), strict=True)) == expected
         np.testing.assert_array_equal(entries.mass, entries.objects * np.float32(0.5))
-
-
-def test_texts_wait_on_disk(tmp_path):
-    texts = TextSorter(tmp_path / "texts", at_once=3)
-    for n, word in enumerate(["the", "rex", "and", "the", "rex", "and", "a", "fox\nand"]):
-        texts.add(word, [n, -n])
-    assert len(list((tmp_path / "texts").iterdir())) == 2
-    assert list(texts.merge()) == [
-        ("a", [6, -6]), ("and", [2, -2, 5, -5]), ("fox\nand", [7, -7]),
-        ("rex", [1, -1, 4, -4]), ("the", [0, 0, 3, -3]),
-    ]  # fmt: skip
-
-
-@given(st.lists(st.integers(0, 2**63 - 1) | st.integers(0, 3), max_size=30), st.integers(1, 9))
-def test_rows_in_the_order_of_their_keys(keys, at_once):
-    keys = np.array(keys, np.uint64)
-    rows = np.concatenate([np.zeros(0, np.int64), *sort_rows(keys, at_once)])
-    np.testing.assert_array_equal(rows, np.argsort(keys, kind="stable"))
-
-
-def test_starts_grow_step_by_step(tmp_path, monkeypatch):
-    monkeypatch.setattr(merge, "SOME", 2)
-    made, sizes = ColumnFiles(tmp_path / "columns"), np.array([3, 0, 4, 1, 1])
-    np.testing.assert_array_equal(made.starts("starts", sizes), [0, 3, 3, 7, 8, 9])
-    np.testing.assert_array_equal(made.take("few", sizes, np.array([4, 2, 0])), [1, 4, 3])
-    assert len(made.open("none", "<u4")) == 0
 
 
 def test_a_scratch_folder_that_cannot_be_made_is_told(tmp_path):
