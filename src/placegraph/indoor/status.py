@@ -525,7 +525,7 @@ def doubt_by_search(estimate: PoseEstimate, search: SceneEstimate, looked: int) 
 
 
 def search_odds(name: str, search: SceneEstimate, looked: int) -> tuple[float, float]:
-    """Return what a search adds to the odds of a scene [nat], at most 0, and the probability left out.
+    """Return the log-odds [nat] that a search adds to a scene, at most 0, and the probability left out.
 
     A search errs: it is believed no further than one in a hundred.
     """

@@ -161,7 +161,7 @@ class TrialFolder:
         return made
 
     def find_damage(self, old: dict[str, bytes]) -> str:
-        """Return what is wrong with the files; empty where nothing is."""
+        """Return the defect of the files; empty where there is none."""
         there = read_files(self.folder)
         for name, found in there.items():
             if self.command.makes_file(name):

@@ -245,7 +245,7 @@ class _Reader(_Base):  # type: ignore[misc]  # untyped
             raise RefusedError(f"it is out of order ({type(error).__name__}: {error})") from None
 
     def find_class(self, module: str, name: str) -> Name:
-        """Return what a name means here; nothing is imported."""
+        """Return the stand-in for a pickled name; nothing is imported."""
         meaning = self.release.names.get((module, name))
         if meaning is None:
             raise RefusedError(f"it asks for {module[:80]}.{name[:80]}")

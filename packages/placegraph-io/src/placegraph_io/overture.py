@@ -510,7 +510,7 @@ def is_overture(path: str) -> bool:
 
 
 def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator[OsmElement]:
-    """Yield what Overture knows, as elements of OpenStreetMap.
+    """Yield Overture's features as elements of OpenStreetMap.
 
     Places are points, segments lines, buildings areas. Ids are negative, since they are none of
     OpenStreetMap: their digits are the last 15 hexadecimal ones of Overture's id.

@@ -191,7 +191,7 @@ _LIDAR = 192, 256  # width and height of depth where old recordings do not say
 
 
 def is_record3d(path: Path) -> bool:
-    """Return whether this is a `.r3d` file, its folder, or an export's."""
+    """Return whether a path is a `.r3d` file, its folder, or an export's."""
     if path.is_file():
         return path.suffix.lower() == ".r3d"
     known = _find_export(path)

@@ -246,7 +246,7 @@ class LocalizerNode:
         self._worker.start()
 
     def _descriptor(self, value: object) -> Any:  # noqa: ANN401  # of rcl_interfaces
-        """Return what may be set: where it is seconds, whole ones (`1`), too."""
+        """Return the descriptor of a parameter; seconds may be integers (`1`), too."""
         descriptor = self.ros.message("rcl_interfaces/msg/ParameterDescriptor")()
         descriptor.dynamic_typing = isinstance(value, float)
         return descriptor

@@ -275,7 +275,7 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
-    """Return what a build depends on; if any of it changes, it is another build."""
+    """Return the inputs of a build; if one changes, it is another build."""
     known = asdict(options)
     for name in ("workers", "scheduler", "vocabulary", "work"):
         del known[name]

@@ -118,7 +118,7 @@ class WorldFile:
         files.write_file(self.folder / NAME, [text.encode() + b"\n"])
 
     def path(self, shard: ShardFile) -> Path:
-        """Return where a shard's file lies."""
+        """Return the path of a shard's file."""
         return self.folder / shard.file
 
 

@@ -50,7 +50,7 @@ class AnswerCache:
         self._making = threading.Lock()
 
     def get(self, key: tuple[Any, ...], make: Callable[[], bytes]) -> bytes:
-        """Return what is known of a key, or make it; one is made at a time."""
+        """Return the cached value of a key, or make it; one is made at a time."""
         found = self._find(key)
         if found is not None:
             return found

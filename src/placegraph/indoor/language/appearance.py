@@ -199,7 +199,7 @@ def colours_of(scene: Scene) -> Floats:
 
 
 def named(colours: NDArray[np.uint8]) -> Floats:
-    """Return how readily (n, 12) colours (n, 3) uint8 sRGB are called by each basic name; rows sum to 1."""
+    """Return the probability (n, 12) of each basic name for colours (n, 3) uint8 sRGB; rows sum to 1."""
     shown, names = _swatches()
     distance = np.linalg.norm(_lab(colours)[:, None] - shown, axis=2)
     nearest = np.stack([distance[:, names == i].min(axis=1) for i in range(len(COLOURS))], axis=1)
@@ -278,13 +278,13 @@ def describe_objects(
 
 @lru_cache(maxsize=20_000)
 def _read_looks(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
-    """Return what a label, and values of attributes ("wooden, metal"), say of looks."""
+    """Return the look that a label, and values of attributes ("wooden, metal"), state."""
     values = [value.strip() for text in attributes for value in text.lower().split(",")]
     return appearance_words().classify([*split_label(label), *values])
 
 
 def _places(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
-    """Return how well (n, 4) objects stand in a corner, in the middle, against a wall, and in a row."""
+    """Return the agreement (n, 4) of objects with: in a corner, in the middle, against a wall, in a row."""
     low, high = at - size / 2, at + size / 2
     floors = [i for i, label in enumerate(labels) if is_floor(label)]
     inside = floors or list(range(len(labels)))
@@ -326,7 +326,7 @@ def describe_room(graph: SceneGraph, rows: Sequence[int]) -> Floats:
 
 
 def ratios(words: Iterable[str], rows: Table, library: Table, like: Floats) -> Floats:
-    """Return how much better (n,) than usual things look as words say.
+    """Return the likelihood ratio (n,) of the looks that words state, against usual objects.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def ratios(words: Iterable[str], rows: Table, library: Table, like: Floats) -> F
 
 
 def room_ratios(words: Iterable[str], rows: Table, library: Table) -> Floats:
-    """Return how much better (n,) than usual rooms (m, C) the rooms (n, C) fit words for their size."""
+    """Return the likelihood ratio (n,) of words for the size of rooms (n, C), against rooms (m, C)."""
     out = np.ones(len(rows))
     for entries in appearance_words().classify(words).values():
         for entry in dict.fromkeys(entries):
@@ -379,7 +379,7 @@ def room_ratios(words: Iterable[str], rows: Table, library: Table) -> Floats:
 def _fit(
     kind: str, entries: tuple[str, ...], rows: Table, library: Table, like: Floats
 ) -> Floats | None:
-    """Return how well (n,) looks are what entries of a class say; NaN where nobody knows."""
+    """Return the agreement (n,) of looks with the entries of a class; NaN where unknown."""
     match kind:
         case "colours":
             return _fit_colours(entries, rows)
@@ -409,7 +409,7 @@ def _fit_colours(entries: tuple[str, ...], rows: Table) -> Floats:
 
 
 def _fit_sizes(entries: tuple[str, ...], rows: Table, library: Table, like: Floats) -> Floats:
-    """Return how well (n,) sizes fit, against the mean of things that are alike."""
+    """Return the agreement (n,) of sizes, against the mean of similar objects."""
     out = np.ones(len(rows))
     for entry in dict.fromkeys(entries):
         column = AT[_MEASURED.get(entry, "volume")]

@@ -151,7 +151,7 @@ def _resolve_types(chunks: list[Chunk]) -> Iterator[Chunk]:
 
 
 def _resolve_type(chunk: Chunk, before: str, after: str) -> Chunk | None:
-    """Return what a chunk is between two types; None where it says nothing."""
+    """Return the type of a chunk between two types; None where it says nothing."""
     kind, words = chunk.type, chunk.words
     single = " " not in words
     opposite = words == "opposite" and after == "WORD"  # "on the opposite wall"

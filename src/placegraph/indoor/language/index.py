@@ -57,7 +57,7 @@ class Described:
 def units(
     graph: SceneGraph, rooms: Sequence[str] = (), attributes: Sequence[Mapping[str, str]] = ()
 ) -> list[Described]:
-    """Return what may be described of a scene: its rooms, and, where there are several, all of it.
+    """Return the describable units of a scene: its rooms and, if there are several, the scene.
 
     `rooms`: (N,) name of the room of each object, empty where unknown; `attributes`: (N,) what else
     is known of them. Raises `OptionError` where there is not one for each object.
@@ -213,7 +213,7 @@ class Columns(NamedTuple):
     """How many."""
 
     def match_labels(self, query: str) -> Floats32:
-        """Return how well (L,) the labels fit what is asked for."""
+        """Return the similarity (L,) of the labels to the query."""
         return match_labels(query, self.labels)
 
 

@@ -33,7 +33,7 @@ _NAMED = 0.97  # a room is what it is called
 
 
 def match_labels(query: str, labels: Sequence[str]) -> Floats32:
-    """Return how well labels (n,) fit what is asked for, in [0, 1]: 1 the same thing, 0 no kin of it.
+    """Return the similarity of labels (n,) to a query in [0, 1]: 1 the same kind, 0 unrelated.
 
     A "desk" is a "table" by half. Labels that name nothing fit nothing.
     """
@@ -80,7 +80,7 @@ def _start(label: str) -> str:
 
 @lru_cache(maxsize=_MEMORY)
 def everyday(query: str) -> tuple[tuple[str, np.float32], ...]:
-    """Return what maps may call a thing by everyday words for it, and how well: the longest last words."""
+    """Return labels of maps for everyday words, with similarities: those of the longest last words."""
     words = split_label(query)
     for first in range(len(words)):
         for last in singular_forms(words[-1]):
@@ -157,7 +157,7 @@ def room_kind(label: str) -> str:
 
 
 def kind_by_name(name: str, else_: Floats) -> Floats:
-    """Return how probably (R,) a room is of each kind by its name; `else_` where it names none."""
+    """Return the probability (R,) of each kind of room by a name; `else_` where it names none."""
     named = room_kind(name)
     if not named:
         return else_
@@ -166,7 +166,7 @@ def kind_by_name(name: str, else_: Floats) -> Floats:
 
 
 def kinds_of(contents: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_) -> Floats:
-    """Return how probably (U, R) rooms are of each kind by what is in them.
+    """Return the probability (U, R) of each kind of room by the objects in it.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def kinds_of(contents: NDArray[np.floating], undivided: NDArray[np.bool_] | np.b
 
 
 def likenesses(labels: Sequence[str]) -> Floats32:
-    """Return how well (L, T) labels fit the things of the table; kin counts for less than by half."""
+    """Return the similarity (L, T) of labels to the entries of the table; kin counts less than half."""
     if not labels:
         return np.zeros((0, len(table().labels)), np.float32)
     return np.stack([_likeness(label) for label in labels])
@@ -205,7 +205,7 @@ def _likeness(label: str) -> Floats32:
 
 
 def base_rate(label: str) -> float:
-    """Return how probably an average room holds what is called so; a tenth where nobody told."""
+    """Return the probability of a label in an average room; 0.1 where unknown."""
     likeness = _likeness(label)
     best = int(likeness.argmax())
     return float(table().average[best]) if likeness[best] > 0.0 else 0.1

@@ -90,7 +90,7 @@ def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> Floats32:
 
 
 def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
-    """Return what of the sentence says nothing on this map, and why: things it does not have."""
+    """Return the statements that say nothing on this map, with reasons."""
     things = Referents(sentence, scene)
     reasons = [(s, things.missing(s)) for s in sentence.statements]
     return tuple(Ignored(s.text, reason) for s, reason in reasons if reason)
@@ -99,7 +99,7 @@ def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
 def evidence(
     sentence: Sentence, scene: Scene, table: VisibilityTable, pose: ArrayLike
 ) -> tuple[Evidence, ...]:
-    """Return what each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
+    """Return the agreement of each statement with a pose (4,) x, y, z [m], yaw [rad] on a map."""
     if not len(table):
         return ()
     pose = np.asarray(pose, np.float64)
@@ -237,7 +237,7 @@ class Referents:
         return likenesses(labels)[row]
 
     def _in_room(self, kind: str) -> Floats32:
-        """Return how well (N,) objects stand for a room of a kind: they are in it."""
+        """Return the weight (N,) of objects as evidence of a room of a kind: they are in it."""
         of, _, kinds = self.rooms
         share = np.append(kinds[:, table().kinds.index(kind)], 0.0)
         return np.where(share > _NO_ROOM, share, 0.0)[of].astype(np.float32)
@@ -292,7 +292,7 @@ class PoseFits:
         return self._nearest_views[0]
 
     def fit(self, s: Statement) -> Floats32:
-        """Return how well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
+        """Return the agreement (K, A), or (K, 1) of all headings, with a statement; in [0, 1]."""
         match s.kind:
             case Kind.TOWARDS:
                 fit = self._towards(s)
@@ -313,11 +313,11 @@ class PoseFits:
 
     # one thing
     def _weights(self, t: int) -> Floats32:
-        """Return how well (J,) what is looked for is a thing."""
+        """Return the agreement (J,) of mapped objects with the mention."""
         return self._referents.weights[t][self._rows]
 
     def _in_sight(self, t: int) -> Floats32:
-        """Return how well (K,) a thing in sight is the thing, and how readily it is spoken of."""
+        """Return the agreement (K,) of an object in sight with the mention, times its weight."""
         return np.asarray((self._weights(t)[:, None] * self._readily).max(axis=0), np.float32)
 
     @cached_property
@@ -407,7 +407,7 @@ class PoseFits:
         return self._best(a, b, pairs, fit)
 
     def _related(self, s: Statement) -> Floats32:
-        """Return how well (K,) a thing is seen beside another, or both are in sight."""
+        """Return the agreement (K,) with an object beside another, or with both in sight."""
         a, b = s.mentions
         if s.relation not in ("left of", "right of", "in front of", "behind"):
             return np.minimum(self._presence(a), self._in_sight(b))
@@ -425,7 +425,7 @@ class PoseFits:
 
     # rooms
     def _room(self, s: Statement) -> Floats32:
-        """Return how probably (K,) a position is in a room of a kind: by its room, and by what is near."""
+        """Return the probability (K,) of a room of a kind at a position: by its room, and by objects near."""
         of, names, kinds = self._referents.rooms
         kind = table().kinds.index(self._referents.sentence.mentions[s.mentions[0]].room)
         share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _LEANING, len(names))

@@ -474,7 +474,7 @@ def looks_of(noun: NounPhrase) -> tuple[str, ...]:
 
 
 def _mention(noun: NounPhrase, text: str) -> Mention:
-    """Return what a noun phrase says."""
+    """Return the mention of a noun phrase."""
     words = [chunk.words for chunk in noun.words]
     before, first = leading(words)
     after, last = trailing(words[first:])

@@ -96,7 +96,7 @@ def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> F
 
 
 def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[Term]:
-    """Yield what statements say: that things are there, and that two of them are so related.
+    """Yield the claims of statements: that objects are there, and that two of them are related.
 
     Where the speaker is, nobody knows: of scenes it says that the things are there. What a text
     speaks of twice is there once.
@@ -189,7 +189,7 @@ class _UnitFits:
         return self._claimed.setdefault(best, word) == word
 
     def room(self, mention: Mention) -> Floats:
-        """Return how well (U,) units are such a room, or so many."""
+        """Return the agreement (U,) of units with the kind or number of rooms."""
         columns = self._columns
         expected = np.ones(len(columns.rooms))  # of no kind: "a large room"
         if mention.room:
@@ -200,7 +200,7 @@ class _UnitFits:
         return np.minimum(expected, 1.0) * size
 
     def fit(self, t: int) -> Floats:
-        """Return how well (U,) units hold a thing that looks as was said."""
+        """Return the agreement (U,) of units with a mention and its stated look."""
         if t not in self._held:
             thing = self._sentence.mentions[t]
             weights = self._match(thing.label)
@@ -216,7 +216,7 @@ class _UnitFits:
     def _appearance_ratio(
         self, mention: Mention, weights: Floats32, entries: NDArray[np.int64], best: Floats32
     ) -> Floats:
-        """Return how much better (U,) than usual the best of such things looks as was said."""
+        """Return the likelihood ratio (U,) of the stated look: the best such object against the usual."""
         if not mention.attributes or not len(entries):
             return np.ones(len(best))
         postings = self._columns.of_labels
@@ -236,7 +236,7 @@ class _UnitFits:
         return np.where(best > 0.0, out, 1.0)
 
     def related(self, s: Statement) -> tuple[Floats, Floats]:
-        """Return how well (U,) two things are related as was said, and whether they are there at all."""
+        """Return the agreement (U,) with a stated relation of two objects, and whether both are there."""
         columns = self._columns
         things = [self._sentence.mentions[t] for t in s.mentions]
         first, second = (self._match(thing.label) for thing in things)
@@ -274,7 +274,7 @@ def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _counted(counts: Floats, mention: Mention) -> Floats:
-    """Return how well counts of things fit what a mention says: one off is often a matter of taste."""
+    """Return the agreement of counts of objects with a mention; counts that are one off cost little."""
     if mention.count is not None and mention.count > 1:
         off = np.abs(counts - mention.count)
         return np.where(counts > 0, np.where(off == 0, 1.0, np.where(off == 1, 0.4, 0.15)), 0.0)
@@ -375,7 +375,7 @@ class TextIndex:
         return len(self._scenes) - 1
 
     def units(self, row: int) -> tuple[Described, ...]:
-        """Return what may be described of a scene: its rooms, and where there are several all of it."""
+        """Return the describable units of a scene: its rooms and, if there are several, the scene."""
         return tuple(self._scenes[row])
 
     def remove(self, row: int) -> None:
@@ -411,7 +411,7 @@ def _units(
     rooms: Sequence[str] = (),
     attributes: Sequence[Mapping[str, str]] = (),
 ) -> list[Described]:
-    """Return what may be described of a graph, or of a map, which knows its rooms and colours."""
+    """Return the describable units of a graph, or of a map, which knows its rooms and colours."""
     if not isinstance(graph, Scene):
         return units(graph, rooms, attributes)
     own = [a.get("room", "") for a in graph.attributes]
@@ -425,7 +425,7 @@ def score(
     library: TextIndex | None = None,
     attributes: Sequence[Mapping[str, str]] = (),
 ) -> Score:
-    """Return how well a scene answers a text, as a log-likelihood ratio against an average scene.
+    """Return the log-likelihood ratio of a text for a scene against an average scene.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def look_for(objects, ranges, slot, level, slots):
 
 @kernel
 def look_around_for(objects, ranges, weight, fit):
-    """Return how well (K, A) what is seen in each direction is the thing: the best of `weight` x `fit`.
+    """Return the agreement (K, A) of the view in each direction with an object: the best of `weight` x `fit`.
 
     `weight`: (N + 1,) how well each object is the thing; `fit`: (E, 256) how well ranges fit.
     """

@@ -245,7 +245,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         return self.names[row]
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
-        """Return where a scene stands on Earth."""
+        """Return the anchor of a scene on Earth."""
         return self.entry(self.names[row]).earth
 
     def score_frames(self, query: Query, options: SearchOptions) -> Scores:

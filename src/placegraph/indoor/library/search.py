@@ -131,7 +131,7 @@ class PatchWords:
         return np.asarray(np.bincount(self.word, weights, len(self.words)), np.float64)
 
     def ratios(self, vocabulary: Vocabulary, options: SearchOptions) -> NDArray[np.float32]:
-        """Return how much likelier each word is of an object that looks like each vector, than of anything.
+        """Return likelihood ratios of each word: an object that looks like each vector, against any object.
 
         (U, W): exp(cosine / temperature) over its mean over what is usually seen. Of what nothing is
         known, nothing follows: 1.
@@ -409,7 +409,7 @@ class SceneCollection(ABC):
 
     @abstractmethod
     def earth(self, row: int) -> tuple[EarthPose, ...]:
-        """Return where a scene stands on Earth: one a candidate, likeliest first."""
+        """Return the anchors of a scene on Earth: one a candidate, likeliest first."""
 
     @abstractmethod
     def score_frames(self, query: Query, options: SearchOptions) -> Scores:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def quantize_vectors(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Return whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+    """Return integers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
 
     Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
     """

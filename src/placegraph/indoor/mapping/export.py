@@ -190,7 +190,7 @@ def _ending_of(path: str | PathLike[str]) -> str:
 
 
 def list_losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
-    """Return what of a map a file of this ending has no place for, in sentences."""
+    """Return sentences about the parts of a map that a file of this ending cannot hold."""
     ending, lost = _ending_of(path), []
     if ending in (".osm", *OSMAG_ENDINGS):
         return (

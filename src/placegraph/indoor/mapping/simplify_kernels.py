@@ -185,7 +185,7 @@ def value_at(f, s, t, wedges, values, k):
 
 @kernel
 def measure_shift(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
-    """Return how far textures of faces that stay would slide [m], and other attributes change."""
+    """Return the slide [m] of textures of the faces that stay, and the change of other attributes."""
     slide, change = 0.0, 0.0
     for v in (a, b):
         corner = head[v]

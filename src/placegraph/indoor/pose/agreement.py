@@ -94,7 +94,7 @@ def features(agreed: Agreement) -> list[float]:
 
 
 def _share_of_depth_alone(agreed: Agreement) -> float:
-    """Return how far depth is the only evidence, 0 to 1: clear colours or several objects make it less."""
+    """Return the weight (0 to 1) of depth as the only evidence: clear colours or several objects lower it."""
     colour = 0.0 if np.isnan(agreed.colour) else (agreed.colour - SPEAK) / (CLEAR - SPEAK)
     named = 0.0 if np.isnan(agreed.semantic) else np.clip(agreed.weights / TELLING, 0.0, 1.0).sum()
     lifted = np.clip([colour, named / WITNESSES], 0.0, 1.0)
@@ -370,7 +370,7 @@ def _have_equal_image(one: Observation, other: Observation) -> bool:
 
 
 def find_contradiction(window: Window, frames: Floats) -> str:
-    """Return how frames of a window contradict each other by their odometry, as a sentence; empty: not.
+    """Return a sentence about frames that contradict each other by their odometry; empty where none do.
 
     A frame that fits and one that does not cannot both have been taken where odometry says. Rows *half
     elsewhere* and *no odometry*; of images without depth, the rows *colour alone* of absent scenes.

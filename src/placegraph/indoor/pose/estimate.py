@@ -128,7 +128,7 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
 
 
 def _agreement_of_frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
-    """Return how far each frame of the window agrees with its pose (T, 4): (T, 3)."""
+    """Return the agreement (T, 3) of each frame of the window with its pose (T, 4)."""
     older = len(window) - len(agreed.frames)
     if not older:
         return agreed.frames

@@ -241,7 +241,7 @@ class _Gltf:
         return data[start : start + length]
 
     def resolve(self, uri: object, what: str) -> bytes:
-        """Return what a URI names: base64 in it, or a file in the same folder or below."""
+        """Return the bytes of a URI: base64 in it, or a file in the same folder or below."""
         text = str(uri)
         if text.startswith("data:"):
             head, _, packed = text.partition(",")

@@ -177,13 +177,13 @@ class _Lines(NamedTuple):
     rows: Rows  # which lines of the block they are
 
     def words(self) -> Rows:
-        """Return where words begin."""
+        """Return the starts of words."""
         begins = (self.text != _SPACE) & (self.text != _NEWLINE)
         begins[1:] &= ~begins[:-1]
         return np.flatnonzero(begins)
 
     def count_in(self, places: Rows) -> Rows:
-        """Return how many of these places (ascending) each line holds."""
+        """Return the number of these positions (ascending) in each line."""
         ends = np.append(self.starts[1:], len(self.text))
         return np.searchsorted(places, ends) - np.searchsorted(places, self.starts)
 
@@ -290,7 +290,7 @@ class _Parser:
         self.uv_count += int(is_uv.sum())
 
     def read_rows(self, lines: _Lines, least: int, what: str) -> tuple[Rows, Rows, Floats]:
-        """Return how many numbers lines hold, where each line's begin, and all numbers."""
+        """Return the count of numbers of lines, the start of each line's, and all numbers."""
         words = lines.words()
         counts, numbers = lines.count_in(words), self.parse(lines, words, np.float64)
         short = np.flatnonzero(counts < least)

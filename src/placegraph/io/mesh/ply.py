@@ -180,7 +180,7 @@ def to_integers(column: NDArray[Any]) -> Ints:
 
 
 def majority_vote(ids: Ints) -> Ints:
-    """Return what two of three corners (T, 3) say, or else the first (T,)."""
+    """Return the value (T,) of two of three corners (T, 3), or else of the first."""
     a, b, c = ids.T
     voted: Ints = np.where(b == c, b, a)
     return voted

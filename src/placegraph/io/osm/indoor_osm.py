@@ -394,7 +394,7 @@ def _walls_at(door: IndoorShape, rooms: Sequence[IndoorShape]) -> tuple[list[int
 
 
 def _nearest(at: Floats, parts: Sequence[Floats]) -> tuple[float, int, int, float]:
-    """Return how far a place (2,) [deg] is from outlines [m]; ring and edge, and where on it, 0 to 1."""
+    """Return the distance of a place (2,) [deg] from outlines [m]; ring, edge, and position on it, 0 to 1."""
     scale = _METRES * np.array([np.cos(np.radians(at[1])), 1.0])
     best = (np.inf, 0, 0, 0.0)
     for k, part in enumerate(parts):

@@ -212,7 +212,7 @@ def check_osm(path: Path) -> Path:
 
 
 def one_line(error: Exception) -> str:
-    """Return what went wrong, in one line."""
+    """Return the cause of an error in one line."""
     return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
 
 

@@ -325,7 +325,7 @@ def copy_file(answer: Path, target: Path, report: Progress) -> Counter[str]:
 
 
 def _agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
-    """Return who asks, as both services want it."""
+    """Return the user agent, as both services require."""
     return f"placegraph, {ox.settings.http_user_agent}"
 
 
@@ -356,7 +356,7 @@ def malformed_error(service: str, answer: bytes) -> ServiceError:
 
 
 def shorten(text: bytes, most: int = 200) -> str:
-    """Return what a page or message says, on one line, without its markup."""
+    """Return the text of a page or message on one line, without its markup."""
     plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
                    flags=re.DOTALL)  # fmt: skip
     line = " ".join(html.unescape(plain).split()).rstrip(".")

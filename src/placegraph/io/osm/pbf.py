@@ -91,7 +91,7 @@ def list_blobs(file: BinaryIO) -> Iterator[Blob]:
 
 
 def read_features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
-    """Return what the head of a file says it needs, and what else it says of itself."""
+    """Return the features that the head of a file requires, and its other properties."""
     if blob.kind != b"OSMHeader":
         raise DamagedError("it does not begin with a head")
     data = inflate(file, blob)
@@ -407,7 +407,7 @@ class NodeIndex:
         return self._ready
 
     def all_words(self) -> Steps:
-        """Return what was put down so far."""
+        """Return the words (n,) int32 that were written so far."""
         if self.file is not None and self.index is not None:
             try:
                 self.file.flush()

@@ -205,7 +205,7 @@ def fetch_temporarily(path: Any, out: Path, progress: Progress | None = None) ->
 
 
 def _file_info(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types
-    """Return what file systems tell of a file: its size, and by what a change is seen."""
+    """Return size of a file and the properties by which a change is seen."""
     if not is_osm_url(url):
         raise InputError(
             f"{url} has an unknown ending; OpenStreetMap files end in {', '.join(SUFFIXES)}."
@@ -252,7 +252,7 @@ def is_missing(error: Exception) -> bool:
 
 
 def _failure(url: str, error: Exception) -> InputError | ServiceError:
-    """Return what went wrong with a file."""
+    """Return the error about a file."""
     if is_missing(error):
         return InputError(f"{url} is not there; check the address.")
     cause = error.__cause__ or error

@@ -69,7 +69,7 @@ class Describer(Protocol):
         names: NameFinder | None = None,
         heading: float | None = None,
     ) -> Description:
-        """Return what a text says; raises DescriptionError where it cannot be read at all."""
+        """Return the statements of a text; raises DescriptionError where it cannot be read at all."""
 
 
 def describe(

@@ -210,7 +210,7 @@ class ProperNames:
         return close[0] if telling[0] == telling[1] else name
 
     def kind(self, name: str) -> tuple[Sense, ...]:
-        """Return what a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
+        """Return the label in a name's last words: "Hot Metal Bridge" is a bridge, with half certainty."""
         words = [word.lower() for word in name.split()]
         while len(words) > 2 and words[-1] in self.lexicon.compass:
             words.pop()  # "King Street West" is a street
@@ -224,7 +224,7 @@ class ProperNames:
         return ()
 
     def length(self, i: int, entry: Known | None, n_known: int, n_noun: int) -> int:
-        """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
+        """Return the length [words] of a proper name at word i: one on the map, or one in capitals."""
         spelt = (
             self._house(i)
             or self._capitals(i, entry, n_noun)
@@ -265,7 +265,7 @@ class ProperNames:
         return bool(names) and not self.shouting and capitals
 
     def _capitals(self, i: int, entry: Known | None, n_noun: int) -> int:
-        """Return how many words of a name written with capitals begin at word i."""
+        """Return the length [words] of a name in capitals at word i."""
         word = self.words[i]
         if self._is_counted_street(i, entry):
             return self._span(i + (entry is not None)) - i
@@ -300,7 +300,7 @@ class ProperNames:
         return led and not last and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
 
     def _house(self, i: int) -> int:
-        """Return how many words a house number at word i has with its street: "125 Main Street"."""
+        """Return the length [words] of a house number at word i with its street: "125 Main Street"."""
         numbered = self.lower[i].isdecimal() and i + 1 < len(self.words)
         if not numbered or self.words[i + 1].kind != "word":
             return 0
@@ -317,7 +317,7 @@ class ProperNames:
         return known[1][0].type in _AFTER_NAME
 
     def _small_street(self, i: int, entry: Known | None, n_noun: int) -> int:
-        """Return how many words of a street's name begin at word i, written small: "smallman street"."""
+        """Return the length [words] of a street's name in lower case at word i: "smallman street"."""
         at, suffixes = i, self.lists["street_suffixes"]
         if entry is not None:
             if entry[1][0].type != "DIR" or entry[0] != 1:
@@ -427,7 +427,7 @@ class InflectedNames(ProperNames):
         super().take(sentence, shouting=shouting or (len(sentence) > 2 and written.isupper()))
 
     def length(self, i: int, entry: Known | None, n_known: int, n_noun: int) -> int:
-        """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
+        """Return the length [words] of a proper name at word i: one on the map, or one in capitals."""
         n = self._inflected(i) if self.names is not None and self.lexicon.forms else 0
         found = super().length(i, entry, n_known, n_noun)
         exact = bool(found) and self.is_one(" ".join(self.lower[i : i + found]))
@@ -437,14 +437,14 @@ class InflectedNames(ProperNames):
         return found
 
     def kind(self, name: str) -> tuple[Sense, ...]:
-        """Return what a name's last words say it is, or its first: "Bäckerei Schmidt"."""
+        """Return the label in a name's last words, or in its first: "Bäckerei Schmidt"."""
         first = super().kind(name.split(maxsplit=1)[0]) if " " in name else ()
         if self.lexicon.order.head_first and first:
             return first  # "Hôtel de la Gare" is no station
         return super().kind(name) or first
 
     def _inflected(self, i: int) -> int:
-        """Return how many words of a name in another form than the map's begin at word i."""
+        """Return the length [words] of a name at word i in another form than the map's."""
         words = self.words[i : i + _LONGEST_NAME]
         prefixes = self.lists["street_prefixes"] | self.lists["place_prefixes"]
         street = words[0].lower in prefixes  # "na ulicy Długiej"
@@ -498,7 +498,7 @@ class InflectedNames(ProperNames):
         return glued and self.lower[i] in self.lexicon.prefixes
 
     def _street_after(self, i: int) -> int:
-        """Return how many words of a street's name begin at word i, its kind first."""
+        """Return the length [words] of a street's name at word i, its kind first."""
         articles = self.lists["articles"]
         led = i > 0 and self._is_onto_next(i - 1) and self.lower[i - 1] in articles
         if led and _lacks_capitals(self.words[i]):

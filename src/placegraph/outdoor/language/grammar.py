@@ -232,7 +232,7 @@ _BY_REST = frozenset(
 def _resolve_type(
     chunk: Chunk, before: str, behind: Sequence[Chunk], language: Language
 ) -> tuple[Chunk, ...]:
-    """Return what a chunk is between the type before and the chunks behind it."""
+    """Return the type of a chunk between the type before and the chunks behind it."""
     following = _next_types(behind)
     after = following[0] if following else ""
     if chunk.type == "PREP" and chunk.value == "particle":  # "down the street", "head down south"
@@ -312,7 +312,7 @@ def _resolve_by_following(chunk: Chunk, behind: Sequence[Chunk], after: str) -> 
 
 
 def _find_place(behind: Sequence[Chunk]) -> int:
-    """Return where the place of "let's ..." begins; the number of chunks if there is none."""
+    """Return the start of the place of "let's ..."; the number of chunks if there is none."""
     place = len(behind)
     for i, other in enumerate(behind):
         if other.type in JOINTS:

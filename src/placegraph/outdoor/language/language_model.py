@@ -115,7 +115,7 @@ class LanguageModelDescriber:
         names: NameFinder | None = None,
         heading: float | None = None,
     ) -> Description:
-        """Return what the model understands of a text.
+        """Return the model's reading of a text.
 
         `names` is not used: the model tells names by itself.
 

@@ -176,7 +176,7 @@ class _Evidence(NamedTuple):
 
 
 def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | None) -> _Evidence:
-    """Return how much the words of a text speak for each language."""
+    """Return the evidence of a text's words for each language."""
     scores: dict[str, float] = {}
     count = known = 0
     words = list(_split_words(text, signs))

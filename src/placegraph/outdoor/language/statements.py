@@ -467,7 +467,7 @@ class PlaceReader:
     def _choose_relation(
         self, word: str, target: int, source: int, context: ClauseContext
     ) -> tuple[Relation, float]:
-        """Return what "on", "in", "at" or "to" means of a target, and how certainly."""
+        """Return the relation of "on", "in", "at" or "to" with a target, and its certainty."""
         line = self.references.is_line(target)
         if context.travel:
             return (Relation.ALONG if line and word == "ON" else Relation.NEAR), 1.0

@@ -106,7 +106,7 @@ def _mark(chunk: Chunk, kind: str) -> Chunk:
 
 
 def _noun_of(chunks: Sequence[Chunk], at: int) -> int | None:
-    """Return where the noun of a thing that begins here stands; None if none begins."""
+    """Return the position of the noun of a mention that begins here; None if none begins."""
     while _type(chunks, at) in _DETERMINERS:
         at += 1
     return at if _type(chunks, at) in (*_NOUNS, *_PERSONS) else None
@@ -121,7 +121,7 @@ def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
 
 
 def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
-    """Return where a new thing begins behind the whole place at `start`; 0 if none does."""
+    """Return the start of the next mention behind the complete place at `start`; 0 if there is none."""
     for i in range(start + 1, len(chunks)):
         if chunks[i].type in (*_STATED, "CUT", "COND"):
             return 0

@@ -29,7 +29,7 @@ BLUR = 1.5
 
 @kernel(finite=True, inline="always")
 def distance_fit(stated, d):
-    """Return how well a distance d fits the stated one [m]; 1 where none is stated.
+    """Return the agreement of a distance d with the stated one [m]; 1 where none is stated.
 
     Much smaller distances fit by their ratio: nobody calls 5 m "about 60 m". A negative stated
     distance is an upper limit: "within 50 m", "on the same block".
@@ -46,7 +46,7 @@ def distance_fit(stated, d):
 
 @kernel(finite=True, inline="always")
 def _near_fit(stated, d):
-    """Return how well "near" fits a distance d [m]."""
+    """Return the agreement of a distance d [m] with "near"."""
     if stated != 0.0:
         return distance_fit(stated, d)
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
@@ -607,7 +607,7 @@ def score_distant(statements, scene, far, positions):
 
 @kernel(finite=True, inline="always")
 def _distant_fit(statements, s, d, dx, dy, scale, forward):
-    """Return how well an object out of sight, d = (dx, dy) away [m], fits a statement."""
+    """Return the agreement of an object out of sight, d = (dx, dy) away [m], with a statement."""
     fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
     if statements.op[s] == DIRECTION:
         ux, uy = statements.bearing[s] if forward else -statements.bearing[s]

@@ -212,7 +212,7 @@ class City(PickleFields):
         return seen
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> VisibleObjects:
-        """Return what is in sight of viewpoints `rows` (K,) of `views`, the `points` of the result."""
+        """Return the objects in sight of viewpoints `rows` (K,) of `views`."""
         points = np.asarray(rows, np.int64)
         starts, objects, offsets, _ = list_visible_each(self.columns, self.views.columns, points)
         return VisibleObjects(points, starts, objects, offsets)

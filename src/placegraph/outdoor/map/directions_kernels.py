@@ -33,7 +33,7 @@ def name_direction(delta: NDArray[np.float64]) -> str:
 
 @kernel
 def share_winds(x, y):
-    """Return how far a vector (x, y) points north, south, east and west (Eq. 6, softened); the sum is 1."""
+    """Return the shares of north, south, east and west in a vector (x, y) (Eq. 6, softened); sum 1."""
     out = np.zeros(4, np.float32)
     x2, y2 = x * x, y * y
     total = x2 * x2 + y2 * y2

@@ -124,7 +124,7 @@ class InSight(NamedTuple):
 
 
 def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return how readily a thing at `distance` [m] is spoken of, 0 to 1."""
+    """Return the weight (0 to 1) with which descriptions mention an object at `distance` [m]."""
     return np.float32(1.0) / (
         np.float32(1.0) + np.exp((distance - np.float32(FADED)) / np.float32(WIDTH))
     )

@@ -113,7 +113,7 @@ class CityTiles:
         return find_sea(self.city.objects, self.bounds)
 
     def index(self) -> dict[str, Any]:
-        """Return what a page must know before it asks for tiles."""
+        """Return the settings that a page needs before it requests tiles."""
         plane = self.city.plane
         return {
             "origin": [plane.longitude, plane.latitude],

@@ -212,7 +212,7 @@ def hits(
     draws: int,
     alike: bool,
 ) -> dict[str, NDArray[np.float64]]:
-    """Return how often (n,) each text's room comes first among ten, by ranker.
+    """Return the rate (n,) at which each text's room comes first among ten, by ranker.
 
     The other nine are drawn at random, the same for all rankers; of k equal scores the room has
     1 / k of the first place. `alike`: rooms of the same kind come before others, kitchens among

@@ -240,7 +240,7 @@ class Cross(nn.Module):
         return torch.cat([nothing, logits], -1).softmax(-1)[..., 1:]
 
     def _attend_statements(self, weights: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Return what statements say after attention to their ends: for nodes (P, n, d), in all (P, 2)."""
+        """Return the messages of statements after attention to their ends: by node (P, n, d), all (P, 2)."""
         p, _, n, _ = weights.shape
         by_node = weights.transpose(1, 2)  # (P, n, H, m)
         rows = torch.arange(p, device=weights.device)[:, None]

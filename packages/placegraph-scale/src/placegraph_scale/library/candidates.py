@@ -118,7 +118,7 @@ class CandidateScenes(SceneShards):
         return np.concatenate(rows)
 
     def fit_prior(self, query: WorldQuery) -> NDArray[np.float64]:
-        """Return how well (n,) scenes fit the location prior, 0 to 1: `SceneEvidence.near` of each."""
+        """Return `SceneEvidence.near` (n,) of scenes: agreement with the location prior, 0 to 1."""
         rows, priors = self.stands[:, 0].astype(np.int64), self.stands[:, 6]
         stand = np.bincount(rows, priors, len(self))
         held = stand

@@ -460,7 +460,7 @@ class SceneShards(SceneCollection):
         return resolve_path(shard.folder / place) if place else None
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
-        """Return where a scene stands on Earth: one a candidate, likeliest first."""
+        """Return the anchors of a scene on Earth: one a candidate, likeliest first."""
         with check_contents(self._find(row)[0].folder, MEND):
             poses = json.loads(self._string(row, "earth") or "[]")
             return tuple(EarthPose.from_dict(p) for p in poses)

@@ -291,7 +291,7 @@ class Planet:
 
     @staticmethod
     def summarize(folder: str | PathLike[str]) -> dict[str, int]:
-        """Return how many objects and bytes a folder holds, by its `world.json`; raises as `open`."""
+        """Return the numbers of objects and bytes of a folder by its `world.json`; raises like `open`."""
         shards = WorldFile.read(folder).shards
         return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
 

@@ -131,7 +131,7 @@ def bound_weights(query: Query, table: WordTable, *, even: bool) -> Floats:
 
 
 def _gains(used: list[tuple[float, int, int]], mentions: int, pull: float) -> Floats:
-    """Return what each mention adds to the log (M, J) at each share of all in sight."""
+    """Return the log-likelihood (M, J) of each mention at each share of all in sight."""
     out = np.zeros((mentions, len(_SHARES)))
     for gain, a, b in used:
         for m in (a, b):

@@ -234,7 +234,7 @@ class Placement:
 
     @property
     def is_good(self) -> bool:
-        """Return whether it is taken for true."""
+        """Return whether the move is accepted."""
         return self.fit >= LEAST_FIT and self.cover >= LEAST_COVER
 
     @property

@@ -220,13 +220,13 @@ class Evidence:
         return np.asarray(gone / np.maximum(gone + self.stays.sum(axis=0), 1.0))
 
     def describe(self, row: int) -> str:
-        """Return how many pixels and frames speak of an object, in words."""
+        """Return the numbers of pixels and frames that show an object, in words."""
         pixels = self.gone[:, row] + self.stays[:, row]
         frames = int(np.count_nonzero(pixels))
         return f"{pixels.sum():,.0f} pixels in {frames} frame{'s' * (frames != 1)}"
 
     def confidence(self, row: int) -> float:
-        """Return how sure it is that an object is gone: the rule of succession over frames.
+        """Return the probability that an object is gone: the rule of succession over frames.
 
         Pixels of one frame are right or wrong together, so a frame counts once, by its share.
         """
@@ -270,7 +270,7 @@ def count_evidence(
 
 
 def tolerance(depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.float32]:
-    """Return how far a reading may be from the surface it shows [m]."""
+    """Return the tolerance of a reading about the surface it shows [m]."""
     slack = options.depth_floor + options.depth_slope * np.nan_to_num(depth)
     return np.asarray(slack, np.float32)
 

@@ -265,7 +265,7 @@ class _Part:
     """Length and concave length of contact with each other part [m]."""
 
     def is_standalone(self) -> bool:
-        """Return whether it is large enough to be a thing by itself."""
+        """Return whether a segment is large enough to be an object by itself."""
         return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
 
 

@@ -110,7 +110,7 @@ class Forms:
         return bool(self.endings or self._nominative)
 
     def _of(self, word: str) -> tuple[Form, ...]:
-        """Return what a word of a text, without diacritics, may be a form of; the word itself first."""
+        """Return the possible base forms of a word without diacritics; the word itself first."""
         cut = [
             (word[: -len(ending)], case) for ending, case in self.endings if word.endswith(ending)
         ]

@@ -273,7 +273,7 @@ class Vocabulary:
         return self._objects.labels_of(tags)
 
     def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Return what a word or phrase may mean on a map, likeliest first; none if unknown.
+        """Return the possible meanings of a word or phrase on a map, likeliest first; none if unknown.
 
         Takes everyday words, tag values (``bicycle_parking``), tags (``amenity=bench``), singular
         or plural, with or without an article, in any language of the vocabulary.

@@ -573,7 +573,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
 
 
 def _labelled_rows(name: str, folder: Path | None) -> Iterator[tuple[str, str, str, str]]:
-    """Yield where each row of a table stands, its language, words and labels."""
+    """Yield the line of each row of a table, its language, words and labels."""
     table, columns = find(name, folder), ("language", "words", "labels")
     for number, fields in rows(table, columns):
         where = f"{table}, line {number}"
