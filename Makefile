@@ -31,13 +31,14 @@ test: $(TOOLS) ## run the tests on every core, in minutes; PACKAGE=placegraph-ro
 test-all: $(TOOLS) ## run every test, the long ones too, with more examples of each property
 	$(PYTEST) -m "all or not all" --hypothesis-profile thorough
 
-lint: $(TOOLS) ## check rules, layout, spelling, workflows, who imports whom, and types
+lint: $(TOOLS) ## check rules, layout, spelling, wording, workflows, who imports whom, and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/typos
 	$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/zizmor --offline --quiet .github
 	$(BIN)/lint-imports
+	$(BIN)/python tools/check_words.py
 	$(BIN)/mypy || $(BIN)/mypy --num-workers 0  # a busy machine starts no worker in the three seconds it is given
 
 docs: $(TOOLS) ## build the documentation into site/
