@@ -116,7 +116,7 @@ def test_no_index_is_not_of_an_extract_that_becomes_a_world(run, osm, tmp_path, 
     monkeypatch.setattr("placegraph.io.osm.urls.SMALL", 100)
     result = run("city", "build", osm, "-o", tmp_path / "a", "--no-index")
     assert result.code == 7
-    assert "--no-index is of one map" in result.err
+    assert "--no-index applies only to a single map" in result.err
     assert not (tmp_path / "a").exists()
 
 

@@ -116,7 +116,7 @@ def test_a_text_may_be_longer_than_a_name(run, library):
 def test_a_word_that_may_be_a_mistyped_folder(run, library):
     told = run("library", "search", library, "wlk02", "--json")
     assert told.json["status"] != "OK"
-    assert told.err == "No file or folder is called 'wlk02': it was taken for a text.\n"
+    assert told.err == "'wlk02' is not a file or folder, so it is read as a description.\n"
     assert run("library", "search", library, "--text", "kitchen").err == ""
     assert run("library", "search", library, "a kitchen").err == ""
 
@@ -155,7 +155,7 @@ def test_a_map_that_cannot_be_added_is_left_out(run, world, tmp_path):
     lines = told.err.splitlines()
     assert len(lines) == 3
     for name in ("sheet", "nameless", "broken"):
-        assert any(f"{name}.scene is left out: " in line for line in lines)
+        assert any(f"{name}.scene was skipped: " in line for line in lines)
     shown = run("library", "build", world, tmp_path, "-o", file, "--encoder", "labels")
     assert "skipped" in shown.out
     file.unlink()
@@ -169,7 +169,7 @@ def test_weights_belong_to_an_encoder_that_has_some(run, world, tmp_path):
     for encoders in ((), ("labels",), ("scenegraphloc", "features")):
         asked = [word for name in encoders for word in ("--encoder", name)]
         told = run(*build, *asked)
-        assert (told.code, "--weights belongs to" in told.err) == (7, True)
+        assert (told.code, "--weights applies to" in told.err) == (7, True)
 
 
 def test_json_has_no_nan(run, library, monkeypatch):

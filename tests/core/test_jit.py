@@ -405,7 +405,7 @@ def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, ca
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code == OptionError.exit_code
-    assert "--compiled: name a folder that can be written" in capsys.readouterr().err
+    assert "--compiled: the folder is not writable" in capsys.readouterr().err
 
 
 @pytest.mark.all

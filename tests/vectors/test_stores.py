@@ -179,9 +179,9 @@ def test_the_command_writes_a_file(run, harbour, harbour_file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "Say where to"),
-        (["-o", "a", "--store", URI], "Say where to"),
-        (["-o", "a", "--resume"], "--resume is for --store"),
+        ([], "The destination is missing"),
+        (["-o", "a", "--store", URI], "The destination is missing"),
+        (["-o", "a", "--resume"], "--resume applies only to --store"),
         (["--store", "fake:19530"], "is no address"),
     ],
 )

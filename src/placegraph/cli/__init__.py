@@ -25,9 +25,10 @@ _HERE = __name__
 
 CITY = Group(
     "city",
-    "Outdoor: a sentence finds its place in a city cut from OpenStreetMap.\n\n"
+    "Outdoor: locate a description in a city map made from OpenStreetMap.\n\n"
     "First `build` a map from an extract, then `locate` descriptions in it, or `track` a walk. "
-    "`embed` is for large maps, `train` for weights of your own, `evaluate` for texts of your own.",
+    "`embed` speeds up large maps, `train` makes your own weights, `evaluate` tests your own "
+    "descriptions.",
     {
         "build": f"{_HERE}.city:build",
         "locate": f"{_HERE}.city:locate",
@@ -42,7 +43,7 @@ CITY = Group(
 )
 SCENE = Group(
     "scene",
-    "Indoor: make maps of rooms, and find the pose of a few frames in them.",
+    "Indoor: build scene maps of rooms, and localize a few camera frames in them.",
     {
         "build": f"{_HERE}.scene_build:build",
         "info": f"{_HERE}.scene_build:info",
@@ -61,7 +62,7 @@ SCENE = Group(
 )
 LIBRARY = Group(
     "library",
-    "Many scene maps: in which of them was a capture taken, or which does a text describe?",
+    "Libraries of scene maps: find the scene that a capture shows or a text describes.",
     {
         "build": f"{_HERE}.library:build",
         "add": f"{_HERE}.library:add",
@@ -74,14 +75,15 @@ LIBRARY = Group(
 )
 WORLD = Group(
     "world",
-    "Countries and planets: a folder of shards, built of extracts of any size.",
+    "Worlds in shards: build a map folder from OpenStreetMap extracts of any size, up to "
+    "the planet.",
     {},
     partial(extensions, "world"),
 )
 BAG = Group(
     "bag",
-    "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
-    "takes a bag.",
+    "ROS bags: list their contents and check what they can be used for. Every command that "
+    "takes a capture also takes a bag.",
     {},
     partial(extensions, "bag"),
 )
@@ -158,7 +160,7 @@ def _completion(context: click.Context, _param: click.Parameter, shell: str | No
 
 APP = Group(
     NAME,
-    "Where am I? Answered on a map that is a graph of things.",
+    "Where am I? Localize descriptions and camera frames on maps that are graphs of objects.",
     {
         "demo": f"{_HERE}.demo:demo",
         "locate": f"{_HERE}.locate:locate",
@@ -177,12 +179,12 @@ APP = Group(
         ),
         click.Option(
             ["--compiled"], type=click.Path(path_type=Path), expose_value=False,
-            callback=_compiled, help="Folder to keep compiled code in.",
+            callback=_compiled, help="Folder for the cache of compiled code.",
         ),
         click.Option(
             ["--show-completion"], type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL",
             expose_value=False, is_eager=True, callback=_completion,
-            help="Print what completes commands in bash, zsh or fish.",
+            help="Print the completion script for bash, zsh or fish.",
         ),
     ],
 )  # fmt: skip

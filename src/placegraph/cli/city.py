@@ -26,17 +26,16 @@ if TYPE_CHECKING:
     from placegraph.outdoor.network.network import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
 
-WRITTEN = "What is written"
+WRITTEN = "Output"
 
 MapFile = Annotated[Path, Argument(help="City map (.city), made by `placegraph city build`.")]
-Near = Annotated[
-    str | None, Option(help="LON,LAT you are known to be near, with --radius.", panel=KNOWN)
-]
+Near = Annotated[str | None, Option(help="Prior position LON,LAT; see --radius.", panel=KNOWN)]
 Preset = Annotated[
     str,
     Option(
-        help="default; paper: transformer by cosine on the 10 best by embedding; published: "
-        "embedding alone, as the paper's code works. The options below override it.",
+        help="default; paper (embeddings propose 10 cells, the transformer ranks them by "
+        "cosine); or published (embeddings alone, as in the paper's code). The options "
+        "below override it.",
         panel=JUDGED,
     ),
 ]
@@ -50,7 +49,10 @@ Store = Annotated[
 ]
 Weights = Annotated[
     Path | None,
-    Option(help="Other weights than the shipped ones, from `placegraph city train`.", panel=JUDGED),
+    Option(
+        help="Network weights from `placegraph city train`; the shipped ones if not given.",
+        panel=JUDGED,
+    ),
 ]
 
 
@@ -86,13 +88,13 @@ def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     """Longitude and latitude of an option's text [deg]; raises `OptionError` where it is none."""
     if value is None:
         return None
-    mend = "give longitude and latitude as 7.42,43.73."
+    mend = "give longitude and latitude, such as 7.42,43.73."
     longitude, latitude = numbers_of(value, option, {2}, mend)
     return longitude, latitude
 
 
 VocabularyFolder = Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")]
-OVERTURE = "What of Overture is read"
+OVERTURE = "Overture options"
 EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
 
 
@@ -100,8 +102,8 @@ def build(
     file: Annotated[
         list[str],
         Argument(
-            help="OpenStreetMap extract, or URL of one: .osm.pbf, .osm, .osm.gz or .osm.bz2; or files, "
-            "folders or URLs of Overture's GeoParquet."
+            help="OpenStreetMap extract or its URL (.osm.pbf, .osm, .osm.gz or .osm.bz2), or "
+            "Overture GeoParquet files, folders or URLs."
         ),
     ],
     out: Annotated[
@@ -109,24 +111,28 @@ def build(
         Option(
             "--out",
             "-o",
-            help="Map file to write, such as monaco.city. Of an extract above 64 MB it becomes a folder "
-            "of maps, as by `world build`.",
+            help="Map file to write, such as monaco.city. An extract above 64 MB becomes a world "
+            "in shards (a folder), as by `world build`.",
         ),
     ],
     cells: Annotated[dict[str, Any], Fields(CellOptions)],
     bbox: Annotated[
-        str | None, Option(help="W,S,E,N [deg]: only what touches this box.", panel=OVERTURE)
+        str | None,
+        Option(
+            help="West,south,east,north [deg]: read only objects that touch this box.",
+            panel=OVERTURE,
+        ),
     ] = None,
     confidence: Annotated[
-        float, Option(help="Least probability of a place to exist.", panel=OVERTURE)
+        float, Option(help="Minimum existence confidence of an Overture place.", panel=OVERTURE)
     ] = 0.5,
     vocabulary: VocabularyFolder = None,
     no_index: Annotated[
         bool,
         Option(
             "--no-index",
-            help="A small file, though the map is large: the index of places is derived anew for the first "
-            "question each time.",
+            help="Write no search index: the file is smaller, but the first query after opening "
+            "it is slow.",
         ),
     ] = False,
     as_json: AsJson = False,
@@ -144,15 +150,16 @@ def build(
 
     if is_url(out):
         raise OptionError(
-            f"{out} is a URL, and a map is written to this machine. A world in shards may be brought there: "
-            f"placegraph world build {file[0]} -o {out} --work FOLDER"
+            f"{out} is a URL, but a single map can only be written to a local file. To "
+            f"write a world in shards to the URL: placegraph world build {file[0]} -o {out} "
+            "--work FOLDER"
         )
     source = _source(file, bbox, confidence)
     if isinstance(source, str) and is_large(source):
         if no_index:
             raise OptionError(
-                "--no-index is of one map; of an extract this large a world in shards is made, each with "
-                "its index. Leave it out."
+                "--no-index applies only to a single map, but this extract is large and "
+                "becomes a world in shards; remove it."
             )
         options = load_module("placegraph_scale.options", "scale").BuildOptions(
             **cells, vocabulary=vocabulary
@@ -198,11 +205,14 @@ def _source(given: list[str], bbox: str | None, confidence: float) -> Any:  # no
             return overture.Overture(tuple(given), box, confidence)
     if len(given) > 1:
         raise OptionError(
-            f"{len(given)} files are given: a map is built from one OpenStreetMap extract, or from files "
-            "of Overture alone. Merge extracts with osmium."
+            f"{len(given)} files are given, but a map is built from one OpenStreetMap "
+            "extract or from Overture files only. Merge extracts with `osmium merge`."
         )
     if bbox is not None:
-        raise OptionError("--bbox is for Overture; cut an OpenStreetMap extract with osmium.")
+        raise OptionError(
+            "--bbox applies only to Overture files; clip an OpenStreetMap extract with `osmium "
+            "extract`."
+        )
     return given[0]
 
 
@@ -212,7 +222,7 @@ def fetch(
         Path, Option("--out", "-o", help="OpenStreetMap file to write: .osm or .osm.pbf.")
     ],
     overpass_url: Annotated[
-        str | None, Option(help="Another Overpass server than OSMnx's own.")
+        str | None, Option(help="URL of an Overpass server. [default: that of OSMnx]")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -307,27 +317,28 @@ def check(map_file: MapFile, as_json: AsJson = False) -> None:
 def locate(
     map_file: MapFile,
     text: Annotated[
-        str, Argument(help="What stands around you, in words; - reads standard input.")
+        str, Argument(help="Description of your surroundings; - reads standard input.")
     ],
     prior: Annotated[dict[str, Any], Fields(LocateOptions)],
     ranking: Annotated[dict[str, Any], Fields(RankingOptions)],
     near: Near = None,
     listener: Annotated[
-        str | None, Option(help="LON,LAT of 'you' in the text, where that is known.", panel=KNOWN)
+        str | None,
+        Option(help="LON,LAT of the listener ('you' in the text), if known.", panel=KNOWN),
     ] = None,
     language: Annotated[
         str | None,
-        Option(
-            help="Language of the text, as de; told from its words if nothing is said.", panel=KNOWN
-        ),
+        Option(help="Language code of the text, such as de; detected if not given.", panel=KNOWN),
     ] = None,
     preset: Preset = "default",
     store: Store = None,
     weights: Weights = None,
-    ask: Annotated[bool, Option("--ask", help="Ask back until the place is clear.")] = False,
+    ask: Annotated[
+        bool, Option("--ask", help="Ask questions until the place is unambiguous.")
+    ] = False,
     as_json: AsJson = False,
     html: Annotated[
-        Path | None, Option(help="Write a page that opens without a network.", panel=WRITTEN)
+        Path | None, Option(help="Write a page that works offline.", panel=WRITTEN)
     ] = None,
     png: Annotated[Path | None, Option(help="Write a picture.", panel=WRITTEN)] = None,
 ) -> None:
@@ -413,7 +424,7 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
         ignored = "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in estimate.understood.ignored)
         out.print(f"Ignored: {ignored}")
     if question is not None:
-        out.print(f"To be sure: {question.text}  (run again with --ask to answer)")
+        out.print(f"Open question: {question.text} (run again with --ask to answer it)")
 
 
 def embed(
@@ -426,11 +437,11 @@ def embed(
         Option(help="Milvus server to load instead: http://[user:password@]host:port."),
     ] = None,
     name: Annotated[
-        str | None, Option(help="Name of the store on the server; the map's if not given.")
+        str | None, Option(help="Name of the store on the server; the map's name if not given.")
     ] = None,
     bits: Annotated[int, Option(help="Bits of a number in a file: 8, 16 or 32.")] = 16,
     resume: Annotated[
-        bool, Option("--resume", help="Go on with a load into a server that broke off.")
+        bool, Option("--resume", help="Resume an interrupted load into a server.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -446,9 +457,11 @@ def embed(
     from placegraph.outdoor.city import CityMap
 
     if (out is None) == (store is None):
-        raise OptionError("Say where to: a file with --out, or a server with --store.")
+        raise OptionError(
+            "The destination is missing; give a file with --out, or a server with --store."
+        )
     if resume and out is not None:
-        raise OptionError("--resume is for --store; a file is written in one go.")
+        raise OptionError("--resume applies only to --store; remove it.")
     if store is not None:
         load_module("placegraph_scale.milvus", "scale").check_uri(store)
     city = CityMap.open(map_file)
@@ -483,9 +496,7 @@ def embed(
 
 def stores(
     uri: Annotated[str, Argument(help="Milvus server: http://[user:password@]host:port.")],
-    drop: Annotated[
-        str | None, Option(help="Remove this collection, whole or half loaded.")
-    ] = None,
+    drop: Annotated[str | None, Option(help="Remove this store, complete or not.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """List the stores on a Milvus server, or drop one.
@@ -505,10 +516,14 @@ def stores(
         click.echo(json.dumps([asdict(info) for info in found]))
         return
     for info in found:
-        state = "" if info.complete else "  (half loaded: embed with --resume, or --drop it)"
+        state = (
+            ""
+            if info.complete
+            else ("  (incomplete: finish it with `embed --resume`, or remove it with --drop)")
+        )
         click.echo(f"{info.collection}  {info.rows:,} cells of {info.name}{state}")
     if not found:
-        click.echo("No stores of placegraph's.")
+        click.echo("The server has no placegraph stores.")
 
 
 PROMPT = "> "
@@ -520,7 +535,7 @@ def track(
     near: Near = None,
     as_json: AsJson = False,
     html: Annotated[
-        Path | None, Option(help="Write a page of the last estimate, without a network.")
+        Path | None, Option(help="Write a page of the last estimate that works offline.")
     ] = None,
     png: Annotated[Path | None, Option(help="Write a picture of the last estimate.")] = None,
 ) -> None:

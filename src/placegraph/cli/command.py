@@ -233,16 +233,19 @@ def _param(name: str, default: Any, hint: Any, declaration: Argument | Option) -
 
 
 KNOWN = {
-    "bag.info": ("io", "What a bag holds, and what it can be used for."),
-    "bag.localize": ("ros", "Localize a bag, and write what was found as a bag."),
+    "bag.info": ("io", "List the contents of a bag, and what they can be used for."),
+    "bag.localize": ("ros", "Localize a bag, and write the poses to another bag."),
     "bag.layout": ("ros", "Print a layout for Foxglove."),
-    "world.build": ("scale", "Build a world in shards of extracts of any size."),
-    "library.shard": ("scale", "Put the scenes of libraries into shards."),
-    "live": ("ros", "Localize as if live: a recording, a folder that fills, a pipe."),
-    "serve": ("serve", "Serve maps over HTTP, and a page."),
+    "world.build": ("scale", "Build a world in shards from extracts of any size."),
+    "library.shard": ("scale", "Split libraries into shards."),
+    "live": (
+        "ros",
+        "Localize a live or replayed stream: a recording, a growing folder, or a pipe.",
+    ),
+    "serve": ("serve", "Serve maps over HTTP, with a web page."),
     "city.train": ("learn", "Train the matching network on city maps."),
     "city.convert-kitti360pose": ("lab", "Convert KITTI360Pose from its pickles."),
-    "city.evaluate": ("lab", "How well texts of your own find their places."),
+    "city.evaluate": ("lab", "Evaluate localization on your own descriptions."),
     "scene.train": ("learn", "Train the network SceneGraphLoc on scene maps."),
 }
 """Extra and help of the commands of placegraph's other distributions, listed even where missing."""
@@ -273,8 +276,7 @@ def _refuse(name: str, extra: str) -> Callable[[], None]:
     def refuse() -> None:
         if extra == "lab":
             raise MissingExtraError(
-                f"{command} is part of placegraph-lab, which is not installed; "
-                "`pip install placegraph-lab` brings it."
+                f"{command} needs placegraph-lab; install it with `pip install placegraph-lab`."
             )
         raise missing_extra(command, extra)
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-AsJson = Annotated[bool, Option("--json", help="Print JSON for machines.")]
-Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
+AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
+Quiet = Annotated[bool, Option("--quiet", help="Print neither progress nor summary.")]
 
 
 def numbers_of(text: str, option: str, counts: Container[int], advice: str) -> list[float]:

@@ -73,7 +73,10 @@ def warm_up(quiet: Quiet = False) -> None:
     from placegraph.core.warm import list_calls, missing_calls
 
     if cache.FOLDERS.write is None:
-        raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")
+        raise OptionError(
+            "--compiled: the folder is not writable; name a writable one, or the compiled code "
+            "is not kept."
+        )
     start = perf_counter()
     _read_once()
     calls = list(dict.fromkeys(call for its in list_calls().values() for call in its))
@@ -84,8 +87,8 @@ def warm_up(quiet: Quiet = False) -> None:
     if not quiet:
         seconds = perf_counter() - start
         click.echo(
-            f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in {seconds:.0f} s; "
-            f"all are kept in {cache.FOLDERS.write}."
+            f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in "
+            f"{seconds:.0f} s and cached in {cache.FOLDERS.write}."
         )
     if failed:
         sys.exit(1)

@@ -21,6 +21,6 @@ def demo(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
+            f"The folder {out} cannot be created ({error.strerror}); choose another --out."
         ) from error
     run_demo(out, click.echo)

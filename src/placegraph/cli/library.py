@@ -34,13 +34,13 @@ Library = Annotated[
     Path,
     Argument(metavar="LIBRARY", help="File that `library build` wrote, or folder of scene maps."),
 ]
-Most = Annotated[int, Option(help="Scenes named at most.")]
+Most = Annotated[int, Option(help="Maximum number of scenes to list.")]
 Encoders = Annotated[
     list[str] | None,
     Option(
         "--encoder",
-        help="What scenes are compared by; may be repeated: labels, appearance; features or "
-        "scenegraphloc, of maps that `scene encode` gave their vectors. [default: labels and "
+        help="Encoder that compares scenes; may be repeated: labels, appearance, or, for maps "
+        "prepared with `scene encode`, features or scenegraphloc. [default: labels and "
         "appearance]",
     ),
 ]
@@ -48,8 +48,8 @@ ItsEncoders = Annotated[
     list[str] | None,
     Option(
         "--encoder",
-        help="Encoders of the library, all of them, where one has --weights of its own; of a folder "
-        "of maps, what they are compared by. [default: those that the file names]",
+        help="Encoders of the library: list all of them if one needs --weights. For a folder of "
+        "maps: encoders to compare them by. [default: those named in the file]",
     ),
 ]
 
@@ -99,7 +99,7 @@ def build(
     with progress_of(hidden=quiet or as_json) as tell:
         failed = _add_all(library, paths, tell)
     for path, error in failed.items():
-        click.echo(f"{path} is left out: {error}", err=True)
+        click.echo(f"{path} was skipped: {error}", err=True)
     if not len(library):
         raise next(iter(failed.values()))
     library.save(out)
@@ -109,7 +109,9 @@ def build(
 def add(
     library: Library,
     scene: Annotated[Path, Argument(help="Scene map (.scene).")],
-    name: Annotated[str | None, Option(help="Its name; that of the file if not given.")] = None,
+    name: Annotated[
+        str | None, Option(help="Name of the scene; the file name if not given.")
+    ] = None,
     encoder: ItsEncoders = None,
     weights: WeightsFile = None,
     as_json: AsJson = False,
@@ -206,8 +208,8 @@ def _named(paths: list[Path]) -> dict[str, Path]:
         other = named.setdefault(path.stem, path)
         if other.resolve() != path.resolve():
             raise OptionError(
-                f"{other} and {path} are both called {path.stem!r}; rename one, or add it later by "
-                "`library add --name`."
+                f"{other} and {path} have the same name {path.stem!r}; rename one, or add "
+                "it later with `library add --name`."
             )
     return named
 
@@ -220,14 +222,19 @@ def _maps(given: Path) -> list[Path]:
         return [given]
     found = sorted(given.glob(f"*{SUFFIX}"))
     if not found:
-        raise InputError(f"{given} holds no scene map (*{SUFFIX}); build some first.")
+        raise InputError(
+            f"{given} contains no scene map (*{SUFFIX}); build one with `placegraph scene build`."
+        )
     return found
 
 
 def _file(path: Path, names: list[str] | None, weights: Path | None) -> SceneLibrary:
     """Library of a file; of a folder there is none to write to."""
     if path.is_dir():
-        raise OptionError(f"{path} is a folder: put maps into it, or make a file of it by `build`.")
+        raise OptionError(
+            f"{path} is a folder; copy maps into it, or make a library file with `placegraph "
+            "library build`."
+        )
     return open_library(path, names, weights)
 
 
@@ -239,13 +246,11 @@ def search(
     query: Annotated[
         str | None,
         Argument(
-            help="Capture: its folder, or a recorder's file; or a text: 'a kitchen with two sinks'. "
-            "What has a slash, or ends like a file, is a capture."
+            help="Capture (folder or recording) or description ('a kitchen with two sinks'). "
+            "Text with a slash or a file ending is taken for a capture."
         ),
     ] = None,
-    text: Annotated[
-        str | None, Option(help="A text, whatever it looks like, instead of QUERY.")
-    ] = None,
+    text: Annotated[str | None, Option(help="Description of the place, in place of QUERY.")] = None,
     frames: Frames = None,
     most: Most = 5,
     encoder: ItsEncoders = None,
@@ -265,7 +270,10 @@ def search(
 
     asked = _parse_query(query, text)
     if isinstance(asked, str) and frames is not None:
-        raise OptionError(f"--frames belongs to a capture, and {asked!r} is no file or folder.")
+        raise OptionError(
+            f"--frames applies only to captures, but {asked!r} is not a file or folder; check "
+            "the path, or remove --frames."
+        )
     with progress_of(hidden=quiet or as_json) as tell:
         # the capture first: a library of a folder takes its time
         capture = None if isinstance(asked, str) else chosen_frames(open_capture(asked), frames)
@@ -273,7 +281,7 @@ def search(
         tell("searching", 0, 1)
         estimate = known.search(str(asked) if capture is None else capture, most=most)
     if query is not None and capture is None and len(query.split()) == 1:
-        click.echo(f"No file or folder is called {query!r}: it was taken for a text.", err=True)
+        click.echo(f"{query!r} is not a file or folder, so it is read as a description.", err=True)
     if as_json:
         echo_json(estimate.to_dict())
     else:
@@ -284,10 +292,10 @@ def localize(
     library: Library,
     capture: CaptureFolder,
     frames: Frames = None,
-    most: Annotated[int, Option(help="Scenes localized in at most.")] = 8,
+    most: Annotated[int, Option(help="Maximum number of scenes to localize in.")] = 8,
     description: Annotated[
         str | None,
-        Option(help="What is known of the place: 'next to the sofa, facing the window'."),
+        Option(help="Description of the camera's place: 'next to the sofa, facing the window'."),
     ] = None,
     refine: Annotated[
         bool, Option("--refine/--no-refine", help="Fit the pose to depth and images.")
@@ -348,7 +356,9 @@ def _parse_query(query: str | None, text: str | None) -> Path | str:
 
     """
     if (query is None) == (text is None):
-        raise OptionError("Give a capture or a text as QUERY, or a text by --text; one of them.")
+        raise OptionError(
+            "The query must be given once: a capture or a text as QUERY, or a text with --text."
+        )
     given = query if text is None else text
     if given is None or not given.strip():
         raise OptionError("The query is empty; name a capture, or describe a place in words.")
@@ -362,7 +372,7 @@ def _parse_query(query: str | None, text: str | None) -> Path | str:
         return Path(given)
     if "/" in given or _FILE.search(given):
         raise InputError(
-            f"{given} does not exist; if it is no capture but words, put a text in --text."
+            f"{given} does not exist; check the path, or give a description with --text."
         )
     return given
 

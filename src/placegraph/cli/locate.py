@@ -23,18 +23,18 @@ def locate(
     world: Annotated[
         str,
         Argument(
-            help="Folder with .city, .scene and .library files and library shards; one of these; or a "
-            "world in shards, which may lie at a URL (s3://...)."
+            help="Folder of .city, .scene and .library files and library shards, a single one of "
+            "these, or a world in shards (a folder or a URL such as s3://...)."
         ),
     ],
     prior: Annotated[dict[str, Any], Fields(LocateOptions)],
     text: Annotated[
         str | None,
-        Argument(help="What is said of the place, outside and inside: streets, buildings, rooms."),
+        Argument(help="Description of the place, outdoors and indoors: streets, buildings, rooms."),
     ] = None,
     capture: Annotated[
         Path | None,
-        Option(help="Frames: a folder, or a recorder's file, as of `scene localize`.", panel=KNOWN),
+        Option(help="Capture (folder or recording), as in `scene localize`.", panel=KNOWN),
     ] = None,
     frames: Frames = None,
     near: Near = None,
@@ -45,13 +45,17 @@ def locate(
     device: Device = "auto",
     budget: Annotated[
         float | None,
-        Option(help="Of a world in shards: seconds after which the best so far is the answer."),
+        Option(
+            help="World in shards: time limit [s], after which the best answer so far is returned."
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
         Option(help="Dask scheduler whose workers search a world in shards, as tcp://host:8786."),
     ] = None,
-    keep: Annotated[Path | None, Option(help="Folder that a world at a URL is fetched to.")] = None,
+    keep: Annotated[
+        Path | None, Option(help="Local folder for the parts fetched from a world at a URL.")
+    ] = None,
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
@@ -68,7 +72,7 @@ def locate(
     from placegraph.world import open_world
 
     if frames is not None and capture is None:
-        raise OptionError("--frames belongs to a capture; name one by --capture.")
+        raise OptionError("--frames applies only to captures; give one with --capture.")
     with progress_of(hidden=quiet or as_json) as tell:
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
         opened = open_world(world, scheduler=scheduler, keep=keep)

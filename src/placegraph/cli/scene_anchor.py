@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import AnchorFit
 
-HOW = "How it is found: one of these"
-TOLD = "What is known of the place"
+HOW = "Anchor source (one of these)"
+TOLD = "Prior knowledge of the place"
 UNKNOWN = 50.0
 """A height with a standard deviation above this is called unknown [m]."""
 
@@ -31,16 +31,16 @@ Pairs = Annotated[
     list[str] | None,
     Option(
         "--pair",
-        help="X,Y[,Z]=LON,LAT[,H]: a point of the map [m] and its place [deg], with its height above "
-        "the ellipsoid [m]; three or more.",
+        help="X,Y[,Z]=LON,LAT[,H]: point in the map [m], its longitude and latitude [deg] and "
+        "height above the ellipsoid [m]; give three or more.",
         panel=HOW,
     ),
 ]
 Pose = Annotated[
     str | None,
     Option(
-        help="LON,LAT,HEIGHT,HEADING_DEG: of the map's origin, and where its y axis points, clockwise "
-        "from north.",
+        help="LON,LAT,HEIGHT,HEADING_DEG: position of the map's origin, and direction of its y "
+        "axis, clockwise from north.",
         panel=HOW,
     ),
 ]
@@ -50,7 +50,9 @@ def anchor(
     map_file: MapFile,
     pair: Pairs = None,
     pose: Pose = None,
-    accuracy: Annotated[str, Option(help="M,DEG: how well --pose is known.", panel=TOLD)] = "1,2",
+    accuracy: Annotated[
+        str, Option(help="M,DEG: standard deviation of --pose.", panel=TOLD)
+    ] = "1,2",
     height: Annotated[
         float | None,
         Option(help="Height of the map's floor above the ellipsoid [m].", panel=TOLD),
@@ -65,27 +67,26 @@ def anchor(
         Path | None,
         Option(
             "--in",
-            help="Extract of OpenStreetMap or .city: the map's outer walls are fitted to the footprint "
-            "of --building, and all ways that fit are kept. With one of the others, which says where "
-            "about it stands, that is usually one way.",
+            help="OpenStreetMap extract or .city map: fit the map's outer walls to the footprint "
+            "of --building, and keep every alignment that fits. A rough position from "
+            "another option usually leaves one.",
             panel=HOW,
         ),
     ] = None,
     capture: Annotated[
         Path | None,
         Option(
-            help="Capture whose GPS fixes (fixes.txt, or EXIF of its images) say where the map is.",
+            help="Capture whose GPS fixes (fixes.txt, or the EXIF data of its images) locate the "
+            "map.",
             panel=HOW,
         ),
     ] = None,
-    remove: Annotated[
-        bool, Option("--remove", help="Take the map off the Earth again.", panel=HOW)
-    ] = False,
+    remove: Annotated[bool, Option("--remove", help="Remove the map's anchor.", panel=HOW)] = False,
     png: Annotated[
-        Path | None, Option(help="Write a plan of the map where it stands, on its building.")
+        Path | None, Option(help="Write a plan of the anchored map on its building.")
     ] = None,
     out: Annotated[
-        Path | None, Option("--out", "-o", help="Map file to write; else the map itself.")
+        Path | None, Option("--out", "-o", help="Map file to write; the map itself if not given.")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -101,13 +102,13 @@ def anchor(
     ways = sum((bool(pair), pose is not None, capture is not None))
     if ways + remove > 1 or not (ways or remove or place) or (remove and place):
         raise OptionError(
-            "Give one of --pair (three or more), --pose, --capture, with --in or without; or --in, or "
-            "--remove alone."
+            "Give exactly one of --pair (three or more), --pose and --capture, optionally "
+            "with --in; or only --in; or only --remove."
         )
     if place is not None and not building:
-        raise OptionError("--in needs --building: the name of the building that the map is of.")
+        raise OptionError("--in needs --building; give the name of the building.")
     if level and not parse_levels(level):
-        raise OptionError(f"--level is {level!r}; give a number as OpenStreetMap does, as 1 or -1.")
+        raise OptionError(f"--level is {level!r}; give an OpenStreetMap level, such as 1 or -1.")
     scene = SceneMap.open(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
         fitted = _fit_anchors(scene, pair, pose, accuracy, capture, tell, rough=place is not None)
@@ -118,7 +119,7 @@ def anchor(
     found = tuple(_add_details(a, floor, height, level, building) for a in fitted.anchors)
     notes = list(fitted.notes)
     if any(a.has_covariance and a.covariance[2, 2] > UNKNOWN**2 for a in found):
-        notes.append("Nobody says how high the map stands: it is put at height 0 m; give --height.")
+        notes.append("The map's height is unknown and set to 0 m; give --height.")
     target = out or map_file
     anchored = scene.anchored(*found)
     anchored.save(target)
@@ -228,9 +229,9 @@ def _posed(text: str, accuracy: str) -> Anchor:
 
     from placegraph.core.geo import Anchor
 
-    mend = "give longitude, latitude, height and heading_deg, as 7.42,43.73,50,90."
+    mend = "give longitude, latitude, height and heading_deg, such as 7.42,43.73,50,90."
     lon, lat, height, heading = numbers_of(text, "--pose", {4}, mend)
-    mend = "give metres and degrees, as 1,2."
+    mend = "give metres and degrees, such as 1,2."
     metres, turn = numbers_of(accuracy, "--accuracy", {2}, mend)
     if min(metres, turn) < 0:
         raise OptionError(f"--accuracy is {accuracy!r}; {mend}")
@@ -241,6 +242,6 @@ def _posed(text: str, accuracy: str) -> Anchor:
 def _pair(text: str) -> tuple[list[float], list[float]]:
     """Point (3,) and place (3,), heights NaN where they are not given."""
     point, _, place = text.partition("=")
-    mend = "give x and y in the map, and longitude and latitude, as 8,0=7.42,43.73."
+    mend = "give x and y in the map, and longitude and latitude, such as 8,0=7.42,43.73."
     both = [[*numbers_of(side, "--pair", {2, 3}, mend), nan][:3] for side in (point, place)]
     return both[0], both[1]

@@ -47,81 +47,82 @@ def build(
     source: Annotated[
         Path,
         Argument(
-            help="Mesh with objects (.glb, .gltf, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph "
-            "of SceneGraphFusion or Spark-DSG, an RGB-D capture with poses of any known recorder, or "
-            "rooms of OpenStreetMap (.osm)."
+            help="Mesh with objects (.glb, .gltf, .obj, .ply), folder of a 3RScan or ScanNet "
+            "scan, scene graph of SceneGraphFusion or Spark-DSG, posed RGB-D capture, or "
+            "OpenStreetMap rooms (.osm)."
         ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as house.scene.")],
     labels: Annotated[
-        Path | None, Option(help="JSON file with the label of each object id or name.")
+        Path | None, Option(help="JSON file that maps object ids or names to labels.")
     ] = None,
     floor: Annotated[
         float | None, Option(help="Height of the floor [m]; found if not given.")
     ] = None,
     up: Annotated[
-        str, Option(help="Axis of a mesh that points up: auto (GLB y, others z), y or z.")
+        str, Option(help="Up axis of a mesh: auto (y for GLB, z otherwise), y or z.")
     ] = "auto",
     scale: Annotated[
         float | None,
-        Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
+        Option(help="Metres per unit of the mesh, such as 0.001 for millimetres."),
     ] = None,
     detail: Annotated[
         str,
-        Option(help="How much is kept: full (every triangle), fine, default, small, tiny."),
+        Option(help="Level of detail: full (every triangle), fine, default, small or tiny."),
     ] = "default",
     error: Annotated[
-        float | None, Option(help="Greatest error of the surface [m], instead of --detail's.")
+        float | None, Option(help="Maximum surface error [m]; overrides --detail.")
     ] = None,
-    texel: Annotated[
-        float | None, Option(help="Length of a texel on surfaces [m], instead of --detail's.")
-    ] = None,
+    texel: Annotated[float | None, Option(help="Texel size [m]; overrides --detail.")] = None,
     object_property: Annotated[
-        str | None, Option(help="Property of a PLY that holds object ids, such as objectId.")
+        str | None, Option(help="PLY property with the object ids, such as objectId.")
     ] = None,
     segment: Annotated[
         bool | None,
         Option(
             "--segment/--no-segment",
-            help="Cut a mesh into objects by geometry and colour; if not given, only a large mesh "
-            "that is one object without a name.",
+            help="Segment a mesh into objects by geometry and colour; if not given, only a large "
+            "unnamed mesh is segmented.",
         ),
     ] = None,
     frames: Annotated[
         str | None,
-        Option(help="Frames of a capture that are used, such as 0:186 or ::5; all if none."),
+        Option(help="Frames of the capture to use, such as 0:186 or ::5; all if not given."),
     ] = None,
     poses: Annotated[
         str | None,
         Option(
             help="Poses of a capture: odometry, trajectory, or a TUM file; if not given, "
-            "trajectory.tum where there is one, else the recorder's own."
+            "trajectory.tum if it exists, else the recorder's own."
         ),
     ] = None,
     voxel: Annotated[
         float | None,
-        Option(help="Edge of a voxel that depth is fused into [m]; 0.03 if not given."),
+        Option(help="Voxel size of the depth fusion [m]; 0.03 if not given."),
     ] = None,
     segmenter: Annotated[
         Path | None,
-        Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
+        Option(
+            help="Segmentation network (.tflite) that labels the capture's images; needs the extra "
+            "`segment`."
+        ),
     ] = None,
     landmarks: Annotated[
         bool,
         Option(
             "--landmarks",
-            help="Keep local features on a capture's surfaces, at most 0.8 MB, so that images near its "
-            "views are placed to a centimetre; extra `sift`.",
+            help="Store local image features on a capture's surfaces (at most 0.8 MB), which "
+            "give centimetre poses near its views; needs the extra `sift`.",
         ),
     ] = False,
     level: Annotated[
-        str | None, Option(help="Level of OpenStreetMap's rooms, such as 1 or -1.")
+        str | None, Option(help="OpenStreetMap level to build, such as 1 or -1.")
     ] = None,
     reader: Annotated[
         list[str] | None,
         Option(
             "--reader",
-            help="Option of a data set's reader, as reference_frame=true (3RScan) or "
+            help="Option of a data set reader, such as reference_frame=true (3RScan) or "
             "label_column=nyu40class (ScanNet); may be repeated.",
         ),
     ] = None,
@@ -229,7 +230,9 @@ def _reader(options: list[str], level: str | None) -> dict[str, Any]:
     for option in options:
         name, equals, value = option.partition("=")
         if not (name and equals):
-            raise OptionError(f"--reader is {option!r}; give name=value, as reference_frame=true.")
+            raise OptionError(
+                f"--reader is {option!r}; give name=value, such as reference_frame=true."
+            )
         given[name.replace("-", "_")] = _value(value)
     return given
 
@@ -283,7 +286,7 @@ def check(
         click.echo(
             f"{map_file}: {len(scene):,} objects, {len(scene.mesh):,} triangles, "
             f"{size / 1e3:,.0f} kB, opened in {opened:.2f} s; "
-            + (f"{errors} error{'s' * (errors != 1)}." if errors else "nothing to fail by.")
+            + (f"{errors} error{'s' * (errors != 1)}." if errors else "nothing to check.")
         )
     if errors:
         raise click.exceptions.Exit(MapError.exit_code)
@@ -304,7 +307,8 @@ def info(
     map_file: MapFile,
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, Option(help="Write a plan with names; of merged scenes, of the first.")
+        Path | None,
+        Option(help="Write a floor plan with object names (merged scenes: the first one)."),
     ] = None,
 ) -> None:
     """Say what a scene map holds, and how many bytes its parts take.
@@ -350,28 +354,26 @@ _BEYOND = 1.0  # how far outside a map's box its cameras may stand [m]
 
 def encode(
     map_file: MapFile,
-    out: Annotated[Path, Option("--out", "-o", help="Map file to write; the same one will do.")],
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write; may be the same file.")],
     encoder: Annotated[
         str,
         Option(
-            help="labels and appearance know objects by the map alone; features and "
-            "scenegraphloc (extra `learn`) by images of it, --captures. Options of an encoder are said "
-            "with its name: 'scenegraphloc feature_weights=dinov2_vitg14.pth'."
+            help="Encoder: labels and appearance need only the map; features and scenegraphloc "
+            "(extra `learn`) need images of it (--captures). Append its options: "
+            "'scenegraphloc feature_weights=dinov2_vitg14.pth'."
         ),
     ],
     weights: WeightsFile = None,
     captures: Annotated[
         list[Path] | None,
-        Option(
-            help="Folder of a capture of the map itself, with poses in the map; may be repeated."
-        ),
+        Option(help="Folder of a capture with poses in the map's frame; may be repeated."),
     ] = None,
     poses: Annotated[
         str | None,
         Option(
-            help="Poses of the captures, map_from_camera: odometry, trajectory, or a TUM file, as "
-            "`scene localize --tum` writes; if not given, trajectory.tum where there is one, else "
-            "the recorder's own."
+            help="Poses of the captures, map_from_camera: odometry, trajectory, or a TUM file, "
+            "as `scene localize --tum` writes; if not given, trajectory.tum if it exists, "
+            "else the recorder's own."
         ),
     ] = None,
     frames: Frames = None,
@@ -414,8 +416,8 @@ def encode(
         encoded = int(vectors.any(axis=1).sum())
         if not encoded:
             raise OptionError(
-                f"{map_file}: {encoder} knows none of its {len(scene)} objects; it needs "
-                f"{_needs(encoder)}."
+                f"{map_file}: the encoder {encoder} can use none of the {len(scene)} "
+                f"objects; it needs {_needs(encoder)}."
             )
         bare.with_embeddings(vectors, encoder=made.key).save(out)
     _print_encoded(out, made, len(scene), encoded, count, perf_counter() - start, as_json, quiet)
@@ -430,17 +432,17 @@ def _given(
     encoder, _ = parse_encoder(encoder)
     if captures and encoder not in WITH_CAPTURES:
         raise OptionError(
-            f"--captures belongs to {' and '.join(WITH_CAPTURES)}; {encoder} knows objects by the "
-            "map alone, so leave them out."
+            f"--captures applies only to {' and '.join(WITH_CAPTURES)}; {encoder} uses the "
+            "map alone, so remove --captures."
         )
     if encoder in WITH_CAPTURES and not captures:
         raise OptionError(
-            f"--encoder {encoder} knows objects by images of the map; give --captures FOLDER, whose "
-            "poses are in the map."
+            f"--encoder {encoder} needs images of the map; give --captures FOLDER, with "
+            "poses in the map's frame."
         )
     for name, value in (("--poses", poses), ("--frames", frames)):
         if value is not None and not captures:
-            raise OptionError(f"{name} belongs to --captures, and there are none.")
+            raise OptionError(f"{name} applies only to --captures; give captures, or remove it.")
     return captures
 
 
@@ -456,16 +458,17 @@ def _open_capture(path: Path, poses: str | None, frames: str | None, scene: Scen
     inside = ((at > low - _BEYOND) & (at < high + _BEYOND)).all(axis=1)
     if not inside.any():
         raise OptionError(
-            f"{path}: no camera of it stands in {scene.source or 'the map'}; its poses must be in "
-            "the map: give those that `scene localize --tum` writes, by --poses."
+            f"{path}: none of its cameras lies in {scene.source or 'the map'}; its poses "
+            "must be in the map's frame. Give poses written by `scene localize --tum` with "
+            "--poses."
         )
     return capture
 
 
 def _needs(encoder: str) -> str:
     return {
-        "labels": "labels that are words it knows",
-        "appearance": "surfaces with colours, and free floor to look around from",
+        "labels": "labels that it knows",
+        "appearance": "coloured surfaces, and free floor to view them from",
     }.get(encoder, "images that show them")
 
 
@@ -490,8 +493,8 @@ CameraPaths = Annotated[
     list[Path] | None,
     Option(
         "--camera-path",
-        help="Way of a camera: TUM text (map_from_camera), or what `scene localize --json` "
-        "printed; may be repeated.",
+        help="Camera path: TUM file (map_from_camera) or output of `scene localize --json`; may "
+        "be repeated.",
     ),
 ]
 
@@ -499,11 +502,14 @@ CameraPaths = Annotated[
 def export(
     map_file: MapFile,
     out: Annotated[
-        Path, Argument(help="File to write; .glb, .ply, .json, .osm or .osmag says what.")
+        Path,
+        Argument(
+            help="File to write; its ending (.glb, .ply, .json, .osm or .osmag) sets the format."
+        ),
     ],
     camera_path: CameraPaths = None,
     force: Annotated[
-        bool, Option("--force", help="Replace OUT even if no earlier export wrote it.")
+        bool, Option("--force", help="Replace OUT even if it is not an earlier export.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -531,7 +537,7 @@ def export(
     from placegraph.maps import open_scene
 
     if os.path.realpath(map_file) == os.path.realpath(out):
-        raise OptionError(f"{out} is the map itself; name another file.")
+        raise OptionError(f"{out} is the input map; name another output file.")
     paths = camera_paths(camera_path)
     scene = open_scene(map_file)
     files = write(scene, out, camera_paths=paths, overwrite=force)

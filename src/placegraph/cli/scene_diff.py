@@ -32,15 +32,12 @@ MOST_IDS = 8
 """Unseen objects that are named; JSON names all."""
 MAP_ENDING = ".scene"
 
-Later = Annotated[
-    Path, Argument(help="The later look: a scene map (.scene), or a capture in the place.")
-]
+Later = Annotated[Path, Argument(help="Later scene map (.scene) or capture of the same place.")]
 Axes = Annotated[
     str | None,
     Option(
         "--b-from-a",
-        help="X,Y,Z,YAW_DEG: where the first map's origin lies in the second, and how it is turned; "
-        "found if not given.",
+        help="X,Y,Z,YAW_DEG: pose of the first map's origin in the second map; estimated if not given.",
     ),
 ]
 
@@ -55,7 +52,7 @@ def diff(
     out: Annotated[
         Path | None, Option("--out", "-o", help="Write the diff as JSON, for scene update.")
     ] = None,
-    png: Annotated[Path | None, Option(help="Write a plan with what changed.")] = None,
+    png: Annotated[Path | None, Option(help="Write a plan of the changes.")] = None,
     quiet: NoProgress = False,
 ) -> None:
     """Name what moved, appeared and vanished, from a map to a later map or capture of the place.
@@ -90,26 +87,26 @@ def update(
     ] = None,
     later: Annotated[
         Path | None,
-        Option("--from", help="Instead of a diff: a later map or capture of the place."),
+        Option("--from", help="Later map or capture of the place, in place of a diff."),
     ] = None,
     out: Annotated[
         Path | None, Option("--out", "-o", help="Map file to write, such as new.scene.")
     ] = None,
     in_place: Annotated[
-        bool, Option("--in-place", help="Replace the map itself; it is kept as NAME.bak.")
+        bool, Option("--in-place", help="Replace the input map; the old one is kept as NAME.bak.")
     ] = False,
     take: Annotated[
         list[str] | None,
         Option(
-            help="Kinds (moved, appeared, vanished, relabelled) or ids that are taken over; may be "
-            "repeated. All kinds if not given."
+            help="Kinds (moved, appeared, vanished, relabelled) or ids of changes to apply; may "
+            "be repeated. All kinds if not given."
         ),
     ] = None,
     least_confidence: Annotated[
-        float, Option(help="What is less sure than this is left alone.")
+        float, Option(help="Minimum confidence of changes to apply.")
     ] = 0.5,
     when: Annotated[
-        str, Option(help="When it changed, for the objects' history: 2026-11-21.")
+        str, Option(help="Date of the change for the objects' history, such as 2026-11-21.")
     ] = "",
     frames: Frames = None,
     axes: Axes = None,
@@ -128,11 +125,15 @@ def update(
     from placegraph.indoor.scene_map import SceneMap
 
     if (diff_file is None) == (later is None):
-        raise OptionError("Give a diff's JSON file, or --from with a later map or capture.")
+        raise OptionError(
+            "No change is given; name a diff's JSON file, or a later map or capture with --from."
+        )
     if out is None and not in_place:
-        raise OptionError("--out names the map to write; --in-place replaces the map itself.")
+        raise OptionError(
+            "No output is given; name a map with --out, or replace the input with --in-place."
+        )
     if out is not None and in_place:
-        raise OptionError("--out and --in-place contradict each other; give one.")
+        raise OptionError("--out and --in-place exclude each other; give one.")
     if diff_file is not None:
         differences = read_diff(diff_file)
     else:
@@ -152,9 +153,7 @@ def update(
     elif not quiet:
         click.echo(f"{target}: {len(new):,} objects, {len(differences):,} changes in the diff.")
         if differences and not told:
-            click.echo(
-                f"None of them is taken over; the two are laid on each other: {differences.alignment}."
-            )
+            click.echo(f"No change was applied. Alignment: {differences.alignment}.")
         for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
             if id_ in told:
                 label = new.graph.labels[new.row_of(id_)]
@@ -175,10 +174,12 @@ def compared(
 
     if later.suffix.lower() == MAP_ENDING:
         if frames is not None:
-            raise OptionError(f"--frames belongs to a capture, and {later} is a map.")
+            raise OptionError(
+                f"--frames applies only to captures, but {later} is a map; remove it."
+            )
         return diff_of(scene, open_scene(later), options=options)
     if options.b_from_a is not None:
-        raise OptionError("--b-from-a belongs to a map; a capture's poses are found by localizing.")
+        raise OptionError("--b-from-a applies only to a second map, not to a capture; remove it.")
     from placegraph.io.capture.capture import open_capture
 
     capture = chosen_frames(open_capture(later), frames)
@@ -193,7 +194,7 @@ def show(differences: SceneDiff) -> None:
     out.print(
         f"{differences.before or 'The map'} and {differences.after or 'a later look'}: {differences!r}"
     )
-    out.print(f"Laid on each other: {differences.alignment}.")
+    out.print(f"Alignment: {differences.alignment}.")
     if len(differences):
         rows = table("change", "object", "by", "sure", "")
         for c in differences:
@@ -205,7 +206,7 @@ def show(differences: SceneDiff) -> None:
     if differences.unseen:
         more = ", ..." if len(differences.unseen) > MOST_IDS else ""
         out.print(
-            f"Unseen, so that nothing can be told of them: {len(differences.unseen)} objects "
+            f"Not seen, so unknown: {len(differences.unseen)} objects "
             f"({', '.join(differences.unseen[:MOST_IDS])}{more})."
         )
 
@@ -219,6 +220,6 @@ def _motion(axes: str | None) -> Floats | None:
     from placegraph.core.geometry import rotation_z
     from placegraph.indoor.mapping.change.align import make_rigid
 
-    mend = "give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
+    mend = "give x, y, z in metres and yaw in degrees, such as 1.5,2,0,90."
     numbers = numbers_of(axes, "--b-from-a", {4}, mend)
     return make_rigid(rotation_z(radians(numbers[3])), np.array(numbers[:3]))

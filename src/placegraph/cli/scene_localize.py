@@ -83,7 +83,7 @@ class Files:
 
             write_overlay(scene, estimate, chosen, self.overlay)
         elif self.overlay is not None:
-            click.echo(f"{self.overlay} is not written: there is no pose to show.", err=True)
+            click.echo(f"{self.overlay} was not written, because there is no pose.", err=True)
 
 
 def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
@@ -136,7 +136,7 @@ def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str
     way = f"{100 * shift:.1f} cm and {turn:.2f}°"
     if refinement.accepted:
         return f"{refinement.reason} The pose moved by {way}."
-    away = f"; the one refused lies {way} from it" if shift > 0.002 or turn > 0.1 else ""
+    away = f"; the rejected pose lies {way} from it" if shift > 0.002 or turn > 0.1 else ""
     return f"{refinement.reason} The {before} stands{away}."
 
 
@@ -148,46 +148,54 @@ def localize(
     seed: Seed = 0,
     near: Annotated[
         str | None,
-        Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near.", panel=KNOWN),
+        Option(
+            help="X,Y or X,Y,Z: approximate position of the first frame in the map [m].",
+            panel=KNOWN,
+        ),
     ] = None,
     radius: Annotated[
-        float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
+        float,
+        Option(help="Radius of --near [m]: contains half of the prior probability.", panel=KNOWN),
     ] = 1.0,
     yaw_deg: Annotated[
         float | None,
-        Option(help="With --near: about where it looks, counter-clockwise from x.", panel=KNOWN),
+        Option(
+            help="With --near: approximate viewing direction [deg], counter-clockwise from x.",
+            panel=KNOWN,
+        ),
     ] = None,
     description: Annotated[
         str | None,
         Option(
-            help="What is known of the place: 'next to the sofa, facing the window'.", panel=KNOWN
+            help="Description of the camera's place: 'next to the sofa, facing the window'.",
+            panel=KNOWN,
         ),
     ] = None,
     encoder: Annotated[
         str | None,
         Option(
-            help="What says which objects a patch may show: labels, appearance, or one "
-            "that `scene encode` gave the map its vectors of, with its options: 'features "
-            "weights=dinov2.pth'; the capture's own labels if not given.",
+            help="Encoder that matches image patches with objects: labels, appearance, or one "
+            "used in `scene encode`, with its options ('features weights=dinov2.pth'); the "
+            "capture's own labels if not given.",
             panel=USED,
         ),
     ] = None,
     depth_network: Annotated[
         Path | None,
         Option(
-            help="Network (.tflite, with a .json beside it) that tells depth from the images, where "
-            "the capture has none; extra `segment`.",
+            help="Depth network (.tflite, with a .json beside it) for captures without depth; "
+            "needs the extra `segment`.",
             panel=USED,
         ),
     ] = None,
     preset: Annotated[
         str,
         Option(
-            help="Recipe of the search: default (a table of what is visible from where, and a fit of "
-            "all frames), paper (SG2Loc as printed: particles everywhere, three "
-            "passes, one MLE, then six views and PnP), coarse (its first pass alone, then the same), "
-            "published (what its code does otherwise; a filter only, nothing is refined). The paper's "
-            "take many times as long.",
+            help="Preset of the search: default (visibility table, and a fit of all frames), "
+            "paper (SG2Loc as printed: uniform particles, three passes, one MLE, six "
+            "rendered views and PnP), coarse (the same with the first pass only) or "
+            "published (as in the paper's code: filter only, no refinement). The last three "
+            "are many times slower.",
             panel=USED,
         ),
     ] = "default",
@@ -200,7 +208,7 @@ def localize(
     device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, Option(help="Write a plan with the particles of a filter.", panel=WRITTEN)
+        Path | None, Option(help="Write a plan with the filter's particles.", panel=WRITTEN)
     ] = None,
     gif: Annotated[
         Path | None, Option(help="Write the plan as an animation.", panel=WRITTEN)
@@ -259,7 +267,7 @@ def _measured(
     from placegraph.indoor.encode.networks import SLOPE, depth_network, estimate_depth
 
     if not options.depth:
-        raise OptionError("--depth-network and --no-depth exclude each other; leave out one.")
+        raise OptionError("--depth-network and --no-depth exclude each other; remove one.")
     wide = replace(options, likelihood=replace(options.likelihood, depth_slope=SLOPE))
     blind = refining and replace(refining, depth=False)
     return estimate_depth(capture, depth_network(weights)), wide, blind
@@ -268,8 +276,8 @@ def _measured(
 def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
     if not refine and (matcher != "auto" or weights is not None):
         raise OptionError(
-            "--matcher and --weights belong to the refinement; leave out --no-refine or --preset "
-            "published, or these."
+            "--matcher and --weights apply only to the refinement, which --no-refine and "
+            "--preset published switch off; remove one or the other."
         )
     return matcher_of(matcher, weights, device)
 
@@ -279,9 +287,9 @@ def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | No
 
     if near is None:
         if yaw_deg is not None:
-            raise OptionError("--yaw-deg belongs to --near; give both.")
+            raise OptionError("--yaw-deg applies only to --near; give both, or remove --yaw-deg.")
         return None
-    mend = "give x and y, and z if it is known, as 1.5,-2."
+    mend = "give x and y, and optionally z, such as 1.5,-2."
     x, y, *z = numbers_of(near, "--near", {2, 3}, mend)
     if not (isfinite(radius) and radius > 0):
         raise OptionError(f"--radius is {radius}; it must be greater than 0.")
@@ -298,12 +306,13 @@ def refine(
         str | None,
         Option(
             help="X,Y,Z,YAW_DEG[,PITCH_DEG,ROLL_DEG] of the camera at the last frame, in the map "
-            "[m], to about 0.3 m and 15 degrees; without pitch and roll gravity gives them."
+            "[m], accurate to about 0.3 m and 15 degrees; pitch and roll are taken from "
+            "gravity if not given."
         ),
     ] = None,
     estimate: Annotated[
         Path | None,
-        Option(help="JSON file of what `scene localize --json` printed, instead of --pose."),
+        Option(help="JSON output of `scene localize --json`, in place of --pose."),
     ] = None,
     mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
     frames: Frames = None,
@@ -332,9 +341,9 @@ def refine(
     from placegraph.maps import open_scene
 
     if (pose is None) == (estimate is None):
-        raise OptionError("Give one of --pose and --estimate: about where the camera is.")
+        raise OptionError("The initial pose must be given once, with --pose or --estimate.")
     if mode != 1 and estimate is None:
-        raise OptionError("--mode belongs to --estimate; give both.")
+        raise OptionError("--mode applies only to --estimate; give both, or remove --mode.")
     images: Literal["auto", False] = "auto" if used.get("colour", True) else False
     options = RefineOptions(depth=used.get("depth", True), images=images)
     matching = matcher_of(matcher, weights, device)
@@ -367,7 +376,7 @@ def _chosen(clip: Capture, frames: str | None, estimate: Path | None) -> Capture
     rows = read_estimate(estimate)[1]
     if not (min(rows) >= 0 and max(rows) < len(clip)):
         raise OptionError(
-            f"{estimate} tells of frame {max(rows)}, but {clip.path} has {len(clip)} frames; give "
-            "the capture it was made of, or --frames."
+            f"{estimate} refers to frame {max(rows)}, but {clip.path} has {len(clip)} "
+            "frames; give the capture that it was made from, or --frames."
         )
     return replace(clip, frames=tuple(clip[row] for row in rows))

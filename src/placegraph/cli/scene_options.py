@@ -18,43 +18,43 @@ if TYPE_CHECKING:
     from placegraph.io.capture.capture import Capture
     from placegraph.io.capture.frame import Frame
 
-KNOWN = "What is known"
-USED = "What is used of the frames"
+KNOWN = "Prior knowledge"
+USED = "Frame data"
 REFINED = "How the pose is refined"
-WRITTEN = "What is written"
+WRITTEN = "Output"
 
 MapFile = Annotated[Path, Argument(help="Scene map (.scene), made by `placegraph scene build`.")]
 CaptureFolder = Annotated[
     Path,
     Argument(
-        help="Folder with rgb/, camera.json, odometry.tum (depth/ and labels help), or what another "
-        "recorder wrote: Record3D, Polycam, Stray Scanner, ScanNet, a bag of ROS, ..."
+        help="Folder with rgb/, camera.json and odometry.tum (optionally depth/ and labels), or "
+        "a recording of Record3D, Polycam, Stray Scanner, ScanNet, ROS, ..."
     ),
 ]
 Frames = Annotated[
     str | None,
-    Option(help="Which frames, as in Python: 10:20, -5:, ::2; 7 is frame 7 alone.", panel=USED),
+    Option(help="Frames as a Python slice (10:20, -5:, ::2) or a single index (7).", panel=USED),
 ]
 Seed = Annotated[int, Option(help="The same seed gives the same answer.")]
 Device = Annotated[str, Option(help="auto, cpu or cuda.")]
 MatcherName = Annotated[
     str,
     Option(
-        help="What matches images with renderings of the map where depth does not fix the pose: "
-        "guided (nothing to install), sift, xfeat, roma, romav2, or auto: guided, but for the paper's "
-        "six views roma, or sift where that is not at hand.",
+        help="Matcher between images and renderings of the map, used where depth does not fix "
+        "the pose: guided (nothing to install), sift, xfeat, roma, romav2 or auto (guided; "
+        "with the paper's six views roma, or sift if roma is not installed).",
         panel=REFINED,
     ),
 ]
 Weights = Annotated[
     Path | None,
     Option(
-        help="File with the weights of --matcher xfeat or roma; else from its own hub.",
+        help="File with the weights of --matcher xfeat or roma; downloaded if not given.",
         panel=REFINED,
     ),
 ]
 PlanFile = Annotated[
-    Path | None, Option(help="Write a plan with the pose and the way to it.", panel=WRITTEN)
+    Path | None, Option(help="Write a plan with the pose and the camera's path.", panel=WRITTEN)
 ]
 TumFile = Annotated[
     Path | None,
@@ -63,8 +63,8 @@ TumFile = Annotated[
 OverlayFile = Annotated[
     Path | None,
     Option(
-        help="Write a picture of the last frame with the map's edges on it, at the pose answered "
-        "and before the refinement: whether it is right, at a glance.",
+        help="Write the last frame with the map's edges drawn over it, at the estimated pose and "
+        "before the refinement.",
         panel=WRITTEN,
     ),
 ]
@@ -82,12 +82,12 @@ def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
 
     known = dict.fromkeys([*_OWN, *MATCHERS])
     if name not in known:
-        raise OptionError(f"--matcher is {name!r}; there are {', '.join(known)}.")
+        raise OptionError(f"--matcher is {name!r}; choose one of {', '.join(known)}.")
     if name in _OWN:
         if weights is not None:
             raise OptionError(
-                f"--weights belongs to a matcher that has some, such as --matcher xfeat; {name} has "
-                "none."
+                "--weights applies only to matchers with weights, such as --matcher xfeat, "
+                f"but {name} has none; remove it."
             )
         return name
     return matcher(name, weights=weights, device="cuda" if device.startswith("cuda") else "cpu")
@@ -107,8 +107,8 @@ def chosen_frames(capture: Capture, frames: str | None) -> Capture:
     chosen = capture[rows_of(frames)]
     if not len(chosen):
         raise OptionError(
-            f"--frames {frames} selects none of the {len(capture)} frames of {capture.path}; "
-            f"they are 0 to {len(capture) - 1}."
+            f"--frames {frames} selects none of the {len(capture)} frames of "
+            f"{capture.path}; choose from 0 to {len(capture) - 1}."
         )
     return chosen
 
@@ -141,8 +141,8 @@ def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
     from placegraph.core.geometry import level_from_camera, pose_matrix
 
     mend = (
-        "give x, y, z in metres and yaw in degrees, and pitch and roll if need be, as 1.5,2,1.6,90 or "
-        "1.5,2,1.6,90,-10,0."
+        "give x, y, z in metres and yaw, optionally also pitch and roll, in degrees, such "
+        "as 1.5,2,1.6,90 or 1.5,2,1.6,90,-10,0."
     )
     numbers = numbers_of(text, "--pose", {4, 5, 6}, mend)
     x, y, z = numbers[:3]
@@ -168,16 +168,19 @@ def pose_of_estimate(path: Path, mode: int = 1, frame: Frame | None = None) -> F
     """
     modes, frames, trajectory = read_estimate(path)
     if not 1 <= mode <= len(modes):
-        raise OptionError(f"--mode is {mode}, but {path} has modes 1 to {len(modes)}.")
+        raise OptionError(
+            f"--mode is {mode}, but {path} has modes 1 to {len(modes)}; choose one of these."
+        )
     if frame is None or (frame.index == frames[-1]):
         return modes[mode - 1]
     if mode != 1:
         raise OptionError(
-            f"--mode {mode} is known for the last frame alone, {frames[-1]}; leave --frame out."
+            f"--mode {mode} is known only for the last frame, {frames[-1]}; remove --frame."
         )
     if frame.index not in frames:
         raise OptionError(
-            f"--frame is {frame.index}, but {path} tells of frames {', '.join(map(str, frames))}."
+            f"--frame is {frame.index}, but {path} has poses of frames "
+            f"{', '.join(map(str, frames))}; choose one of these."
         )
     pose: Floats = trajectory[frames.index(frame.index)]
     return pose
@@ -200,11 +203,12 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
         reason, status = str(told["reason"]), str(told["status"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{path} is not what `placegraph scene localize --json` prints "
-            f"({type(error).__name__}: {error}); write its output to a file and give that."
+            f"{path} is not output of `placegraph scene localize --json` "
+            f"({type(error).__name__}: {error}); redirect that output to a file and name "
+            "the file."
         ) from error
     if not modes or not frames or len(frames) != len(trajectory):
-        raise InputError(f"{path} holds no pose: it says {status}. {reason}")
+        raise InputError(f"{path} contains no pose; its status is {status}. {reason}")
     return modes, frames, trajectory
 
 
@@ -226,8 +230,8 @@ WeightsFile = Annotated[
     Path | None,
     Option(
         "--weights",
-        help="File with the weights of the encoder: needed by scenegraphloc (`scene train` writes "
-        "some), fetched by features if not given.",
+        help="File with the weights of the encoder: required for scenegraphloc (from `scene "
+        "train`), downloaded for features if not given.",
     ),
 ]
 
@@ -248,8 +252,9 @@ def encoders_of(names: Sequence[str], weights: Path | None) -> list[Encoder]:
     own = [name for name in names if parse_encoder(name)[0] in WITH_WEIGHTS]
     if weights is not None and len(own) != 1:
         raise OptionError(
-            f"--weights belongs to one encoder that has some ({', '.join(WITH_WEIGHTS)}), and "
-            f"{', '.join(names) or 'none'} was named; name it by --encoder, and no second one."
+            "--weights applies to exactly one encoder with weights "
+            f"({', '.join(WITH_WEIGHTS)}), but the encoders are "
+            f"{', '.join(names) or 'none'}; give that one with --encoder."
         )
     return [
         encoder(name, weights=weights) if weights is not None and name in own else encoder(name)

@@ -56,7 +56,9 @@ def render(
     map_file: Annotated[
         Path, Argument(help="Scene map (.scene), made by `placegraph scene build`.")
     ],
-    out: Annotated[Path, Option("--out", "-o", help="Folder for the pictures; made if need be.")],
+    out: Annotated[
+        Path, Option("--out", "-o", help="Folder for the pictures; created if it does not exist.")
+    ],
     pose: Annotated[
         str | None,
         Option(
@@ -66,34 +68,32 @@ def render(
     ] = None,
     tum: Annotated[
         Path | None,
-        Option(help="TUM file of poses map_from_camera, as `scene localize --tum` writes."),
+        Option(help="TUM file of poses (map_from_camera), as written by `scene localize --tum`."),
     ] = None,
     row: Annotated[
         int | None,
         Option(
-            help="With --tum: row of the file from 0, -1 is the last. Without it the row with the "
-            "frame's stamp, or, without --frame, the last."
+            help="With --tum: row index from 0; -1 is the last. If not given, the row with the "
+            "stamp of --frame, or the last."
         ),
     ] = None,
-    estimate: Annotated[
-        Path | None, Option(help="JSON file of what `scene localize --json` printed.")
-    ] = None,
+    estimate: Annotated[Path | None, Option(help="JSON output of `scene localize --json`.")] = None,
     mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
     camera: Annotated[
         Path | None, Option(help="camera.json with the intrinsics of the picture.")
     ] = None,
     capture: Annotated[
         Path | None,
-        Option(help="Capture folder: its camera, and a frame to lay the map over."),
+        Option(help="Capture folder that gives the camera and a frame to draw the map over."),
     ] = None,
     frame: Annotated[
         int | None,
         Option(
-            help="With --capture: frame from 0, -1 is the last. Without it the last, or the one "
-            "that an estimate is of."
+            help="With --capture: frame index from 0; -1 is the last. If not given, the "
+            "estimate's frame or the last."
         ),
     ] = None,
-    samples: Annotated[int, Option(help="Rays a pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
+    samples: Annotated[int, Option(help="Rays per pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
     device: Annotated[str, Option(help="auto or cpu.")] = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -134,15 +134,15 @@ def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: 
     """Refuse options that contradict each other."""
     given = [source.pose, source.tum, source.estimate]
     if sum(value is not None for value in given) != 1:
-        raise OptionError("Give one of --pose, --tum and --estimate: where the camera is.")
+        raise OptionError("The pose must be given once, with --pose, --tum or --estimate.")
     if (camera is None) == (capture is None):
-        raise OptionError("Give one of --camera and --capture: what camera it is.")
+        raise OptionError("The camera must be given once, with --camera or --capture.")
     if frame is not None and capture is None:
-        raise OptionError("--frame belongs to --capture; give both.")
+        raise OptionError("--frame applies only to --capture; give both, or remove --frame.")
     if source.row is not None and source.tum is None:
-        raise OptionError("--row belongs to --tum; give both.")
+        raise OptionError("--row applies only to --tum; give both, or remove --row.")
     if source.mode != 1 and source.estimate is None:
-        raise OptionError("--mode belongs to --estimate; give both.")
+        raise OptionError("--mode applies only to --estimate; give both, or remove --mode.")
 
 
 def _camera(camera: Path | None, capture: Path | None) -> tuple[Capture | None, Camera]:
@@ -165,7 +165,7 @@ def _frame(clip: Capture, number: int | None, source: Source) -> Frame:
             number = read_estimate(source.estimate)[1][-1]
     if not -len(clip) <= number < len(clip):
         raise OptionError(
-            f"--frame is {number}, but {clip.path} has {len(clip)} frames; they are 0 to "
+            f"--frame is {number}, but {clip.path} has {len(clip)} frames; choose 0 to "
             f"{len(clip) - 1}."
         )
     return clip[number]
@@ -188,13 +188,13 @@ def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
         row = int(np.abs(track.stamps - frame.stamp).argmin())
         if abs(track.stamps[row] - frame.stamp) > 1e-6 * max(1.0, abs(frame.stamp)):
             raise InputError(
-                f"{path} has no row with the stamp {frame.stamp:.10g} of frame {frame.index}; "
-                "choose one by --row."
+                f"{path} has no row with the stamp {frame.stamp:.10g} of frame "
+                f"{frame.index}; choose one with --row."
             )
     row = -1 if row is None else row
     if not -len(track) <= row < len(track):
         raise OptionError(
-            f"--row is {row}, but {path} has {len(track)} rows; they are 0 to {len(track) - 1}."
+            f"--row is {row}, but {path} has {len(track)} rows; choose 0 to {len(track) - 1}."
         )
     pose: Floats = track.poses[row]
     return pose
@@ -228,7 +228,7 @@ def _write(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{out} cannot be made a folder ({error.strerror}); choose another --out."
+            f"The folder {out} cannot be created ({error.strerror}); choose another --out."
         ) from error
     files = []
     for name, picture in pictures.items():
@@ -280,12 +280,12 @@ def _describe(
 def _summarize(facts: dict[str, Any]) -> str:
     """Describe the picture in a sentence."""
     if not facts["objects"]:
-        return "The map is not to be seen from there: the picture is empty."
+        return "The map is not visible from this pose, so the picture is empty; check the pose."
     low, high = facts["depth_m"]
     named = [f"{o['label'] or o['id']} {o['share']:.0%}" for o in facts["objects"][:6]]
     return (
-        f"The map fills {facts['covered']:.0%} of it, {low:.2f} to {high:.2f} m away: "
-        f"{', '.join(named)}."
+        f"The map fills {facts['covered']:.0%} of the picture, {low:.2f} to {high:.2f} m "
+        f"away: {', '.join(named)}."
     )
 
 
@@ -293,18 +293,18 @@ def view(
     map_file: MapFile,
     capture: Annotated[
         Path | None,
-        Option(help="Capture to localize first; its way and particles are shown."),
+        Option(help="Capture to localize first; its path and particles are shown."),
     ] = None,
     frames: Frames = None,
     run: Annotated[
         Path | None,
-        Option(help="Recorded run to show: `scene localize --record FILE` writes it."),
+        Option(help="Recorded run to show, from `scene localize --record FILE`."),
     ] = None,
     camera_path: CameraPaths = None,
     host: Annotated[
-        str, Option(help="Address to listen at; 0.0.0.0 lets other computers look, too.")
+        str, Option(help="Address to listen at; 0.0.0.0 also admits other computers.")
     ] = "127.0.0.1",
-    port: Annotated[int, Option(help="Port, or the next free one.")] = 8080,
+    port: Annotated[int, Option(help="Port; if it is taken, the next free one.")] = 8080,
     seed: Seed = 0,
     device: Device = "auto",
     quiet: NoProgress = False,
@@ -321,9 +321,9 @@ def view(
     from placegraph.view.scene_viewer import open_viewer
 
     if capture is not None and run is not None:
-        raise OptionError("--capture and --run both bring particles; give one of them.")
+        raise OptionError("--capture and --run both give particles; remove one.")
     if frames is not None and capture is None:
-        raise OptionError("--frames belongs to --capture; give both.")
+        raise OptionError("--frames applies only to --capture; give both, or remove --frames.")
     paths = camera_paths(camera_path)
     scene = open_scene(map_file)
     estimate = None
@@ -334,7 +334,7 @@ def view(
     elif capture is not None:
         estimate = _localized(scene, capture, frames, seed=seed, device=device, quiet=quiet)
     with open_viewer(scene, camera_paths=paths, run=estimate, host=host, port=port) as viewer:
-        click.echo(f"{map_file} at {viewer.address} (Ctrl-C ends it)")
+        click.echo(f"{map_file} at {viewer.address} (press Ctrl-C to stop)")
         wait()
 
 

@@ -10,8 +10,8 @@ from typing import Any, Literal, Self
 from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 
-KNOWN = "What is known"
-USED = "What is used of the frames"
+KNOWN = "Prior knowledge"
+USED = "Frame data"
 
 
 def check_device(device: str, *, network: bool = False) -> None:

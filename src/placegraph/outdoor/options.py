@@ -8,7 +8,7 @@ from typing import Literal
 from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 
-KNOWN = "What is known"
+KNOWN = "Prior knowledge"
 JUDGED = "How places are found and judged"
 SMALLEST, LARGEST = 1.0, 10_000.0
 """Range of the sizes of cells [m]."""

@@ -35,7 +35,7 @@ def test_two_maps(run, place, tmp_path):
     )  # fmt: skip
     assert done.code == 0
     assert "1 moved, 1 vanished" in done.out
-    assert "Laid on each other: found" in done.out
+    assert "Alignment: found" in done.out
     with Image.open(tmp_path / "d.png") as picture:
         assert picture.width == 1200
     told = run("scene", "diff", place / "room.scene", place / "later.scene", "--json").json
@@ -87,11 +87,11 @@ def test_update_from_a_later_map_in_place(run, place, tmp_path):
     ("arguments", "words"),
     [
         (("update", "room.scene"), "--from"),
-        (("update", "room.scene", "d.json"), "--out names the map"),
+        (("update", "room.scene", "d.json"), "No output is given"),
         (("update", "room.scene", "d.json", "-o", "x.scene", "--in-place"), "contradict"),
         (("diff", "room.scene", "later.scene", "--b-from-a", "1,2"), "--b-from-a is '1,2'"),
         (("diff", "room.scene", "later.scene", "--frames", "1:2"), "is a map"),
-        (("diff", "room.scene", "walk", "--b-from-a", "1,2,0,0"), "belongs to a map"),
+        (("diff", "room.scene", "walk", "--b-from-a", "1,2,0,0"), "applies only to a second map"),
     ],
 )
 def test_options_that_contradict_each_other(run, place, monkeypatch, arguments, words):
@@ -104,7 +104,7 @@ def test_options_that_contradict_each_other(run, place, monkeypatch, arguments, 
 def test_check_says_what_is_wrong_and_ends_with_its_code(run, place, tmp_path):
     done = run("scene", "check", place / "room.scene")
     assert done.code == 0
-    assert "nothing to fail by" in done.out
+    assert "nothing to check" in done.out
     build_scene(place / "room.glb", tmp_path / "low.scene", floor=-1.0)
     wrong = run("scene", "check", tmp_path / "low.scene", "--json")
     assert wrong.code == 4

@@ -56,10 +56,10 @@ def test_what_contradicts_itself(run, file, tmp_path):
     for asked, code, says in (
         (("--encoder", "votes"), 7, "labels"),
         (("--encoder", "features"), 7, "--captures FOLDER"),
-        (("--encoder", "labels", "--captures", tmp_path), 7, "leave them out"),
+        (("--encoder", "labels", "--captures", tmp_path), 7, "remove --captures"),
         (("--encoder", "labels", "--poses", "odometry"), 7, "--poses belongs"),
         (("--encoder", "labels", "--frames", "3:"), 7, "--frames belongs"),
-        (("--encoder", "labels", "--weights", file), 7, "--weights belongs"),
+        (("--encoder", "labels", "--weights", file), 7, "--weights applies"),
         (("--encoder", "features layer=1"), 7, "--captures FOLDER"),
     ):
         told = run(*to, *asked)
@@ -142,5 +142,5 @@ def test_images_of_elsewhere_are_refused(run, file, walked, tmp_path):
     write_tum(tmp_path / "far.tum", capture.stamps, far)
     told = run("scene", "encode", file, "-o", tmp_path / "o.scene", "--encoder", "features",
                "--captures", folder, "--poses", tmp_path / "far.tum")  # fmt: skip
-    assert (told.code, "no camera of it stands in" in told.err) == (7, True)
+    assert (told.code, "none of its cameras lies in" in told.err) == (7, True)
     assert not (tmp_path / "o.scene").exists()

@@ -70,7 +70,7 @@ def test_export_refuses(run, two, way, tmp_path):
     out.write_text("a work of years")
     fails(run("scene", "export", two, out), 7, "work.glb", "--force")
     assert run("scene", "export", two, out, "--force").code == 0
-    fails(run("scene", "export", two, two), 7, "the map itself")
+    fails(run("scene", "export", two, two), 7, "is the input map")
     fails(run("scene", "export", two, tmp_path / "a.obj"), 7, "unknown ending")
     fails(run("scene", "export", two, tmp_path / "no" / "a.glb"), 4, "cannot be written")
     fails(run("scene", "export", way, tmp_path / "a.glb"), 4, "not a placegraph map")

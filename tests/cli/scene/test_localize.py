@@ -298,9 +298,9 @@ def test_an_image_feature_matcher(run, room):
 def test_matchers_by_name(tmp_path):
     assert matcher_of("auto", None, "cpu") == "auto"
     assert matcher_of("guided", None, "cuda") == "guided"
-    with pytest.raises(OptionError, match="--matcher is 'orb'; there are auto, guided, sift, "):
+    with pytest.raises(OptionError, match="--matcher is 'orb'; choose one of auto, guided, sift, "):
         matcher_of("orb", None, "cpu")
-    with pytest.raises(OptionError, match="--weights belongs to"):
+    with pytest.raises(OptionError, match="--weights applies to"):
         matcher_of("auto", tmp_path / "a.pt", "cpu")
 
 
@@ -392,7 +392,7 @@ def test_much_evidence_and_many_modes(capsys):
         ),
         (
             False, "Not refined: Bad.", {"shift_m": 0.25, "turn_deg": 3.0},
-            "Not refined: Bad. The pose given stands; the one refused lies 25.0 cm and 3.00° from it.",
+            "Not refined: Bad. The pose given stands; the rejected pose lies 25.0 cm and 3.00° from it.",
         ),
         (False, "Not refined: dark.", {"shift_m": 0.001, "turn_deg": 0.04},
          "Not refined: dark. The pose given stands."),
@@ -415,7 +415,7 @@ def test_a_refinement_in_words(accepted, reason, stats, line):
         (("--near", "1,2", "--radius", "inf"), "--radius"), (("--yaw-deg", "90"), "--near"),
         (("--height", "nan"), "heights"), (("--device", "abacus"), "device"),
         (("--no-semantic", "--no-depth", "--no-colour"), "leave one on"),
-        (("--matcher", "orb"), "there are auto, guided"), (("--weights", "a.pt"), "--weights"),
+        (("--matcher", "orb"), "choose one of auto, guided"), (("--weights", "a.pt"), "--weights"),
         (("--matcher", "guided", "--weights", "a.pt"), "guided has none"),
         (("--no-refine", "--matcher", "sift"), "--no-refine"),
         (("--no-refine", "--weights", "a.pt"), "--no-refine"),

@@ -150,7 +150,7 @@ def test_options_that_contradict(run, world):
         ((*estimate, "--mode", 3), "modes 1 to 2"),
         ((*estimate, "--frames", "3"), "frames 1, 2, 4"),
         ((*pose, "--frames", "9:"), "--frames"),
-        ((*pose, "--matcher", "orb"), "there are auto, guided"),
+        ((*pose, "--matcher", "orb"), "choose one of auto, guided"),
         ((*pose, "--weights", "a.pt"), "--weights"),
         ((*pose, "--no-depth", "--no-colour"), "leave one on"),
         ((*pose, "--device", "abacus"), "device"),

@@ -42,5 +42,5 @@ def test_the_command_loads_a_server_and_resumes(run, fake, harbour, harbour_file
     assert told["collection"] in run("city", "stores", URI).out
     dropped = run("city", "stores", URI, "--drop", told["collection"], "--json")
     assert json.loads(dropped.out)["name"] == "harbour"
-    assert run("city", "stores", URI).out == "No stores of placegraph's.\n"
+    assert run("city", "stores", URI).out == "The server has no placegraph stores.\n"
     assert run("city", "stores", URI, "--drop", "x").code == 10

@@ -340,7 +340,7 @@ def update_file(
     """
     same = os.path.realpath(path) == os.path.realpath(out)
     if same and not in_place:
-        raise OptionError(f"{out} is the map itself; name another file, or say --in-place.")
+        raise OptionError(f"{out} is the input map; name another output file, or use --in-place.")
     scene = update(
         open_scene(path, Scene), diff, take=take, least_confidence=least_confidence, when=when
     )
