@@ -473,7 +473,7 @@ def test_demo(run, tmp_path):
         "window",
         *(f"home{i}.scene" for i in range(1, 5)),
     }
-    assert "placegraph scene localize" in result.out.partition("The same by hand:")[2]
+    assert "placegraph scene localize" in result.out.partition("The same with commands:")[2]
     asked = result.out.partition("two flats are the same")[2].partition("Look at")[0]
     assert [word for word in asked.split() if word in ("AMBIGUOUS:", "OK:")] == (
         ["AMBIGUOUS:", "OK:", "AMBIGUOUS:", "OK:", "OK:"]

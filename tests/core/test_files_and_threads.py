@@ -62,7 +62,7 @@ def test_what_cannot_be_written_is_said(tmp_path):
         write_file(tmp_path, [b""])
     with pytest.raises(MapError, match="cannot be written"):
         write_file(tmp_path / "no" / "a.bin", [b""])
-    with pytest.raises(MapError, match="not a file name"):
+    with pytest.raises(MapError, match="not a valid file name"):
         write_file("a\0b", [b""])
     with files.lock_file(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
         write_file(tmp_path / "a.bin", [b""])

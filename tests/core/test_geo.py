@@ -153,7 +153,7 @@ def test_what_is_not_known_of_map_and_pose_adds_up():
         ({"heading": math.nan}, "heading is nan"),
         ({"probability": 0}, "probability is 0"),
         ({"covariance": np.eye(3)}, r"covariance is \(3, 3\)"),
-        ({"covariance": -np.eye(4)}, "variances is negative"),
+        ({"covariance": -np.eye(4)}, "invalid, because an eigenvalue is negative; give"),
         ({"residuals": (math.nan,)}, "residuals"),
     ],
 )
@@ -175,7 +175,7 @@ def test_an_anchor_as_json_and_back():
     anchor = Anchor(1, 2, 3, 0.1, np.eye(4), "Library", "way/7", "1", 0.5, "pairs", (0.1, 0.2))
     back = Anchor.from_dict(json.loads(json.dumps(anchor.to_dict())) | {"later": "unknown"})
     assert back.to_dict() == anchor.to_dict()
-    with pytest.raises(OptionError, match="level is no text"):
+    with pytest.raises(OptionError, match="level is not text"):
         Anchor.from_dict(anchor.to_dict() | {"level": 3})
 
 
@@ -343,7 +343,7 @@ def test_a_place_lies_in_the_tile_of_its_key(place, zoom):
 
 @pytest.mark.parametrize("key", ["4", "01x", "0" * 17, "٣"])
 def test_what_is_no_key(key):
-    with pytest.raises(OptionError, match="is no tile"):
+    with pytest.raises(OptionError, match="is not a tile key; it must"):
         parse_tile_key(key)
 
 

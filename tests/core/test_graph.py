@@ -182,10 +182,10 @@ def test_graphs_compare_by_content():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"labels": ("a",)}, "labels: 1 entries where 3 belong"),
-        ({"names": ("a",)}, "names: 1 entries where 3 belong"),
+        ({"labels": ("a",)}, "labels: 1 entries are given, expected 3 belong"),
+        ({"names": ("a",)}, "names: 1 entries are given, expected 3 belong"),
         ({"labels": ("a", None, "c")}, "labels: None is not a string"),
-        ({"ids": ("a", "b", "a")}, "ids: 'a' stands for several nodes"),
+        ({"ids": ("a", "b", "a")}, "ids: 'a' is used by several nodes"),
         ({"positions": np.zeros((2, 2))}, r"positions: shape \(2, 2\) where \(3, any\) belongs"),
         ({"positions": np.zeros((3, 4))}, "positions: 4 dimensions"),
         ({"positions": [[0, 0], [0, 0], [0]]}, "positions: not an array of numbers"),

@@ -145,7 +145,7 @@ def test_constants_of_every_kind_are_told_apart():
     ]  # fmt: skip
     assert len({cache_key(value) for value in values}) == len(values)
     assert cache_key({"a", "b", "c"}) == cache_key({"c", "b", "a"})
-    with pytest.raises(TypeError, match="of which compiled code cannot tell a change"):
+    with pytest.raises(TypeError, match="whose changes the compiled-code cache cannot detect"):
         cache_key(object())
 
 
@@ -176,7 +176,7 @@ def test_where_nothing_can_be_written_code_is_compiled_all_the_same(
         assert cache.load_or_make("grammar", lambda: b"made", bytes.decode) == "made"
     told = [str(each.message) for each in said]
     assert len(told) == 1
-    assert "each process compiles anew. Choose a folder" in told[0]
+    assert "so every process compiles again. Choose a" in told[0]
     assert not list(tmp_path.glob("**/*.nbc"))
 
 
@@ -399,7 +399,7 @@ def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, ca
     monkeypatch.setattr(cache, "_is_writable", lambda _: False)
     monkeypatch.setattr(warm, "compile_calls", None)
     build = warm.list_calls()["scene build"]
-    with pytest.warns(UserWarning, match="each process compiles anew"):
+    with pytest.warns(UserWarning, match="so every process compiles again"):
         Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
     monkeypatch.setattr("sys.argv", ["placegraph", "warm"])
     with pytest.raises(SystemExit) as end:

@@ -107,7 +107,7 @@ def test_what_is_wide_or_far_is_told(ply, room):
     scene = build_scene(ply(room.vertices + np.array([8000, 0, 0])), None, notes=notes)
     assert scene.bounds[0, 0] == 8000
     assert "8,005 m from its origin" in notes[0]
-    assert "exact to 2 mm" in notes[0]
+    assert "only accurate to 2 mm" in notes[0]
     with pytest.raises(InputError, match=r"room\.ply reaches 5e\+05 m from its origin"):
         build_scene(ply(room.vertices + np.array([5e5, 0, 0])), None)
 
@@ -231,7 +231,7 @@ def test_outputs_that_cannot_be(ply, tmp_path):
         (tmp_path, "is not a plain file"),
         (tmp_path / "no" / "a.scene", "cannot be written: No such file"),
         (tmp_path / ("x" * 300), "cannot be written: File name too long"),
-        ("a\0b", "is not a file name"),
+        ("a\0b", "is not a valid file name"),
     ):
         with pytest.raises(MapError, match=says):
             build_scene(path, out)

@@ -251,7 +251,7 @@ def test_the_odometrys_frame_does_not_matter(room, walk, truth):
 
 
 def test_labels_are_asked_for_where_there_are_instances(room, walk):
-    with pytest.raises(pg.errors.OptionError, match="ids of objects without names"):
+    with pytest.raises(pg.errors.OptionError, match="object ids without names"):
         room.localize(walk, frames=TWO, encoder="labels")
 
 

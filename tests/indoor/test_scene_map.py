@@ -86,7 +86,7 @@ def test_what_a_map_knows(scene):
     assert scene.floors.tolist() == [0.0]
     assert scene.scenes == ("drawn",)
     assert scene.row_of("2") == 2
-    with pytest.raises(OptionError, match=r"'7' is no object of drawn\.glb"):
+    with pytest.raises(OptionError, match=r"'7' is not an object of drawn.glb"):
         scene.row_of("7")
     np.testing.assert_allclose(scene.mesh.textures[0], [[[127.5, 255, 0]]], atol=0.5)
 
@@ -257,7 +257,7 @@ def test_textures_that_would_fill_memory_are_not_decoded(file, monkeypatch):
 def test_textures_are_png_or_jpeg(forge, tmp_path):
     Image.new("RGB", (2, 2)).save(tmp_path / "a.gif")
     blob = np.frombuffer((tmp_path / "a.gif").read_bytes(), np.uint8)
-    with pytest.raises(MapError, match="no WebP, PNG or JPEG"):
+    with pytest.raises(MapError, match="not a WebP, PNG or JPEG"):
         pg.open_map(forge(textures=blob, texture_bytes=np.array([len(blob)])))
 
 

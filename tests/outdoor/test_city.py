@@ -274,7 +274,7 @@ def test_checks_name_the_column(harbour):
 
 
 def test_tables_of_more_texts_than_are_used(forge):
-    with pytest.raises(MapError, match=r"'names': It holds more than"):
+    with pytest.raises(MapError, match=r"'names': The column holds more than"):
         open_map(forge(names=np.zeros(1_000_000, np.uint8)))
 
 

@@ -164,7 +164,7 @@ def test_objects_are_what_saw_them(room, posed, vectors, vit):
 def test_objects_need_images(vit, room, posed, vectors):
     with pytest.raises(OptionError, match="captures"):
         vit.objects(room)
-    with pytest.raises(MapError, match="encode both alike"):
+    with pytest.raises(MapError, match="use the same encoder for both"):
         bind_encoder(vit, room.with_embeddings(np.eye(len(room)), encoder="labels"))
     kept = bind_encoder(vit, room.with_embeddings(vectors, encoder=vit.key)).encode(posed[0])
     made_now = bind_encoder(vit, room, [posed]).encode(posed[0])

@@ -154,7 +154,7 @@ class _Guarded:
     def write(self, text: str) -> int:
         """Write text; a carriage return before an end of line is part of that."""
         if not isinstance(text, str):
-            raise TypeError(f"{type(text).__name__} is no text")
+            raise TypeError(f"{type(text).__name__} is not text")
         self.stream.write(harmless(text.replace("\r\n", "\n")))
         return len(text)
 

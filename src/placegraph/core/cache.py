@@ -65,8 +65,8 @@ class CacheFolders:
     def _warn(self) -> None:
         places = " nor in ".join(map(str, self.read))
         warnings.warn(
-            f"Compiled code cannot be written in {places}; each process compiles anew. Choose a "
-            "folder that can be written (`placegraph --compiled FOLDER`).",
+            f"Compiled code cannot be cached in {places}, so every process compiles again. "
+            "Choose a writable folder (`placegraph --compiled FOLDER`).",
             stacklevel=3,
         )
 

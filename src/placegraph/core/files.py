@@ -83,7 +83,7 @@ def check_regular(path: Path) -> Path:
     """Return the path of a file to read; `InputError` where it is a pipe or a device."""
     with suppress(OSError, ValueError):  # the reader reports these
         if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
-            raise InputError(f"{path} is not a plain file; copy what it holds into one.")
+            raise InputError(f"{path} is not a regular file; copy its contents into one.")
     return path
 
 
@@ -92,14 +92,14 @@ def resolve_path(path: str | os.PathLike[str]) -> Path:
     try:
         return Path(os.path.realpath(path))
     except ValueError as error:
-        raise MapError(f"{path!r} is not a file name: {error}.") from error
+        raise MapError(f"{path!r} is not a valid file name: {error}.") from error
 
 
 def check_target(target: Path) -> None:
     """Raise `MapError` where a path names a folder or device, or can name nothing."""
     try:
         if target.exists() and not target.is_file():
-            raise MapError(f"{target} is not a plain file; name a file to write to.")
+            raise MapError(f"{target} is not a regular file; choose another file to write.")
     except OSError as error:  # the name is too long, for instance
         raise write_error(target, error) from error
 
@@ -133,8 +133,8 @@ class FileWatch:
         """Raise `MapError` where the file was written to or cut short since it was opened."""
         if self._read_state() != self._state:
             raise MapError(
-                f"{self._path} was changed while it was open; open it again, and let a new file take its "
-                "place, as `save` does."
+                f"{self._path} changed while it was open; open it again. To update a map, "
+                "replace its file (as `save` does) rather than write into it."
             )
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
@@ -167,7 +167,8 @@ def _acquire(path: Path, target: Path) -> int:
     except BlockingIOError:
         os.close(descriptor)
         raise MapLockedError(
-            f"{target} is being written by someone else; wait for it, or write elsewhere."
+            f"{target} is being written by another process; wait until it ends, or choose "
+            "another file."
         ) from None
     except OSError:
         os.close(descriptor)

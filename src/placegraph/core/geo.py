@@ -214,13 +214,16 @@ class Anchor:
             values[name] = float(getattr(self, name))
             if not abs(values[name]) <= bound:
                 raise OptionError(
-                    f"anchor: {name} is {values[name]:g}; it is between {-bound:g} and {bound:g}."
+                    f"anchor: {name} is {values[name]:g}; it must be between {-bound:g} and "
+                    f"{bound:g}."
                 )
         heading, probability = float(self.heading), float(self.probability)
         if not np.isfinite(heading):
-            raise OptionError(f"anchor: heading is {heading}; it is an angle in radians.")
+            raise OptionError(f"anchor: heading is {heading}; it must be an angle in radians.")
         if not 0.0 < probability <= 1.0:
-            raise OptionError(f"anchor: probability is {probability:g}; it is above 0, at most 1.")
+            raise OptionError(
+                f"anchor: probability is {probability:g}; it must be greater than 0 and at most 1."
+            )
         residuals = tuple(float(r) for r in self.residuals)
         if not all(np.isfinite(r) and r >= 0 for r in residuals):
             raise OptionError("anchor: residuals must be finite lengths in metres, 0 or more.")
@@ -232,7 +235,10 @@ class Anchor:
         covariance = (covariance + covariance.T) / 2.0
         eigenvalues = np.linalg.eigvalsh(covariance)
         if eigenvalues[0] < -1e-9 * max(1.0, float(eigenvalues[-1])):
-            raise OptionError("anchor: covariance is invalid; one of its variances is negative.")
+            raise OptionError(
+                "anchor: covariance is invalid, because an eigenvalue is negative; give a "
+                "positive semidefinite matrix."
+            )
         covariance.flags.writeable = False
         heading %= 2.0 * np.pi
         values |= {"heading": heading if heading < 2.0 * np.pi else 0.0, "probability": probability}
@@ -352,14 +358,14 @@ class Anchor:
         texts = {"building", "osm", "level", "method", "scene"}
         values = {f.name: plain[f.name] for f in fields(cls) if f.name in plain}
         if wrong := [name for name in texts & values.keys() if not isinstance(values[name], str)]:
-            raise OptionError(f"anchor: {wrong[0]} is no text.")
+            raise OptionError(f"anchor: {wrong[0]} is not text.")
         return cls(**values)
 
 
 def no_anchor_error(scene: str) -> GeoPoseError:
     """Return the error for a scene map without an anchor."""
     return GeoPoseError(
-        f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
+        f"The scene map {scene!r} is not georeferenced; anchor it with `placegraph scene anchor`."
     )
 
 
@@ -382,11 +388,13 @@ def sort_anchors(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anch
         total = sum(a.probability for a in best_first if a.scene in {"", scene})
         if total > 1.0 + 1e-6:
             raise OptionError(
-                f"anchors: the probabilities of {scene!r}'s candidates add up to {total:.2f}; "
-                "the limit is 1."
+                f"anchors: the probabilities of the candidates of {scene!r} add up to "
+                f"{total:.2f}; they must not exceed 1."
             )
     if unknown := [a.scene for a in best_first if a.scene not in {"", *scenes}]:
-        raise OptionError(f"anchors: {unknown[0]!r} is no scene of the map.")
+        raise OptionError(
+            f"anchors: {unknown[0]!r} is not a scene of the map; use its scene names."
+        )
     return best_first
 
 
@@ -474,7 +482,9 @@ def key_at(longitude: float, latitude: float, zoom: int) -> str:
 def parse_tile_key(key: str) -> tuple[int, int, int]:
     """Return column, row and zoom of a quadkey; `OptionError` where it is none."""
     if not set(key) <= set("0123") or len(key) > MAX_ZOOM:
-        raise OptionError(f"{key!r} is no tile; its key has up to {MAX_ZOOM} digits of 0 to 3.")
+        raise OptionError(
+            f"{key!r} is not a tile key; it must have at most {MAX_ZOOM} digits from 0 to 3."
+        )
     digits = [int(digit) for digit in key]
     column = sum((digit & 1) << bit for bit, digit in enumerate(reversed(digits)))
     row = sum((digit >> 1) << bit for bit, digit in enumerate(reversed(digits)))

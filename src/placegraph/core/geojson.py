@@ -94,7 +94,7 @@ def to_geopandas(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
         import geopandas as gpd
     except ImportError as error:
         raise MissingExtraError(
-            "GeoPandas is not installed; `pip install 'placegraph[geopandas]'` brings it."
+            "GeoPandas is not installed; run `pip install 'placegraph[geopandas]'`."
         ) from error
     return gpd.GeoDataFrame.from_features(features, crs="EPSG:4326")
 
@@ -134,7 +134,7 @@ class GeoExport:
 
         """
         if not self.modes:
-            raise GeoPoseError(f"There is no pose: {self.reason}")
+            raise GeoPoseError(f"There is no pose. {self.reason}")
         poses = earth_poses(self.modes[0])
         if not poses:
             raise no_anchor_error(getattr(self.modes[0], "scene", ""))

@@ -274,16 +274,20 @@ class Camera:
         sizes = (self.width, self.height, self.fx, self.fy)
         if not all(0 < v < _MAX_PARAMETER for v in sizes):
             raise OptionError(
-                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0, and below 1e9."
+                f"camera: width, height, fx, fy are {sizes}; they must be greater than 0 "
+                "and less than 1e9."
             )
         if not all(abs(v) < _MAX_PARAMETER for v in (self.cx, self.cy, *self.distortion)):
-            raise OptionError("camera: cx, cy or the distortion is not a number.")
+            raise OptionError("camera: cx, cy and the distortion must be finite numbers.")
         if self.model not in MODELS:
-            raise OptionError(f"camera: model is {self.model!r}; it is one of {', '.join(MODELS)}.")
+            raise OptionError(
+                f"camera: model is {self.model!r}; choose one of {', '.join(MODELS)}."
+            )
         if len(self.distortion) not in COEFFICIENT_COUNTS[self.model]:
             raise OptionError(
-                f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
-                "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8, those of its fisheye 4."
+                f"camera: {len(self.distortion)} distortion coefficients are given; "
+                "OpenCV's model k1, k2, p1, p2[, k3[, k4, k5, k6]] has 4, 5 or 8, its "
+                "fisheye model 4."
             )
 
     @property

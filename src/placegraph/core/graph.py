@@ -63,15 +63,17 @@ class SceneGraph(PickleFields):
         _put(self, "relations", _texts("relations", self.relations, m))
         if len(set(self.ids)) != n:
             twice = Counter(self.ids).most_common(1)[0][0]
-            raise OptionError(f"ids: {twice!r} stands for several nodes; make ids unique.")
+            raise OptionError(f"ids: {twice!r} is used by several nodes; make ids unique.")
         _put(self, "positions", _numbers("positions", self.positions, (n, None), np.float64))
         d = self.positions.shape[1]
         if d not in (2, 3):
-            raise OptionError(f"positions: {d} dimensions; a scene graph has 2 or 3.")
+            raise OptionError(f"positions: they have {d} dimensions; give 2 or 3.")
         if self.extents is not None:
             _put(self, "extents", _numbers("extents", self.extents, (n, d), np.float64))
             if np.any(self.extents < 0):
-                raise OptionError("extents: a length is negative; give full lengths in metres.")
+                raise OptionError(
+                    "extents: a length is negative; give full side lengths in metres."
+                )
         if self.embeddings is not None:
             vectors = _numbers("embeddings", self.embeddings, (n, None), np.float32)
             _put(self, "embeddings", vectors)
@@ -80,7 +82,7 @@ class SceneGraph(PickleFields):
         for end in ("sources", "targets"):
             rows = _rows(end, getattr(self, end), n)
             if rows.shape != (m,):
-                raise OptionError(f"{end}: shape {rows.shape}; there are {m} relations.")
+                raise OptionError(f"{end}: shape is {rows.shape}, but there are {m} relations.")
             _put(self, end, rows)
 
     def __len__(self) -> int:
@@ -115,12 +117,14 @@ class SceneGraph(PickleFields):
         """
         rows = np.asarray(rows)
         if rows.dtype == np.bool_ and rows.shape != (len(self),):
-            raise OptionError(f"rows: mask of shape {rows.shape} for {len(self)} nodes.")
+            raise OptionError(
+                f"rows: the mask has shape {rows.shape}, but there are {len(self)} nodes."
+            )
         rows = _rows("rows", np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, len(self))
         place = np.full(len(self), -1)
         place[rows] = np.arange(rows.size)
         if np.count_nonzero(place >= 0) != rows.size:
-            raise OptionError("rows: a row repeats; name each node once.")
+            raise OptionError("rows: a row is repeated; give each node once.")
         kept = np.flatnonzero((place[self.sources] >= 0) & (place[self.targets] >= 0))
         return SceneGraph(
             ids=tuple(self.ids[i] for i in rows),
@@ -145,7 +149,7 @@ class SceneGraph(PickleFields):
             from networkx import MultiDiGraph
         except ImportError as error:
             raise MissingExtraError(
-                "NetworkX is not installed; `pip install 'placegraph[networkx]'` brings it."
+                "NetworkX is not installed; run `pip install 'placegraph[networkx]'`."
             ) from error
         graph: nx.MultiDiGraph[str] = MultiDiGraph(
             dimensions=self.positions.shape[1],
@@ -173,7 +177,10 @@ class SceneGraph(PickleFields):
         Raises `OptionError`, naming the missing attribute.
         """
         if not graph.is_directed():
-            raise OptionError("The graph is undirected, relations are not: use a (Multi)DiGraph.")
+            raise OptionError(
+                "The graph is undirected, but relations have a direction; use a DiGraph or "
+                "MultiDiGraph."
+            )
         nodes: list[tuple[Hashable, dict[str, Any]]] = list(graph.nodes(data=True))
         edges = list(graph.edges(keys=True, data=True)) if graph.is_multigraph() else []
         if not graph.is_multigraph():
@@ -209,7 +216,7 @@ def _put(graph: SceneGraph, field: str, value: object) -> None:
 def _texts(field: str, texts: Iterable[str], count: int) -> tuple[str, ...]:
     column = tuple(texts)
     if len(column) != count:
-        raise OptionError(f"{field}: {len(column)} entries where {count} belong.")
+        raise OptionError(f"{field}: {len(column)} entries are given, expected {count}.")
     for text in column:
         if not isinstance(text, str):
             raise OptionError(f"{field}: {text!r} is not a string.")
@@ -229,9 +236,9 @@ def _numbers(
         wanted not in (None, got) for got, wanted in zip(array.shape, shape, strict=True)
     ):
         wanted_shape = ", ".join("any" if length is None else str(length) for length in shape)
-        raise OptionError(f"{field}: shape {array.shape} where ({wanted_shape}) belongs.")
+        raise OptionError(f"{field}: shape is {array.shape}, expected ({wanted_shape}).")
     if not np.all(np.isfinite(array)):
-        raise OptionError(f"{field}: a number is not finite, or too large for {array.dtype}.")
+        raise OptionError(f"{field}: a number is not finite or too large for {array.dtype}.")
     array.flags.writeable = False
     return array
 
@@ -240,9 +247,11 @@ def _rows(field: str, values: ArrayLike, count: int) -> Rows:
     """Return a read-only vector of row numbers below `count`."""
     array = np.asarray(values)
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        raise OptionError(f"{field}: {array.dtype} {array.shape}; a vector of row numbers belongs.")
+        raise OptionError(
+            f"{field}: {array.dtype} {array.shape} is given, expected a vector of row indices."
+        )
     if array.size and (int(array.min()) < 0 or int(array.max()) >= count):
-        raise OptionError(f"{field}: a row lies outside 0 to {count - 1}.")
+        raise OptionError(f"{field}: a row index is outside 0 to {count - 1}.")
     rows = array.astype(np.int64)
     rows.flags.writeable = False
     return rows

@@ -313,7 +313,7 @@ def _parts(value: Any, visited: set[str]) -> Iterator[str]:  # noqa: ANN401, C90
             yield f"{type(value).__name__} {value!r}"
         case _:
             raise TypeError(
-                f"A kernel uses {value!r}, of which compiled code cannot tell a change."
+                f"A kernel uses {value!r}, whose changes the compiled-code cache cannot detect."
             )
 
 

@@ -104,31 +104,32 @@ def read_head(file: BinaryIO, path: Path) -> Header:
         raise InputError(f"{path} is empty; build the map again.")
     if not prefix.startswith(MAGIC[: len(prefix)]):
         raise MapError(
-            f"{path} is not a placegraph map; `placegraph city build` makes one from OpenStreetMap, "
-            "`placegraph scene build` one from a 3D file."
+            f"{path} is not a placegraph map; build one from OpenStreetMap with `placegraph "
+            "city build`, or from a 3D file with `placegraph scene build`."
         )
     if len(prefix) < PREFIX.size:
         raise damage_error(path, "it ends within the header")
     _, container, length, crc = PREFIX.unpack(prefix)
     if container > CONTAINER_VERSION:
         raise MapError(
-            f"{path} has file layout {container}, this placegraph reads up to {CONTAINER_VERSION}; "
-            "update placegraph, or build the map again with this one."
+            f"{path} has file layout {container}, but this placegraph reads up to "
+            f"{CONTAINER_VERSION}; update placegraph, or build the map again with this "
+            "version."
         )
     if length > min(MAX_HEADER, size):
         raise damage_error(path, "it ends within the header")
     text = file.read(length)
     if len(text) != length or zlib.crc32(text) != crc:
-        raise damage_error(path, "its header does not fit its checksum")
+        raise damage_error(path, "its header does not match its checksum")
     try:
         header = _parse_header(json.loads(text), path, size)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise damage_error(path, f"its header is not understood ({error!r})") from error
+        raise damage_error(path, f"its header cannot be parsed ({error!r})") from error
     stored = sum(b.length for b in header.blocks)
     if PREFIX.size + length + stored + DIGEST_SIZE != size:
-        raise damage_error(path, f"it has {size} bytes, which is not what its header announces")
+        raise damage_error(path, f"it has {size} bytes, unlike the size in its header")
     if not is_plausible_size(sum(b.nbytes for b in header.blocks), stored):
-        raise damage_error(path, "its header announces more data than so short a file can hold")
+        raise damage_error(path, "its header declares more data than the file has")
     return header
 
 
@@ -156,7 +157,7 @@ def _parse_header(content: dict[str, Any], path: Path, size: int) -> Header:
         blocks.append(block)
         offset += block.length
     if len({b.name for b in blocks}) != len(blocks):
-        raise ValueError("two columns of one name")
+        raise ValueError("two columns have the same name")
     return Header(path, kind, version, meta, tuple(blocks), size)
 
 
@@ -187,7 +188,7 @@ def open_file(path: Path_) -> BinaryIO:
         raise InputError(f"{path} cannot be read: {why}.") from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise InputError(f"{path} is not a plain file; name the map file itself.")
+        raise InputError(f"{path} is not a regular file; give the map file.")
     return os.fdopen(descriptor, "rb")
 
 
@@ -212,8 +213,8 @@ def to_plain_array(name: str, array: NDArray[Any]) -> NDArray[Any]:
     dtype = array.dtype.newbyteorder("<")
     if dtype.str not in DTYPES or array.ndim == 0:
         raise OptionError(
-            f"Column {name!r} is {array.dtype} with {array.ndim} dimensions; a map holds arrays "
-            "of plain numbers (text: `pack_strings`; single values: metadata)."
+            f"Column {name!r} is {array.dtype} with {array.ndim} dimensions; columns must "
+            "be numeric arrays (use `pack_strings` for text, metadata for single values)."
         )
     return np.ascontiguousarray(array, dtype)
 
@@ -263,7 +264,7 @@ def decompress_array(
     nbytes = prod(shape) * kind.itemsize
     raw = _decompress(codec, block, nbytes)
     if len(raw) != nbytes:
-        raise ValueError("is not as long as its header says")
+        raise ValueError("does not have the length given in its header")
     if filter_ == "none" or not raw:
         array = np.frombuffer(raw, kind).reshape(shape)
     else:
@@ -295,7 +296,7 @@ def unpack_strings(blob: NDArray[np.uint8], max_count: int | None = None) -> tup
     except UnicodeDecodeError as error:
         raise MapError(f"Text is not UTF-8 ({error.reason}); build the map again.") from error
     if max_count is not None and text and text.count(text[0]) > max_count:
-        raise MapError(f"It holds more than {max_count:,} texts; build the map again.")
+        raise MapError(f"The column holds more than {max_count:,} texts; build the map again.")
     return tuple(text[1:].split(text[0])) if text else ()
 
 
@@ -480,12 +481,13 @@ def read_map(
         header = read_head(file, Path(path))
         if header.kind != kind:
             raise MapError(
-                f"{path} is a {header.kind} map, not a {kind} map; open it with `open_map`."
+                f"{path} is a {header.kind} map, not a {kind} map; open it with `pg.open_map`."
             )
         if header.version > max_version:
             raise MapError(
-                f"{path} is a {kind} map of version {header.version}, this placegraph reads up to "
-                f"{max_version}; update placegraph, or build the map again with this one."
+                f"{path} is a {kind} map of version {header.version}, but this placegraph "
+                f"reads up to {max_version}; update placegraph, or build the map again with "
+                "this version."
             )
         start, watch = file.tell(), FileWatch(file, path) if mapped else None
         windows = [b for b in header.blocks if b.name in mapped and is_mappable(b, start)]
@@ -501,7 +503,7 @@ def read_map(
         if not is_intact:
             for b in windows:
                 read_block(file, start, path, b)
-            raise damage_error(path, "its checksum does not fit its contents")
+            raise damage_error(path, "its contents do not match its checksum")
     return MapFile(header, {b.name: arrays[b] for b in header.blocks}, watch if windows else None)
 
 
@@ -539,14 +541,16 @@ def _encode(
             content, ensure_ascii=False, allow_nan=False, sort_keys=True, separators=(",", ":")
         ).encode()
     except (TypeError, ValueError, RecursionError) as error:
-        raise OptionError(f"A map's metadata must be plain finite JSON: {error}.") from error
+        raise OptionError(
+            f"The map's metadata must be JSON with finite numbers: {error}."
+        ) from error
     text += b" " * (-(PREFIX.size + len(text)) % _WORD if large else 0)
     prefix = PREFIX.pack(MAGIC, CONTAINER_VERSION, len(text), zlib.crc32(text))
     blocks = [block for _, _, block in packed]
     if len(text) > MAX_HEADER or not is_plausible_size(
         sum(a.nbytes for a in columns.values()), offset
     ):
-        raise OptionError("A map's metadata, or its arrays, are larger than a reader accepts.")
+        raise OptionError("The map's metadata or arrays are larger than the format allows.")
     return prefix + text, blocks
 
 
@@ -587,7 +591,7 @@ def read_block(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray
     """Read and check the array of a block of a file whose blocks begin at `start`."""
     stored = _bytes(file, start + block.offset, block.length)
     if zlib.crc32(stored) != block.crc32:
-        raise damage_error(path, f"column {block.name!r} does not fit its checksum")
+        raise damage_error(path, f"column {block.name!r} does not match its checksum")
     try:
         return decompress_array(block.codec, block.filter, stored, block.dtype, block.shape)
     except ValueError as error:

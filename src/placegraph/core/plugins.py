@@ -50,6 +50,6 @@ def load_module(name: str, extra: str) -> Any:  # noqa: ANN401  # a module
 def missing_extra(name: str, extra: str) -> MissingExtraError:
     """Return the error for a part of placegraph that is not installed."""
     return MissingExtraError(
-        f"{name} is part of placegraph-{extra}, which is not installed; "
-        f"`pip install 'placegraph[{extra}]'` brings it."
+        f"{name} is part of placegraph-{extra}, which is not installed; run `pip install "
+        f"'placegraph[{extra}]'`."
     )

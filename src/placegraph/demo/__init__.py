@@ -22,6 +22,6 @@ def run_demo(out: Path, report: Callable[[str], None]) -> None:
     commands = locate_in_town(world, out, report) + locate_in_flat(world, out, report)
     commands += locate_in_world(world, out, report)
     report(f"\nLook at {', '.join(f'{out}/{page}' for page in PAGES)}.")
-    report("\nThe same by hand:")
+    report("\nThe same with commands:")
     for command in commands:
         report(f"  placegraph {command}")

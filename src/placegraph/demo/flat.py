@@ -40,7 +40,8 @@ def locate_in_flat(world: Path, out: Path, report: Callable[[str], None]) -> lis
     report(f"\nBuilt {scene} from a flat drawn in ASCII.")
     capture = open_capture(walk)
     report(
-        f"Rendered {capture}; since the map was made, an armchair was moved and a chair is gone."
+        f"Rendered {capture}. Since the map was made, an armchair was moved and a chair was "
+        "removed."
     )
     truth = read_tum(walk / "trajectory.tum").poses
     estimate = _film(scene, capture, truth, out, report)
@@ -89,7 +90,7 @@ def _changes(
     from placegraph.view.scene.change_plans import write_diff
 
     found = scene.diff(capture, estimate)
-    report("What changed since the map was made, as the walk shows it:")
+    report("Changes since the map was made, detected from the walk:")
     for change in found.changes:
         report(
             f"  {change.kind} {change.name or change.label}, {change.confidence:.0%} sure: {change.reason}"
@@ -97,7 +98,7 @@ def _changes(
     write_diff(scene, found, out / "changes.png")
     newer, path = scene.updated(found), out / f"{FLAT}_now.scene"
     newer.save(path)
-    report(f"{path} has taken it over: {len(newer)} objects instead of {len(scene)}.")
+    report(f"The changes were applied to {path}: {len(newer)} objects instead of {len(scene)}.")
     return path
 
 
@@ -111,7 +112,7 @@ def _library(world: Path, out: Path, capture: Capture, report: Callable[[str], N
         library.add(path.stem, path)
     library.save(out / "homes.library")
     size = (out / "homes.library").stat().st_size
-    report(f"\n{library} in {size / 1000:.0f} kB: which of them was the film taken in?")
+    report(f"\n{library} in {size / 1000:.0f} kB: in which scene was the capture recorded?")
     found = library.search(capture)
     report(f"  {found.status.name}: {found.reason}")
     for text in ROOMS:
@@ -137,7 +138,7 @@ def _say_truth(
     if refinement is None:
         report(f"  off by {_errors(estimate.trajectory, truth)}")
         return
-    report("Errors of all frames, median and largest (the truth is known because we drew it):")
+    report("Errors of all frames, median and maximum, against the drawn ground truth:")
     report(f"  coarse   {_errors(refinement.coarse_trajectory, truth)}")
     report(f"  refined  {_errors(estimate.trajectory, truth)}")
 
@@ -201,7 +202,7 @@ def locate_in_world(world: Path, out: Path, report: Callable[[str], None]) -> li
         library.add(name, world / f"{name}.scene")
     library.save(world / "homes.library")
     opened = open_world(world)
-    report(f"\n{opened} in {world}: rooms stand in buildings, two flats are the same.")
+    report(f"\n{opened} in {world}: the rooms lie in buildings, and two flats are identical.")
     frames = open_capture(world / "window")
     for text, shown in QUESTIONS:
         _ask(opened, text, frames if shown else None, report)

@@ -59,7 +59,7 @@ def locate_in_town(world: Path, out: Path, report: Callable[[str], None]) -> lis
 def _way(city: CityMap, report: Callable[[str], None]) -> None:
     """Follow somebody who could be at either of two places, until their way tells which."""
     tracker = city.track()
-    report("\nSomebody speaks, walks on, and speaks again:")
+    report("\nA person describes the place, walks on, and describes it again:")
     for text in ON_THE_WAY:
         estimate = tracker.tell(text)
         report(f"  “{text}”\n    {estimate.status.name}: {estimate.reason}")

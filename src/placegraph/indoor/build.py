@@ -119,7 +119,10 @@ def build_scene(
     target = resolve_path(out_path)
     for given in (source, labels):
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
-            raise OptionError(f"{given} would be overwritten by its map; name another file.")
+            raise OptionError(
+                f"{given} is the input and would be overwritten by the map; choose another "
+                "output file."
+            )
     from placegraph.core.mapfile import map_writer
     from placegraph.indoor.map.scene_file import KIND, VERSION, pack_scene
 
@@ -188,10 +191,10 @@ def _find_floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | 
     if height is None:
         why = "no object is labelled floor"
         if any(map(is_floor, labels)):
-            why = "what is labelled floor is not level (does another axis point up? --up)"
+            why = "the surface labelled floor is not level (check the up axis, --up)"
         raise InputError(
-            f"{model.path} shows no floor: {why}, and no level surface lies low and wide enough; pass "
-            "its height (floor=0.0, or --floor 0)."
+            f"{model.path}: no floor was found ({why}, and no large level surface lies "
+            "low); give its height (floor=0.0, or --floor 0)."
         )
     return height
 
@@ -219,13 +222,14 @@ def _note_oddities(mesh: Mesh, objects: Sequence[ModelObject], notes: list[str])
     reach = float(np.abs(mesh.bounds()).max())
     if reach > FAR:
         notes.append(
-            f"It lies {reach:,.0f} m from its origin, where coordinates are exact to "
-            f"{1e3 * mesh.steps()[0]:.0f} mm only: subtract a corner of it, in whole metres."
+            f"The mesh lies {reach:,.0f} m from its origin, where coordinates are only "
+            f"accurate to {1000.0 * mesh.steps()[0]:.0f} mm; subtract an offset in whole "
+            "metres."
         )
     if len(objects) > MAX_RELATED_OBJECTS:
         notes.append(
-            f"It has {len(objects):,} objects; more than {MAX_RELATED_OBJECTS:,} get no relations. Are these "
-            "ids those of objects (--object-property)?"
+            f"The mesh has {len(objects):,} objects, so no relations are computed (limit: "
+            f"{MAX_RELATED_OBJECTS:,}). Check that --object-property names the object ids."
         )
     area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(objects))
     most = int(area.argmax())
@@ -233,6 +237,6 @@ def _note_oddities(mesh: Mesh, objects: Sequence[ModelObject], notes: list[str])
     if share > 0.9 and len(mesh) > 1000:
         thing = objects[most]
         notes.append(
-            f"Object {thing.name or thing.id!r} is {100 * share:.0f} % of the surface: what is one "
-            "object can tell no places apart by what they are. Cut it (--segment), or label it."
+            f"Object {thing.name or thing.id!r} is {100 * share:.0f} % of the surface, so "
+            "it cannot distinguish places. Segment the mesh (--segment), or label its parts."
         )

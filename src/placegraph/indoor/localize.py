@@ -55,7 +55,7 @@ def localized(
 ) -> PoseEstimate:
     """Localize a capture by keywords; parameters and errors: `SceneMap.localize`."""
     if not isinstance(refine, bool | RefineOptions):
-        raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
+        raise OptionError(f"refine is {refine!r}; it must be True, False or RefineOptions.")
     query = PoseQuery.of(scene, capture, **asked)
     options = refine if isinstance(refine, RefineOptions) else None
     refining = RefineSetup.of(options, matcher, device) if refine else None

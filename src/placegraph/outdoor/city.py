@@ -201,7 +201,10 @@ def build_city(
     paths = (osm_path,) if isinstance(osm_path, str | PathLike) else osm_path.paths
     for path in paths:
         if resolve_path(path) == resolve_path(out_path):
-            raise OptionError(f"{path} would be overwritten by its map; name another file.")
+            raise OptionError(
+                f"{path} is the input and would be overwritten by the map; choose another "
+                "output file."
+            )
     edge, step, reach = CellOptions(cell_size, stride, edge_distance).sizes
     from placegraph.outdoor.map.extract import read_extract
 

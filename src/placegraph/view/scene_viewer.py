@@ -367,7 +367,7 @@ def open_viewer(
         import viser
     except ImportError as error:
         raise MissingExtraError(
-            "The viewer needs viser; `pip install 'placegraph[view]'` brings it."
+            "The viewer needs viser; run `pip install 'placegraph[view]'`."
         ) from error
     if not 1 <= port <= 65535:
         raise OptionError(f"port is {port}; it must be 1 to 65535.")

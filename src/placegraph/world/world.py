@@ -284,7 +284,7 @@ def open_world(
             if path is None or resolve_path(path) in here:
                 continue
             if not path.exists():
-                ignored.append((path, f"the map of {name!r} is not there; bring it back"))
+                ignored.append((path, f"the map of {name!r} is missing; restore it"))
             elif name in scenes:
                 ignored.append((path, f"another scene is called {name!r}"))
             else:

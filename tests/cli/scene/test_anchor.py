@@ -90,7 +90,7 @@ def test_by_a_pose_in_place_and_off_again(run, scene):
     [
         ([], "one of"),
         (["--pose", "7,43,0,0", "--remove"], "one of"),
-        (["--in", "town.osm", "--building", "x", "--remove"], "--remove alone"),
+        (["--in", "town.osm", "--building", "x", "--remove"], "only --remove"),
         (["--in", "town.osm"], "--in needs --building"),
         (["--pose", "7,43"], "give longitude, latitude, height"),
         (["--pose", "7,99,0,0"], "latitude is 99"),

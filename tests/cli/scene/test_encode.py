@@ -58,7 +58,7 @@ def test_what_contradicts_itself(run, file, tmp_path):
         (("--encoder", "features"), 7, "--captures FOLDER"),
         (("--encoder", "labels", "--captures", tmp_path), 7, "remove --captures"),
         (("--encoder", "labels", "--poses", "odometry"), 7, "--poses belongs"),
-        (("--encoder", "labels", "--frames", "3:"), 7, "--frames belongs"),
+        (("--encoder", "labels", "--frames", "3:"), 7, "--frames applies only"),
         (("--encoder", "labels", "--weights", file), 7, "--weights applies"),
         (("--encoder", "features layer=1"), 7, "--captures FOLDER"),
     ):

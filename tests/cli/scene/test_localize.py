@@ -148,7 +148,7 @@ def test_depth_by_a_network(run, room, tmp_path, monkeypatch):
     given = ("--depth-network", "net.tflite")
     assert "enough" in run(*asking, images, *given).err
     assert asked == [(2.0, SLOPE, False)]
-    fails(run(*asking, room.walk, *given), 7, "depth of their own")
+    fails(run(*asking, room.walk, *given), 7, "measured depth; remove the depth")
     fails(run(*asking, images, *given, "--no-depth"), 7, "--no-depth")
 
 

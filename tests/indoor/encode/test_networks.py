@@ -260,7 +260,7 @@ def test_what_is_refused(colours, capture, weights):
     seen = estimate_depth(colours, rule)
     with pytest.raises(OptionError, match="promised"):
         seen[0].depth()
-    with pytest.raises(OptionError, match="depth of their own"):
+    with pytest.raises(OptionError, match="measured depth; remove the depth"):
         estimate_depth(seen, rule)
     rule.metric = False
     with pytest.raises(OptionError, match="no scale"):

@@ -104,7 +104,7 @@ def test_library_and_maps_move_together(folder, tmp_path):
     with pytest.raises(InputError, match="'study' is not there"):
         library.scene("study")
     shutil.copy(moved / "bedroom.scene", moved / "study.scene")
-    with pytest.raises(MapError, match="another map than was added as 'study'"):
+    with pytest.raises(MapError, match="not the map that was added as 'study'"):
         library.scene("study")
 
 
@@ -245,7 +245,7 @@ def test_where_no_scene_fits_no_pose_is_sure(maps, rooms):
 
 
 def test_what_a_library_decides_itself(by_labels, rooms):
-    with pytest.raises(OptionError, match="finds these itself"):
+    with pytest.raises(OptionError, match="computes these itself"):
         by_labels.localize(rooms["study"].film(4), shares=[1.0])
 
 

@@ -117,7 +117,7 @@ def test_a_capture_without_labels_asks_by_appearance(maps, rooms):
 
 
 def test_an_empty_library_says_so(rooms):
-    with pytest.raises(OptionError, match="empty: add a scene"):
+    with pytest.raises(OptionError, match="empty; add a scene"):
         SceneLibrary("labels").search(rooms["study"].film(4))
     with pytest.raises(OptionError, match="at least one"):
         SceneLibrary(())

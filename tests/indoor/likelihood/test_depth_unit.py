@@ -109,7 +109,7 @@ def test_the_file_and_the_mend_are_named(room, walk, tmp_path, scale, fits):
     with pytest.raises(InputError, match=r"camera\.json") as raised:
         room.localize(capture, frames=slice(0, 3))
     assert fits in str(raised.value)
-    assert f"{scale:g} units a metre" in str(raised.value)
+    assert f"{scale:g} units per metre" in str(raised.value)
     assert str(raised.value).endswith(".")
 
 
@@ -148,7 +148,7 @@ def test_a_likely_unit_is_told_where_the_pose_is_not_found(room, walk, tmp_path,
     estimate = room.localize(capture, frames=slice(0, 5))
     assert estimate.status is not Status.OK
     assert f"about 5.0 times {says}" in estimate.reason
-    assert f"is {scale} units a metre; 1000 would fit" in estimate.reason
+    assert f"is {scale} units per metre; 1000 would fit" in estimate.reason
     assert estimate.reason.endswith(".")
 
 

@@ -339,7 +339,7 @@ def test_a_map_is_replaced_only_by_a_whole_one(hafenstadt, tmp_path):
 
 @pytest.mark.parametrize("names", [("a\0.osm", "a.city"), ("a.osm", "a\0.city")])
 def test_a_name_that_is_none_is_refused(names, tmp_path):
-    with pytest.raises(MapError, match="not a file name"):
+    with pytest.raises(MapError, match="not a valid file name"):
         build_city(*(tmp_path / name for name in names))
 
 

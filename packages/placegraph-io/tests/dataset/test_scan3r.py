@@ -78,7 +78,7 @@ class ScanFolder:
         return self.path
 
     def annotate(self, name, *parts):
-        other = {"scan": "someone else", "objects": [], "relationships": []}
+        other = {"scan": "another process", "objects": [], "relationships": []}
         scans = [other, *({name: part, "scan": self.scan} for part in parts)]
         self.write_json(self.root / "3DSSG" / f"{name}.json", {"scans": scans})
 

@@ -166,8 +166,8 @@ def choose_worlds(maps: Path | None, synthetic: int | None, frames: int, seed: i
         return folder(maps)
     if HOMES not in plugins(WORLDS):
         raise MissingExtraError(
-            "--synthetic draws homes with placegraph-lab, which is not installed; "
-            "`pip install placegraph-lab` brings it."
+            "--synthetic draws homes with placegraph-lab, which is not installed; run `pip "
+            "install placegraph-lab` brings it."
         )
     worlds: list[World] = load_plugin(WORLDS, HOMES, "lab")(synthetic, seed=seed, frames=frames)
     return worlds

@@ -155,7 +155,7 @@ def test_what_is_unfinished_is_no_library(signatures, tmp_path):
         ({"shards": [{"file": "00000.shard", "scenes": 59}]}, "holds 60 scenes, not 59"),
         ({"encoders": []}, "contradict"),
         ({"encoders": [{"name": "labels", "key": "labels other"}]}, "was encoded by labels other"),
-        ({"encoders": 3}, "names no encoders"),
+        ({"encoders": 3}, "the file lists no encoders"),
         ({"labels": []}, "contradict"),
     ],
 )

@@ -368,8 +368,8 @@ def _fallback(request: ProtocolRequest, reason: str) -> dict[str, Any]:
     """Pose of the geolocation reading alone; `RequestError` where there is none."""
     if not request.geolocation:
         raise RequestError(
-            f"There is no pose: {reason} Send an image of a place that a map shows, or a geolocation "
-            "reading.",
+            f"There is no pose. {reason} Send an image of a place that a map shows, or a "
+            "geolocation reading.",
             status=422,
             code="no_pose",
         )

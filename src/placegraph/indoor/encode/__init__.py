@@ -117,7 +117,7 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
     elif name in EXTRA or name in plugins.plugins(plugins.ENCODERS):
         made = plugins.load_plugin(plugins.ENCODERS, name, EXTRA.get(name, ""))
     else:
-        raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
+        raise OptionError(f"encoder is {name!r}; choose one of {', '.join(ENCODERS)}.")
     try:
         return cast("Encoder", made(**(parsed | options)))
     except TypeError as error:  # an option that the class does not have
@@ -160,8 +160,8 @@ class BoundEncoder:
         image = encode_patches(self.encoder, frame)
         if named and image is None and frame.label_kind == "instances":
             raise OptionError(
-                "encoder 'labels': the frames' label images hold ids of objects without names. "
-                "Leave encoder out to compare ids, or open the labels, where there are some: "
+                "encoder 'labels': the label images hold object ids without names. Remove "
+                "encoder to compare ids, or open label images, if there are any: "
                 'open_capture(path, labels="labels").'
             )
         if image is None or not image.any():
@@ -210,8 +210,9 @@ def check_vectors(
     vectors = np.asarray(vectors, np.float32)
     if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
         raise OptionError(
-            f"encoder {encoder.key}: vectors {vectors.shape} of {scene.source or 'the map'}; "
-            f"{(len(scene), encoder.dimension)} finite numbers belong."
+            f"encoder {encoder.key}: vectors are {vectors.shape} in "
+            f"{scene.source or 'the map'}, expected {(len(scene), encoder.dimension)} "
+            "finite numbers."
         )
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
@@ -227,8 +228,8 @@ def encode_patches(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None
         return None
     if image.ndim != 3 or image.shape[2] != encoder.dimension or not np.isfinite(image).all():
         raise OptionError(
-            f"encoder {encoder.key}: patches {image.shape} of frame {frame.index}; (rows, columns, "
-            f"{encoder.dimension}) finite numbers belong."
+            f"encoder {encoder.key}: patches are {image.shape} in frame {frame.index}, "
+            f"expected finite numbers of shape (rows, columns, {encoder.dimension})."
         )
     return image
 
@@ -245,6 +246,7 @@ def encode_objects(
         if scene.graph.embeddings is None or captures:
             raise
         raise MapError(
-            f"{scene.source or 'The map'} holds vectors of the encoder {scene.encoder or '?'}, and "
-            f"the frames are encoded by {encoder.key}: encode both alike ({error})"
+            f"{scene.source or 'The map'} holds vectors of the encoder "
+            f"{scene.encoder or '?'}, but the frames are encoded by {encoder.key}; use the "
+            f"same encoder for both ({error})"
         ) from error

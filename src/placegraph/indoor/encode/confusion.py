@@ -49,13 +49,15 @@ class Confusion:
         names, matrix = tuple(self.names), np.array(self.matrix, np.float64)
         count = len(names)
         if not count or matrix.shape != (count, count):
-            raise OptionError(f"matrix: shape {matrix.shape}; {(count, count)} numbers belong.")
+            raise OptionError(f"matrix: shape is {matrix.shape}, expected {(count, count)}.")
         if not (np.isfinite(matrix).all() and matrix.min() >= 0):
-            raise OptionError("matrix: shares or counts are numbers, not below 0.")
+            raise OptionError(
+                "matrix: a share or count is negative or not a number; give numbers of at least 0."
+            )
         row_of = {join_words(name): i for i, name in enumerate(names)}
         if len(row_of) < count:
             twice = next(n for i, n in enumerate(names) if row_of[join_words(n)] != i)
-            raise OptionError(f"names: {twice!r} stands there twice; name each label once.")
+            raise OptionError(f"names: {twice!r} occurs twice; give each label once.")
         total = matrix.sum(axis=1, keepdims=True)
         matrix /= np.where(total > 0, total, 1.0)
         matrix.flags.writeable = False
@@ -140,7 +142,7 @@ class Confusion:
 
         """
         if step < 1 or not (np.isfinite(smoothing) and smoothing >= 0):
-            raise OptionError("step is 1 or more, smoothing a number that is not below 0.")
+            raise OptionError("step must be at least 1, and smoothing at least 0.")
         pairs: dict[tuple[str, str], float] = {}
         for capture in captures:
             for frame in capture:
@@ -148,8 +150,8 @@ class Confusion:
                     pairs[pair] = pairs.get(pair, 0.0) + count
         if not pairs:
             raise OptionError(
-                "captures: no label image of labels shows the map; give labelled frames whose "
-                "odometry is map_from_camera."
+                "captures: no label image shows the map; give labelled frames with poses "
+                "map_from_camera as odometry."
             )
         names = {join_words(name): name for pair in pairs for name in reversed(pair)}
         row = {word: i for i, word in enumerate(names)}
@@ -207,8 +209,8 @@ def _read_csv_matrix(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     true = [row[0].strip() for row in rows[1:]]
     if not names or sorted(true) != sorted(names):
         raise InputError(
-            f"{path}: the first line must name the labels said, and each other line begin with one "
-            f"of the same labels, as true."
+            f"{path}: the header must list the predicted labels, and every other line must "
+            "begin with one of them, the true label."
         )
     order = [true.index(name) for name in names]
     return names, _check_matrix(path, [rows[1 + i][1:] for i in order])
@@ -218,4 +220,6 @@ def _check_matrix(path: Path, rows: list[Any]) -> NDArray[np.float64]:
     try:
         return np.array(rows, np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: the matrix must be lines of as many numbers each.") from error
+        raise InputError(
+            f"{path}: all rows of the matrix must have the same number of values."
+        ) from error

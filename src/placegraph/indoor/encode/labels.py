@@ -146,17 +146,17 @@ def explain_foreign_ids(scene: Scene, frames: Sequence[Frame], agree: float | No
     known = InstancesEncoder(scene).row_of
     strange = sorted(id_ for id_ in seen if str(id_) not in known)
     mend = (
-        "Localize in the map that the ids are of, or leave them out "
-        '(`open_capture(path, labels=None)`, or labels="labels" where there are some).'
+        "Localize in the map that they belong to, or ignore them (`open_capture(path, "
+        'labels=None)`, or labels="labels" if there are label images).'
     )
     if len(strange) > _FOREIGN * len(seen):
         some = ", ".join(map(str, strange[:5])) + (", ..." if len(strange) > 5 else "")
         return (
-            f"Of the {len(seen)} instance ids in the frames, {len(strange)} are no objects of this "
-            f"map ({some}): they seem to be another map's. {mend}"
+            f"Of the {len(seen)} instance ids in the frames, {len(strange)} are unknown in "
+            f"this map ({some}); they probably belong to another map. {mend}"
         )
     if seen and (agree is None or agree < _AGREE):
-        return f"The instance ids in the frames may be another map's. {mend}"
+        return f"The instance ids in the frames may belong to another map. {mend}"
     return ""
 
 
@@ -210,9 +210,11 @@ class LabelsEncoder:
         soft = segmenter is not None and not isinstance(segmenter, Segmenter)
         if soft != bool(self.names):
             raise OptionError(
-                "names: give the labels of the probabilities that the segmenter, a callable, makes."
+                "names: they are missing; list the labels of the probabilities that the "
+                "segmenter returns."
                 if soft
-                else "names: only of a segmenter that is a callable making probabilities."
+                else "names: they apply only to a callable segmenter that returns probabilities; "
+                "remove them."
             )
         self._vectors: dict[str, NDArray[np.float32]] = {}
         self._meant: dict[str, NDArray[np.float32]] = {}
@@ -275,13 +277,15 @@ class LabelsEncoder:
     def _of_probabilities(self, image: NDArray[np.floating]) -> NDArray[np.float32]:
         if image.ndim != 3 or image.shape[2] != len(self.names) or image.dtype.kind != "f":
             raise OptionError(
-                f"segmenter: {image.dtype} {image.shape}; probabilities (height, width, "
-                f"{len(self.names)}) of its names belong."
+                f"segmenter: it returned {image.dtype} {image.shape}, expected "
+                f"probabilities (height, width, {len(self.names)}), one per name."
             )
         number = self.grid[0] * self.grid[1]
         flat = image.reshape(-1, len(self.names)).astype(np.float64)
         if not (np.isfinite(flat).all() and flat.min(initial=0.0) >= 0):
-            raise OptionError("segmenter: probabilities are numbers, not below 0.")
+            raise OptionError(
+                "segmenter: a probability is negative or not a number; return values of at least 0."
+            )
         cell = assign_cells(image.shape[:2], self.grid).ravel()
         pixels = np.maximum(np.bincount(cell, minlength=number), 1)
         mass = [np.bincount(cell, column, number) for column in flat.T]
@@ -315,5 +319,7 @@ class LabelsEncoder:
 def _check_ids(labels: ArrayLike) -> NDArray[np.int32]:
     ids = np.asarray(labels)
     if ids.ndim != 2 or ids.dtype.kind not in "iu":
-        raise OptionError(f"segmenter: {ids.dtype} {ids.shape}; labels (height, width) belong.")
+        raise OptionError(
+            f"segmenter: it returned {ids.dtype} {ids.shape}, expected labels (height, width)."
+        )
     return ids.astype(np.int32)

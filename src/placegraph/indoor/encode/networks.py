@@ -103,13 +103,13 @@ class ImageNetwork:
         into, out = inputs[0]["shape"], outputs[0]["shape"]
         if len(inputs) != 1 or len(into) != 4 or into[0] != 1 or into[3] != 3:
             raise InputError(
-                f"{weights} takes {[i['shape'].tolist() for i in inputs]}; such a network takes one image "
-                "[1, height, width, 3]."
+                f"{weights} expects input {[i['shape'].tolist() for i in inputs]}; it must "
+                "accept one image [1, height, width, 3]."
             )
         if len(outputs) != 1 or len(out) not in {3, 4} or out[0] != 1:
             raise InputError(
-                f"{weights} gives {[o['shape'].tolist() for o in outputs]}; such a network gives one image "
-                "[1, height, width] or [1, height, width, channels]."
+                f"{weights} returns {[o['shape'].tolist() for o in outputs]}; it must "
+                "return one image [1, height, width] or [1, height, width, channels]."
             )
         self._input, self._output = inputs[0], outputs[0]
         self.shape = tuple(int(n) for n in self._output["shape"])
@@ -170,7 +170,7 @@ def _load_model(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpre
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     if content[4:8] != _HEAD:
-        raise InputError(f"{path} is no TensorFlow Lite model; name a .tflite file.")
+        raise InputError(f"{path} is not a TensorFlow Lite model; give a .tflite file.")
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError as error:
@@ -223,8 +223,8 @@ def label_capture(capture: Capture, segmenter: Segmenter) -> Capture:
         answered = np.asarray(segmenter.labels(rgb))
         if answered.shape != wanted or answered.dtype.kind not in "iu":
             raise OptionError(
-                f"segmenter: labels are {answered.dtype} {answered.shape}; it promised whole numbers "
-                f"{wanted}."
+                f"segmenter: labels are {answered.dtype} {answered.shape}, expected "
+                f"integers of shape {wanted}."
             )
         return answered.astype(np.int32)
 
@@ -280,8 +280,8 @@ class TfliteSegmenter:
                 self._rows[i] = i
         if self._scored and max(meant, default=0) >= highest:
             raise InputError(
-                f"{weights} has {highest} classes, but label {max(meant)} has a name; give the "
-                "names of this model's classes."
+                f"{weights} has {highest} classes, but a name is given for label "
+                f"{max(meant)}; give names of this model's classes."
             )
 
     def size(self, width: int, height: int) -> tuple[int, int]:
@@ -310,7 +310,9 @@ def _read_names(path: str | PathLike[str] | None) -> dict[int, str | None]:
     for key, name in content.items():
         number = key.strip()
         if not (number.isascii() and number.isdigit() and len(number) < 6):
-            raise InputError(f"{path}: {key[:40]!r} is no label; labels are 0 to 99999.")
+            raise InputError(
+                f"{path}: {key[:40]!r} is not a label; labels are integers from 0 to 99999."
+            )
         if not (name is None or isinstance(name, str)):
             raise InputError(f"{path}: the name of label {key} is {str(name)[:40]!r}, not text.")
         names[int(number)] = name or None
@@ -322,8 +324,8 @@ SLOPE = 0.1
 _METRIC = ("metres", "log metres")
 _RELATIVE = ("inverse", "relative")
 _MEND = (
-    "relative depth has no scale; take a network of metric depth, such as one trained for indoor "
-    "metres, or make metres of it"
+    "relative depth has no scale; use a network for metric depth, such as one trained "
+    "indoors, or convert its output to metres"
 )
 
 
@@ -352,7 +354,7 @@ def estimate_depth(capture: Capture, estimator: DepthEstimator) -> Capture:
     """
     if capture.depth_camera is not None:
         raise OptionError(
-            "capture: its frames have depth of their own, which is truer; leave out the network."
+            "capture: its frames already have measured depth; remove the depth network."
         )
     if not estimator.metric:
         raise OptionError(f"estimator: its {_MEND}.")
@@ -364,7 +366,8 @@ def estimate_depth(capture: Capture, estimator: DepthEstimator) -> Capture:
         answered = np.asarray(estimator.depth(rgb))
         if answered.shape != wanted or answered.dtype.kind != "f":
             raise OptionError(
-                f"estimator: depth is {answered.dtype} {answered.shape}; it promised fractions {wanted}."
+                f"estimator: depth is {answered.dtype} {answered.shape}, expected "
+                f"floating-point numbers of shape {wanted}."
             )
         metres = answered.astype(np.float32)
         return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
@@ -419,7 +422,8 @@ class TfliteDepth:
         channels = network.shape[3:] or (1,)
         if channels != (1,):
             raise InputError(
-                f"{network.weights} gives {channels[0]} numbers a pixel; a depth network gives one."
+                f"{network.weights} returns {channels[0]} numbers per pixel; a depth "
+                "network must return one."
             )
 
     def size(self, width: int, height: int) -> tuple[int, int]:
@@ -438,7 +442,9 @@ def _read_form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
     """Read a network's output unit, and mean and deviation (3,) of its input colours."""
     example = '{"gives": "metres", "mean": [0.5, 0.5, 0.5], "deviation": [0.5, 0.5, 0.5]}'
     if not path.exists():
-        raise InputError(f"{path} does not exist; say there what the network gives: {example}.")
+        raise InputError(
+            f"{path} does not exist; create it to describe the output of the network: {example}."
+        )
     content = read_json(path)
     if not isinstance(content, dict) or set(content) - {"gives", "mean", "deviation"}:
         raise InputError(f"{path} must be a JSON object like {example}.")
@@ -446,7 +452,7 @@ def _read_form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
     if gives in _RELATIVE:
         raise InputError(f"{path}: gives is {gives!r}; {_MEND}.")
     if gives not in _METRIC:
-        raise InputError(f"{path}: gives is {gives!r}; it is 'metres' or 'log metres'.")
+        raise InputError(f"{path}: gives is {gives!r}; it must be 'metres' or 'log metres'.")
     mean, deviation = (
         _check_three(path, name, content.get(name, [0.5] * 3)) for name in ("mean", "deviation")
     )
@@ -459,5 +465,7 @@ def _check_three(path: Path, name: str, given: Any) -> tuple[float, ...]:  # noq
     numbers = given if isinstance(given, list) else []
     true = [isinstance(n, int | float) and np.isfinite(n) for n in numbers]
     if len(true) != 3 or not all(true):
-        raise InputError(f"{path}: {name} is {str(given)[:40]}; it is three numbers, red first.")
+        raise InputError(
+            f"{path}: {name} is {str(given)[:40]}; it must be three numbers (red, green, blue)."
+        )
     return tuple(float(n) for n in numbers)

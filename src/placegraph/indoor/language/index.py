@@ -64,7 +64,9 @@ def units(
     """
     for what, given in (("rooms", rooms), ("attributes", attributes)):
         if len(given) not in (0, len(graph)):
-            raise OptionError(f"{what}: {len(given)} for {len(graph)} objects; give one for each.")
+            raise OptionError(
+                f"{what}: {len(given)} values for {len(graph)} objects; give one per object."
+            )
     groups = _group_rooms(graph, rooms)
     edges = list(triples(graph))
     if len(groups) <= 1:

@@ -247,10 +247,10 @@ class Referents:
         if s.kind is Kind.ROOM:
             mention = self.sentence.mentions[s.mentions[0]]
             if not mention.room:
-                return "says nothing of where you are"
+                return "does not say where you are"
             kinds = self.rooms[2]
             if not len(kinds):
-                return "the map knows no rooms"
+                return "the map has no rooms"
             if kinds[:, table().kinds.index(mention.room)].max() <= _NO_ROOM:
                 return f"the map has no {mention.label}"
             return ""
@@ -258,7 +258,7 @@ class Referents:
             if not self.weights[t].any():
                 return f"the map has no {self.sentence.mentions[t].label}"
         if s.kind is Kind.RELATED and s.negated:
-            return "says nothing of where you are"
+            return "does not say where you are"
         return ""
 
 

@@ -82,7 +82,7 @@ def read(text: str) -> Sentence:
                 reader.ignore_chunks(left_out)
     reader.finish()
     if not reader.statements and not reader.ignored:
-        reader.ignored.append(Ignored(text.strip(), "says nothing about a place"))
+        reader.ignored.append(Ignored(text.strip(), "does not describe a place"))
     return Sentence(text, tuple(reader.mentions), tuple(reader.statements), tuple(reader.ignored))
 
 
@@ -170,7 +170,7 @@ class Reader:
             mention = replace(mention, label=alike, attributes=attributes, plural=False)
         last = mention.label.rpartition(" ")[2]
         if last in _NOTHING or not mention.label:
-            self.ignored.append(Ignored(mention.words, "names no thing"))
+            self.ignored.append(Ignored(mention.words, "does not name an object"))
             return None
         if last in _ANYTHING and not mention.room:
             self._describe_scene(mention.attributes)
@@ -181,7 +181,7 @@ class Reader:
             if where.room:
                 self.state(Kind.ROOM, (self._find_or_add(where, owner),), owner)
             else:
-                self.ignored.append(Ignored(where.words, "of what a thing is part"))
+                self.ignored.append(Ignored(where.words, "does not say what the object is part of"))
         self._spoken.append(self._find_or_add(mention, noun))
         return self._spoken[-1]
 
@@ -366,7 +366,7 @@ class Reader:
             case "alone":  # "with a mirror above": of what was spoken of before
                 other = next((row for row in reversed(self._spoken) if row != subject), None)
                 if subject < 0 or other is None or self.mentions[other].room:
-                    self._ignore(place, "says no thing")
+                    self._ignore(place, "does not mention an object")
                 else:
                     self._relate(subject, place, other)
                 return subject
@@ -376,13 +376,15 @@ class Reader:
         targets = [row for row in rows if row is not None]
         if None in rows or (subject >= 0 and subject in targets):
             itself = subject in targets
-            self._ignore(place, "relates a thing to itself" if itself else "says no thing")
+            self._ignore(
+                place, "relates a thing to itself" if itself else "does not mention an object"
+            )
             return anchor
         if any(t < 0 for t in targets):  # "left of me", "far from me"; or of the room
             if ME in targets and subject >= 0 and place.how in ("related", "far"):
                 self.state(Kind.NEAR if place.how == "related" else Kind.FAR, (subject,), place)
             elif subject != ME or place.word != "in":
-                self._ignore(place, "says no thing")
+                self._ignore(place, "does not mention an object")
             return anchor
         return self._put_at(subject, place, targets)
 
@@ -434,7 +436,7 @@ class Reader:
             kinds = {"towards": Kind.TOWARDS, "here": Kind.NEAR, "sight": Kind.HOLDS}
             self.state(kinds[place.how], (subject,), place)
         elif place.how == "towards":
-            self._ignore(place, "says no thing")
+            self._ignore(place, "does not mention an object")
         return subject
 
     def _relate(self, subject: int, place: Place, target: int) -> None:

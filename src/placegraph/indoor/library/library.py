@@ -100,7 +100,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         keys = [e.key for e in self.encoders]
         if not keys or len(set(keys)) < len(keys):
             raise OptionError(
-                f"encoders are {', '.join(keys) or 'none'}; give at least one, each once."
+                f"encoders are {', '.join(keys) or 'none'}; give at least one, without repetitions."
             )
         self.height = height
         self._entries: dict[str, Entry] = {}
@@ -135,9 +135,11 @@ class SceneLibrary(SceneCollection, HtmlRepr):
 
         """
         if not name or "/" in name:
-            raise OptionError(f"name is {name!r}; give one without a slash.")
+            raise OptionError(f"name is {name!r}; give a name without a slash.")
         if name in self._entries:
-            raise OptionError(f"{name!r} is taken; remove it first, or take another name.")
+            raise OptionError(
+                f"A scene named {name!r} exists already; remove it first, or choose another name."
+            )
         path = None if isinstance(scene, SceneMap) else Path(scene)
         opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
         signature = compute_signature(opened, self.encoders, captures, self.height)
@@ -166,7 +168,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         if name not in self._entries:
             names = ", ".join(list(self._entries)[:5]) + (", ..." if len(self) > 5 else "")
             raise OptionError(
-                f"{name!r} is no scene of this library; it has {names or 'none at all'}."
+                f"{name!r} is not a scene of this library; its scenes are {names or 'none at all'}."
             )
         return self._entries[name]
 
@@ -187,18 +189,18 @@ class SceneLibrary(SceneCollection, HtmlRepr):
             return self._open[name]
         if entry.path is None:
             raise InputError(
-                f"{name}: the library knows its signature alone, and no map of it; add it again by "
-                "its file."
+                f"{name}: the library holds only the signature of the scene, not the path "
+                "of its map; add the map file again."
             )
         if not entry.path.exists():
             raise InputError(
-                f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
+                f"{entry.path}: the map of {name!r} is missing; restore it, or remove the scene."
             )
         opened = SceneMap.open(entry.path)
         if hash_file(entry.path) != entry.digest:
             raise MapError(
-                f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
-                "it again."
+                f"{entry.path} is not the map that was added as {name!r}; remove the scene "
+                "and add it again."
             )
         self._open[name] = opened
         while sum(self._entries[n].path is not None for n in self._open) > _MAX_OPEN:
@@ -275,7 +277,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
     def index(self) -> Index:
         """Index of all signatures and those of `load_decoys`; `OptionError` for an empty library."""
         if not self._entries:
-            raise OptionError("The library is empty: add a scene before you search it.")
+            raise OptionError("The library is empty; add a scene before searching it.")
         if self._index is None:
             signatures = [e.signature for e in self._entries.values()] + load_decoys(self.encoders)
             self._index = Index.of(signatures, [e.key for e in self.encoders])
@@ -314,13 +316,13 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         where it cannot be written, `OptionError` where a map is only in memory or there is none.
         """
         if not len(self):
-            raise OptionError("The library is empty: add a scene before you save it.")
+            raise OptionError("The library is empty; add a scene before saving it.")
         folder, places = resolve_path(path).parent, []
         entries = list(self._entries.values())
         for name, entry in self._entries.items():
             if entry.path is None:
                 raise OptionError(
-                    f"{name!r} is a map in memory; save it, and add it to the library by its file."
+                    f"{name!r} is a map in memory; save it, and add the saved file to the library."
                 )
             places.append(os.path.relpath(resolve_path(entry.path), folder))
         meta = {
@@ -378,7 +380,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
     def _of_file(cls, path: str | os.PathLike[str], encoders: Encoders | None) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
         made = match_encoders(file, encoders)
-        with check_contents(path, "Make the library again."):
+        with check_contents(path, "Build the library again."):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
             digests = [str(digest) for digest in file.meta["digests"]]
@@ -411,7 +413,9 @@ def match_encoders(file: MapFile, given: Encoders | None) -> list[Encoder]:
     try:
         wanted = [(str(e["name"]), str(e["key"])) for e in file.meta["encoders"]]
     except (KeyError, TypeError) as error:
-        raise MapError(f"{file.header.path}: names no encoders. Make the library again.") from error
+        raise MapError(
+            f"{file.header.path}: the file lists no encoders. Build the library again."
+        ) from error
     out = []
     for name, key in wanted:
         found = made.get(key)
@@ -422,11 +426,11 @@ def match_encoders(file: MapFile, given: Encoders | None) -> list[Encoder]:
                 by_name = None
             found = by_name if by_name is not None and by_name.key == key else None
         if found is None or (made and not made.keys() & {k for _, k in wanted}):
-            here = ", ".join(made) or (found.key if found else "nothing that makes such vectors")
+            here = ", ".join(made) or (found.key if found else "an unknown encoder")
             raise MapError(
-                f"{file.header.path} was encoded by {key}, and here is {here}: open it with the "
-                "encoder that it was made with (encoders=..., or --encoder and --weights), or make "
-                "the library again."
+                f"{file.header.path} was encoded by {key}, but the given encoder is {here}; "
+                "open it with the original encoder (encoders=..., or --encoder and "
+                "--weights), or build the library again."
             )
         out.append(found)
     return out
@@ -437,6 +441,4 @@ def hash_file(path: Path) -> str:
     try:
         return hashlib.sha256(check_regular(path).read_bytes()).hexdigest()
     except OSError as error:
-        raise InputError(
-            f"{path} cannot be read any more ({error.strerror}); bring it back."
-        ) from error
+        raise InputError(f"{path} can no longer be read ({error.strerror}); restore it.") from error

@@ -85,9 +85,9 @@ def localize(
 
     """
     if most < 1:
-        raise OptionError(f"most is {most}; localize in at least one scene.")
+        raise OptionError(f"most is {most}; give at least 1.")
     if {"shares", "prior"} & options.keys():
-        raise OptionError("shares, prior: a library finds these itself; leave them out.")
+        raise OptionError("shares, prior: a library computes these itself; remove them.")
     chosen = chosen_frames(capture, frames)
     retrieved = library.search(chosen, description=description, options=search, most=most)
     answers = localize_in_scenes(

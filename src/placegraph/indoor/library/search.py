@@ -62,23 +62,23 @@ class SearchOptions:
 
     method: Literal["likelihood", "cosines"] = option(
         "likelihood",
-        "`likelihood`: a log-likelihood ratio against the library and the homes beside it; `cosines`: "
-        "the paper's sum over frames of the mean over patches of the best cosine (Sec. 4).",
+        "`likelihood`: log-likelihood ratio against the library and the background homes; "
+        "`cosines`: sum over frames of the mean best cosine of the patches, as in the paper "
+        "(Sec. 4).",
     )
     rarity: bool = option(True, "Weigh words by how rare they are in the library.")
     geometry: bool = option(
-        True, "Compare with panoramas: what is seen together, and in which direction."
+        True, "Compare with panoramas: objects seen together, with their directions."
     )
     odometry: bool = option(
-        True, "Frames lie on one way; otherwise each frame may lie anywhere in the scene."
+        True,
+        "Assume that the frames lie on one path; otherwise each may lie anywhere in the scene.",
     )
     wrong: float = option(0.4, "Share of patches with a wrong word.", above=0, below=1)
-    focus: float = option(
-        0.75, "Share of the patches in a direction that show the object which fills most of it."
-    )
-    patches_per_frame: float = option(24.0, "Independent patches of a frame.", above=0)
+    focus: float = option(0.75, "Share of the patches in a direction that show its largest object.")
+    patches_per_frame: float = option(24.0, "Number of independent patches in a frame.", above=0)
     patches_per_word: float = option(
-        6.0, "Independent patches of the same word, in all frames together.", above=0
+        6.0, "Number of independent patches with the same word, over all frames.", above=0
     )
     temperature: float = option(
         3.3,
@@ -86,12 +86,14 @@ class SearchOptions:
         "and take T^0.45 times as much; two encoders take sqrt(2) times.",
         above=0,
     )
-    max_frames: int = option(12, "Frames compared, spread over the capture.", minimum=1)
+    max_frames: int = option(12, "Number of frames compared, spread over the capture.", minimum=1)
     finalists: int = option(
-        16, "Scenes compared with panoramas: the best by the objects they hold.", minimum=1
+        16,
+        "Maximum number of scenes compared with panoramas, the best by their objects.",
+        minimum=1,
     )
     shortlist: int = option(
-        1000, "Scenes compared in a larger library: those with the nearest vectors.", minimum=1
+        1000, "Maximum number of scenes compared, those with the nearest vectors.", minimum=1
     )
 
     def __post_init__(self) -> None:
@@ -177,15 +179,15 @@ def encode_frames(
 
     """
     if not frames:
-        raise OptionError("frames: there is none; a query needs at least one.")
+        raise OptionError("frames: the query has no frame; give at least one.")
     levels = level_from_camera(np.stack([frame.gravity for frame in frames]))
     found = (_encode_by(frames, levels, e, exact) for e in encoders)
     parts = tuple(part for part in found if part is not None)
     if not parts:
         names = ", ".join(e.name for e in encoders)
         raise OptionError(
-            f"Nothing to compare: the frames have nothing for {names}. Give frames with labels, or a "
-            "library whose scenes are encoded by their looks: appearance."
+            f"The frames cannot be compared, because they have no input for {names}. Give "
+            "labelled frames, or use a library encoded by `appearance`."
         )
     return Query(parts, level_frames(frames))
 
@@ -462,7 +464,7 @@ class SceneCollection(ABC):
 
         """
         if most < 1:
-            raise OptionError(f"most is {most}; ask for at least one scene.")
+            raise OptionError(f"most is {most}; give at least 1.")
         if isinstance(query, str):
             return infer_from_text(self, query).estimate(self, most)
         text = None if description is None else read(description)
@@ -564,8 +566,8 @@ def infer_from_text(library: SceneCollection, text: str) -> ScenePosterior:
     if not sentence.statements:
         ignored = "; ".join(f"{i.text!r}: {i.reason}" for i in sentence.ignored)
         raise OptionError(
-            f"{text!r} says nothing of a place{f' ({ignored})' if ignored else ''}; name a room, "
-            "things in it, how many, or how they stand to each other."
+            f"{text!r} does not describe a place{(f' ({ignored})' if ignored else '')}; "
+            "mention a room, its objects, their number, or their relations."
         )
     ratios = library.score_text(sentence)
     # being in none of the scenes is as likely as the average one makes it; so is each that is missing
@@ -610,5 +612,5 @@ def explain_frames(
             text = f"{graph.labels[row]} seen in {int(seen[i])} patches"
             out.append(Evidence(text, "for", float(gained[i]), (ref,)))
     if missed:
-        out.append(Evidence(f"{int(missed)} patches fit nothing here", "against", lost))
+        out.append(Evidence(f"{int(missed)} patches match no object", "against", lost))
     return tuple(out)

@@ -102,14 +102,14 @@ def compute_signature(
     """
     if len(scene) > MAX_OBJECTS:
         raise OptionError(
-            f"{scene.source or 'The map'} has {len(scene):,} objects; a scene of a library has up to "
-            f"{MAX_OBJECTS:,}. Split it by rooms."
+            f"{scene.source or 'The map'} has {len(scene):,} objects, but a scene of a "
+            f"library has at most {MAX_OBJECTS:,}; split it into rooms."
         )
     vectors = {e.key: encode_objects(e, scene, captures) for e in encoders}
     if not any(v.any() for v in vectors.values()):
         raise OptionError(
-            f"{scene.source or 'The map'}: none of its {len(scene)} objects says anything to "
-            f"{', '.join(e.name for e in encoders)}; give labels to its objects, or colours."
+            f"{scene.source or 'The map'}: the encoder {len(scene)} can use none of its "
+            f"{scene.source or 'The map'} objects; give the objects labels or colours."
         )
     heights = STANDING if height is None else (height,)
     table = build_table(
@@ -117,8 +117,8 @@ def compute_signature(
     )
     if not len(table):
         raise OptionError(
-            f"{scene.source or 'The map'} has no free place {np.mean(heights):.1f} m above its floor "
-            "to look around from; give the camera's height."
+            f"{scene.source or 'The map'} has no free viewpoint {np.mean(heights):.1f} m "
+            "above its floor; give the camera's height."
         )
     at = np.array([scene.scene_at(p[:2]) for p in table.positions], np.int32)
     parts = [np.flatnonzero(at == part) for part in np.unique(at)]
@@ -451,7 +451,7 @@ def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
             targets=targets[edge].astype(np.int64),
         )
         if int(panoramas[place].max()) > len(graph):
-            raise ValueError("panoramas point outside the objects")
+            raise ValueError("panoramas refer to missing objects")
         out.append(
             Signature(
                 graph=graph,
@@ -473,9 +473,9 @@ def _unpack_vectors(file: MapFile, i: int, count: int) -> NDArray[np.float32]:
     numbers, scales = file.array(f"vectors_{i}", "|i1", 2), file.array(f"scales_{i}", "<f4")
     code = file.array(f"code_{i}", "<i4")
     if len(scales) != len(numbers) or not np.isfinite(scales).all() or len(code) != count:
-        raise ValueError(f"vectors_{i} do not fit")
+        raise ValueError(f"vectors_{i} have wrong shapes")
     if count and not 0 <= int(code.min()) <= int(code.max()) < len(numbers):
-        raise ValueError(f"code_{i} points outside the vectors")
+        raise ValueError(f"code_{i} refers to missing vectors")
     vectors = dequantize_vectors(numbers, scales)
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray((vectors / np.where(lengths > 1e-6, lengths, np.inf))[code], np.float32)

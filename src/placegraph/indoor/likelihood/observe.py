@@ -492,13 +492,15 @@ def describe_suspected_unit(views: Sequence[View], background: Background, frame
 def describe_unit_error(frame: Frame, factor: float) -> str:
     """Return a sentence about depth that is `factor` times too long, with the file and the right unit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
-    said = f"The depth readings look about {times:.{0 if times > 9 else 1}f} times too {direction}"
+    said = (
+        f"The depth readings appear about {times:.{(0 if times > 9 else 1)}f} times too {direction}"
+    )
     if not isinstance(frame.images, LazyImages):
         return f"{said}; give depth in metres."
     unit = frame.images.unit
     if unit is None:
-        return f"{said} for metres; check what the depth images were written in."
+        return f"{said} for metres; check the unit of the depth images."
     return (
-        f"{said}: check {unit.source}, which is {unit.per_metre:g} units a metre; "
+        f"{said}: check {unit.source}, which is {unit.per_metre:g} units per metre; "
         f"{unit.per_metre * factor:.4g} would fit."
     )

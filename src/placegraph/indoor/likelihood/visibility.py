@@ -147,8 +147,8 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
     """
     if len(scene) > np.iinfo(np.uint16).max:
         raise OptionError(
-            f"{scene.source or 'The map'} has {len(scene):,} objects; "
-            f"up to {np.iinfo(np.uint16).max:,} can be localized in. Split it."
+            f"{scene.source or 'The map'} has {len(scene):,} objects, but localization "
+            f"supports at most {np.iinfo(np.uint16).max:,}; split the map."
         )
     grid = make_grid(scene, options.heights, options.spacing)
     index = np.full(grid.height.shape, -1, np.int32)

@@ -61,7 +61,7 @@ class Mesh:
         ):  # fmt: skip
             _put(self, name, _column(name, getattr(self, name), dtype, shape))
         if not self.textures:
-            raise OptionError("textures: there is none; give one white texel.")
+            raise OptionError("textures: the list is empty; give at least one white texel.")
         _put(self, "textures", tuple(_texture(i, a) for i, a in enumerate(self.textures)))
         for name, count in (("triangles", v), ("texture_of", len(self.textures))):
             _rows(name, getattr(self, name), count)
@@ -216,7 +216,7 @@ def _put(mesh: Mesh, field: str, value: object) -> None:
 def _column(name: str, values: Any, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:  # noqa: ANN401
     array = np.asarray(values)
     if array.shape != shape and not (array.size == 0 and 0 in shape):
-        raise OptionError(f"{name}: shape {array.shape} where {shape} belongs.")
+        raise OptionError(f"{name}: shape is {array.shape}, expected {shape}.")
     kinds = "iu" if np.dtype(dtype).kind in "iu" else "fiu"
     if array.size and array.dtype.kind not in kinds:
         raise OptionError(f"{name}: {array.dtype} where {np.dtype(dtype)} belongs.")
@@ -235,7 +235,7 @@ def _texture(row: int, values: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     array = np.asarray(values)
     if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3 or not array.size:
         raise OptionError(
-            f"textures: {row} is {array.dtype} {array.shape}; (h, w, 3) uint8 belongs."
+            f"textures: {row} is {array.dtype} {array.shape}, expected uint8 of shape (h, w, 3)."
         )
     texture = np.ascontiguousarray(array).view()
     texture.flags.writeable = False
@@ -245,7 +245,7 @@ def _texture(row: int, values: Any) -> NDArray[np.uint8]:  # noqa: ANN401
 def _rows(name: str, rows: NDArray[np.int32], count: int | None) -> None:
     if rows.size and (int(rows.min()) < 0 or (count is not None and int(rows.max()) >= count)):
         raise OptionError(
-            f"{name}: a row lies outside 0 to {'...' if count is None else count - 1}."
+            f"{name}: a row index is outside 0 to {('...' if count is None else count - 1)}."
         )
 
 

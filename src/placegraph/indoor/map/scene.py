@@ -64,7 +64,8 @@ class Landmarks(PickleFields):
         shapes, count = (self.points.shape, self.vectors.shape), len(self.points)
         if shapes != ((count, 3), (count, DESCRIPTOR_SIZE)) or not np.isfinite(self.points).all():
             raise OptionError(
-                f"landmarks: shapes {shapes}; finite (L, 3) and (L, {DESCRIPTOR_SIZE}) belong."
+                f"landmarks: shapes are {shapes}, expected finite numbers of shapes (L, 3) "
+                f"and (L, {DESCRIPTOR_SIZE})."
             )
 
     def __len__(self) -> int:
@@ -201,8 +202,7 @@ class Scene(PickleFields):
             raise OptionError(f"floor is {floor}; it must be a height in metres.")
         if not len(ids):
             raise OptionError(
-                "ids: there is no object; a scene map is made of objects with triangles, so name at "
-                "least one and the triangles that are its own."
+                "ids: there is no object; give at least one object and its triangles."
             )
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
         mesh = sort_triangles(
@@ -211,8 +211,7 @@ class Scene(PickleFields):
         bare = np.flatnonzero(np.isnan(mesh.object_bounds(len(ids))[:, 0, 0]))
         if bare.size:
             raise OptionError(
-                f"objects: {ids[bare[0]]!r} has no triangle; a scene map is made of objects with "
-                "triangles."
+                f"objects: {ids[bare[0]]!r} has no triangle; remove it, or give it triangles."
             )
         return cls(
             graph=make_graph(mesh, ids, labels, names, relations), mesh=mesh, encoded=blobs,
@@ -231,17 +230,21 @@ class Scene(PickleFields):
         ):
             column = np.array(getattr(self, name), dtype)
             if column.shape != shape or not np.isfinite(column).all():
-                raise OptionError(f"{name}: shape {column.shape}; {shape} finite numbers belong.")
+                raise OptionError(
+                    f"{name}: shape is {column.shape}, expected {shape} finite numbers."
+                )
             column.flags.writeable = False
             object.__setattr__(self, name, column)
         if not n or not len(self.mesh) or not s:
-            raise OptionError("A scene map needs an object, a triangle and a scene; it has none.")
+            raise OptionError("A scene map needs at least one object, one triangle and one scene.")
         if len(self.attributes) != n or len(self.encoded) != len(self.mesh.textures):
-            raise OptionError("attributes, encoded: not one for each object, or for each texture.")
+            raise OptionError("attributes, encoded: give one per object and one per texture.")
         if int(self.mesh.object_of.max()) >= n:
-            raise OptionError("mesh: a triangle belongs to no object.")
+            raise OptionError(
+                "mesh: a triangle belongs to no object; assign every triangle to an object."
+            )
         if not 0 <= int(self.scene_of.min()) <= int(self.scene_of.max()) < s:
-            raise OptionError("scene_of: a row lies outside the scenes.")
+            raise OptionError("scene_of: an index is outside the scenes.")
         object.__setattr__(self, "anchors", sort_anchors(self.anchors, self.scenes))
 
     def __len__(self) -> int:
@@ -325,7 +328,7 @@ class Scene(PickleFields):
         """Return row of the object with this id; `OptionError` where there is none."""
         row = self._rows.get(id_)
         if row is None:
-            raise OptionError(f"{id_!r} is no object of {self.source or 'this map'}.")
+            raise OptionError(f"{id_!r} is not an object of {self.source or 'this map'}.")
         return row
 
     @cached_property

@@ -59,16 +59,18 @@ def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
         scenes = len(scene.scenes)
         if len(scene.viewpoints) > MAX_VIEWPOINTS * scenes:
             raise ValueError(
-                f"viewpoints: {len(scene.viewpoints):,}; at most {MAX_VIEWPOINTS} a scene"
+                f"viewpoints: there are {len(scene.viewpoints):,}, but at most "
+                f"{MAX_VIEWPOINTS} are allowed per scene"
             )
         if len(scene.landmarks or ()) > MAX_LANDMARKS * scenes:
             raise ValueError(
-                f"landmarks: {len(scene.landmarks or ()):,}; at most {MAX_LANDMARKS:,} a scene"
+                f"landmarks: there are {len(scene.landmarks or ()):,}, but at most "
+                f"{MAX_LANDMARKS:,} are allowed per scene"
             )
         slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
         if not is_near_box(scene.viewpoints, scene.bounds + slack).all():
             raise ValueError(
-                f"viewpoints: some lie more than {MAX_VIEWPOINT_DISTANCE:.0f} m outside the mesh"
+                f"viewpoints: some are more than {MAX_VIEWPOINT_DISTANCE:.0f} m outside the mesh"
             )
         return scene
 
@@ -179,7 +181,7 @@ def _graph(file: MapFile) -> SceneGraph:
     kinds = file.strings("relations")
     code = file.array("relation_of", "<i4")
     if code.size and not 0 <= int(code.min()) <= int(code.max()) < len(kinds):
-        raise ValueError("relation_of points outside relations")
+        raise ValueError("relation_of refers to missing relations")
     return SceneGraph(
         ids=file.strings("ids"),
         labels=file.strings("labels"),
@@ -196,7 +198,7 @@ def _graph(file: MapFile) -> SceneGraph:
 def _embeddings(file: MapFile) -> NDArray[np.float32]:
     numbers, scales = file.array("embeddings", "|i1", 2), file.array("embedding_scales", "<f4")
     if len(scales) != len(numbers) or not np.isfinite(scales).all() or (scales < 0).any():
-        raise ValueError("embedding_scales do not fit the embeddings")
+        raise ValueError("embedding_scales do not match the embeddings")
     return dequantize_vectors(numbers, scales)
 
 

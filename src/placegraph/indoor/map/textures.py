@@ -54,13 +54,13 @@ class Detail:
                 f"max_texture is {self.max_texture}; it must be 1 to {_LARGEST_SIDE} texels."
             )
         if self.quality > 100:
-            raise OptionError(f"quality is {self.quality}; WebP's quality is 1 to 100, or 0.")
+            raise OptionError(f"quality is {self.quality}; it must be 0 (lossless) or 1 to 100.")
         if not 1e-3 <= self.baked <= 1.0:
-            raise OptionError(f"baked is {self.baked} m; texels are 0.001 to 1 m.")
+            raise OptionError(f"baked is {self.baked} m; texels must be 0.001 to 1 m.")
         for name, least in (("grain", GRAIN), ("uv_grain", UV_GRAIN)):
             if getattr(self, name) < least or np.log2(getattr(self, name)) % 1.0:
                 raise OptionError(
-                    f"{name} is {getattr(self, name)}; it must be a power of two from {least} on."
+                    f"{name} is {getattr(self, name)}; it must be a power of two, at least {least}."
                 )
 
 
@@ -80,7 +80,7 @@ def get_detail(detail: str | Detail) -> Detail:
     if isinstance(detail, Detail):
         return detail
     if detail not in DETAILS:
-        raise OptionError(f"detail is {detail!r}; it is one of {', '.join(DETAILS)}.")
+        raise OptionError(f"detail is {detail!r}; choose one of {', '.join(DETAILS)}.")
     return DETAILS[detail]
 
 
@@ -171,14 +171,15 @@ def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.ui
             with open_image(io.BytesIO(blobs[i]), name) as image:
                 if max(image.size) > _LARGEST_SIDE or image.format not in FORMATS:
                     raise MapError(
-                        f"{name} is no WebP, PNG or JPEG of up to {_LARGEST_SIDE} texels a side."
+                        f"{name} is not a WebP, PNG or JPEG image of at most "
+                        f"{_LARGEST_SIDE} texels per side."
                     )
                 with lock:
                     left -= image.width * image.height
                 if left < 0:
                     raise MapError(
-                        f"{path}: its textures have more texels than {size:,} bytes can hold; the file "
-                        "is damaged, or made to fill memory. Build the map again."
+                        f"{path}: its textures declare more texels than {size:,} bytes can "
+                        "encode; the file is damaged or malicious. Build the map again."
                     )
                 return to_rgb(image)
         except InputError as error:

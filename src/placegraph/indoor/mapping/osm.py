@@ -481,7 +481,7 @@ def export_shapes(scene: Scene) -> list[IndoorShape]:
         anchors = scene.anchors_of(name)
         if not anchors:
             raise OptionError(
-                f"{name!r} has no place on Earth, which OpenStreetMap needs; give it one with "
+                f"{name!r} is not georeferenced, which OpenStreetMap needs; anchor it with "
                 "`placegraph scene anchor`."
             )
         rows = np.flatnonzero(scene.scene_of == s)

@@ -185,8 +185,8 @@ def _describe_unknown(path: Path) -> str:
             what = "holds no scene graph" if path.stat().st_size else "is empty"
     if "io" not in plugins(SOURCES):
         mend += (
-            " Data sets and other programs' scene graphs are read by placegraph-io, which is not "
-            "installed; `pip install 'placegraph[io]'` brings it."
+            " Data sets and other programs' scene graphs are read by placegraph-io, which "
+            "is not installed; run `pip install 'placegraph[io]'`."
         )
     known = "; ".join(map(str, (*source_formats(), *capture_formats())))
     return f"{path} {what}; a scene is built from {known}.{mend}"

@@ -125,7 +125,7 @@ def _camera(path: Path, content: dict[str, Any], prefix: str) -> Camera:
     model = content.get("model", "opencv")
     if model not in MODELS:
         raise InputError(
-            f"{path}: {prefix}model is {str(model)[:40]!r}; it is one of {', '.join(MODELS)}."
+            f"{path}: {prefix}model is {str(model)[:40]!r}; choose one of {', '.join(MODELS)}."
         )
     try:
         return Camera(width, height, fx, fy, cx, cy, numbers, model)

@@ -252,7 +252,7 @@ def read_columns(path: Path) -> dict[str, Columns]:
         order, elements = _parse_header(data[:end].decode("latin-1").splitlines())
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
-            f"{path}: its header is not understood ({error!r}); export it again."
+            f"{path}: its header cannot be parsed ({error!r}); export it again."
         ) from error
     if not order:
         data, at = _parse_numbers(path, data[at:]).tobytes(), 0
@@ -438,7 +438,7 @@ def write_ply(
         ("objects", objects, (len(triangles),)),
     ):
         if column is not None and column.shape != shape:
-            raise OptionError(f"{name}: shape {column.shape} where {shape} belongs.")
+            raise OptionError(f"{name}: shape is {column.shape}, expected {shape}.")
     if not all(line.isascii() and line.isprintable() for line in comments):
         raise OptionError(f"comments: {comments!r}; a comment is one line of ASCII.")
     points = [("at", "<f4", 3)] + ([] if colours is None else [("colour", "u1", 3)])

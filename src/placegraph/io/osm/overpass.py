@@ -114,7 +114,7 @@ def fetch_osm(
         import osmnx as ox
     except ImportError as error:
         raise MissingExtraError(
-            "OSMnx is not installed; `pip install 'placegraph[osmnx]'` brings it."
+            "OSMnx is not installed; run `pip install 'placegraph[osmnx]'`."
         ) from error
     out, query_keys = Path(out_path), sorted({keys} if isinstance(keys, str) else set(keys))
     _check(place, out, query_keys)

@@ -274,8 +274,8 @@ def _open_weights(path: str | PathLike[str]) -> MapFile:
         raise MapError(f"{path} is a {header.kind} map, not a weights file; {mend}")
     if header.version > VERSION:
         raise MapError(
-            f"{path} is a weights file of version {header.version}, this placegraph reads up to "
-            f"{VERSION}; update placegraph, or train again with this one."
+            f"{path} is a weights file of version {header.version}, but this placegraph "
+            f"reads up to {VERSION}; update placegraph, or train again with this version."
         )
     return file
 

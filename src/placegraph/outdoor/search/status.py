@@ -226,7 +226,7 @@ def find_obstacle(query: Query, description: Description, *, tells_way: bool = F
         return f"No statement of the text can be used: {_join_reasons(query)}."
     if description.ignored:
         return f"The text could not be understood; {ADVICE}"
-    return f"The text says nothing about a place; {ADVICE}"
+    return f"The text does not describe a place; {ADVICE}"
 
 
 def explain_no_change(query: Query) -> str:

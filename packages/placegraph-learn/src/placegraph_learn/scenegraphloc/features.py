@@ -80,7 +80,7 @@ def features_named(
     if name == "dinov2":
         return DinoFeatures.load(weights, device=device)
     if name != "colour":
-        raise OptionError(f"features is {name!r}; it is one of {', '.join(FEATURES)}.")
+        raise OptionError(f"features is {name!r}; choose one of {', '.join(FEATURES)}.")
     if weights is not None:
         raise OptionError("feature_weights: features of colour have none; leave them out.")
     return ColourFeatures()

@@ -321,7 +321,7 @@ def _check_shard(shard: Shard) -> None:
             raise ValueError(f"{name} is {a[name].shape}, not {shape}")
     many = np.repeat(np.diff(a["starts"]), np.diff(a["place_starts"]))
     if views and (a["panoramas"].reshape(views, -1).max(axis=1) > many).any():
-        raise ValueError("panoramas point outside the objects")
+        raise ValueError("panoramas refer to missing objects")
 
 
 def _check_runs(starts: NDArray[Any], total: int, least: int = 0) -> None:

@@ -70,7 +70,9 @@ class PagedColumn:
             if not self.is_checked[page]:
                 block = self.values.view(np.uint8)[page * PAGE : (page + 1) * PAGE]
                 if crc32(block.data) != self.checksums[page]:
-                    raise damage_error(self.path, f"column {self.name!r} does not fit its checksum")
+                    raise damage_error(
+                        self.path, f"column {self.name!r} does not match its checksum"
+                    )
                 self.is_checked[page] = True
         return self.values[first:last]
 
@@ -121,7 +123,7 @@ class PagedTexts(Sequence[str]):
             return [blob[a:b].decode() for a, b in pairwise(cuts)]
         except UnicodeDecodeError as error:
             raise damage_error(
-                self.text.path, f"column {self.text.name!r} is no text: {error.reason}"
+                self.text.path, f"column {self.text.name!r} is not text: {error.reason}"
             ) from error
 
 

@@ -156,7 +156,7 @@ class Change:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise OptionError(f"kind is {self.kind!r}; it is one of {', '.join(KINDS)}.")
+            raise OptionError(f"kind is {self.kind!r}; choose one of {', '.join(KINDS)}.")
         if not 0.0 <= self.confidence <= 1.0:
             raise OptionError(f"confidence is {self.confidence}; it lies between 0 and 1.")
         for name, shape in (("after_from_before", (4, 4)), ("box", (2, 3)), ("centre", (3,))):
