@@ -115,7 +115,7 @@ def test_no_triangle(boxes, ply):
     with pytest.raises(InputError, match="is empty; a scene map needs a mesh"):
         scene_of_model(boxes({}))
     ply.write_text(PLY.replace("element face 3", "element face 0").split("4 0 1 2 3")[0])
-    with pytest.raises(InputError, match="holds points, but no triangle"):
+    with pytest.raises(InputError, match="contains points, but no triangles"):
         build_scene(ply, None)
 
 
@@ -136,7 +136,7 @@ def test_vertices_that_nothing_uses_do_no_harm(boxes):
 
 def test_no_floor_needs_a_height(boxes):
     walls = {"wall": ((0, 0, 0), (0.1, 4, 2.7)), "wall ": ((0, 3.9, 0), (5, 4, 2.7))}
-    with pytest.raises(InputError, match=r"drawn.glb shows no floor.*floor=0.0, or --floor 0"):
+    with pytest.raises(InputError, match=r"drawn.glb no floor was found.*floor=0.0, or --floor 0"):
         scene_of_model(boxes(walls))
     assert scene_of_model(boxes(walls), floor=0.0).floors.tolist() == [0.0]
 
@@ -148,7 +148,7 @@ def test_a_floor_that_stands_is_laid_down(boxes, turned):
     notes = []
     scene = scene_of_model(lying, up="auto", notes=notes)
     np.testing.assert_allclose(scene.bounds, scene_of_model(model).bounds, atol=2e-3)
-    assert "y points up" in notes[0]
+    assert "y point up" in notes[0]
     one_s_way = scene_of_model(lying, up="z", floor=0.0)
     assert np.ptp(one_s_way.bounds[:, 2]) > 3.0
     standing = boxes({"floor": ((0, 0, 0), (4, 0.01, 3))})
@@ -368,7 +368,9 @@ def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):
     whole.export(tmp_path / "room.glb")
     counts = Counter()
     scene = build_scene(tmp_path / "room.glb", None, segment=True, left_out=counts)
-    assert counts["relations of objects that were cut anew"] == len(whole.graph.relations) > 0
+    assert (
+        counts["relations of objects that were segmented again"] == len(whole.graph.relations) > 0
+    )
     edges = zip(scene.graph.sources, scene.graph.targets, strict=True)
     half = scene.graph.extents / 2
     for a, b in edges:
@@ -381,6 +383,6 @@ def test_what_is_cut_anew_has_no_relations_of_what_it_was(boxes, tmp_path):
 @pytest.mark.parametrize("how", [{"capture": FromCapture()}, {"reader": {"groups": "o"}}])
 def test_options_of_other_sources_are_refused(how, ply):
     with pytest.raises(
-        OptionError, match=r"room\.ply is no capture|groups: not an option of \.ply"
+        OptionError, match=r"room\.ply is not a capture|groups: not an option of \.ply"
     ):
         build_scene(ply, None, **how)

@@ -452,7 +452,7 @@ def test_nothing_to_compare(room, walk):
         labels=lambda _: None, label_camera=lambda _: None, label_kind=lambda _: "labels",
     )  # fmt: skip
     for cues in ({"depth": True}, {"semantic": True}, {"semantic": True, "depth": True}):
-        with pytest.raises(OptionError, match="Nothing to compare"):
+        with pytest.raises(OptionError, match="cannot be compared"):
             room.localize(bare, options=OPTIONS.only(**cues))
     assert room.localize(bare).modes  # colours are left
 

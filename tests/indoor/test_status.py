@@ -73,7 +73,7 @@ def test_fewer_cues_can_be_enough(cue):
 def test_what_cannot_be_is_lost(change, says):
     answer, reason = decide_fit(replace(GOOD, **change), modes(1.0), TOLD)
     assert answer is Status.LOST
-    assert reason.startswith("Nowhere on the map fits")
+    assert reason.startswith("No place on the map fits")
     assert says in reason
 
 

@@ -10,7 +10,9 @@ from ros_world import made
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 2, 1), (3, 2, 1), (2, 3, 2)], float)
 EVIDENCE = (
     Evidence("table 1", "for", 3.5, (ObjectRef("1", "table", ""),)),
-    Evidence("lamp 2", "against", -2.0, (ObjectRef("2", "lamp", ""),), "not where the map has it"),
+    Evidence(
+        "lamp 2", "against", -2.0, (ObjectRef("2", "lamp", ""),), "not at its place in the map"
+    ),
     Evidence("depth", "for", 0.9, note="90% of the readings lie on the map's surfaces"),
 )
 

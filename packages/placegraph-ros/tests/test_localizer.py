@@ -239,7 +239,7 @@ def test_odometry_that_falls_silent_is_the_status(room):
     last = START + room.clip.stamps[4] + 0.01
     said = statuses(taken(localizer, [p for p in packets if p.topic != "/odom" or p.time <= last]))
     assert any(s.startswith("OK") for s in said)
-    assert said[-1].startswith("AMBIGUOUS: No odometry for")
+    assert said[-1].startswith("AMBIGUOUS: There was no odometry for")
     localizer.close()
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
     far = [p if p.topic != "/odom" else p._replace(data=shifted(p.data)) for p in packets]

@@ -114,7 +114,7 @@ def test_a_pose_is_told_only_where_it_is_known(estimate, status, level):
     assert diagnostic["message"] == f"{status}: One place fits."
     told = {pair["key"]: pair["value"] for pair in diagnostic["values"]}
     assert told["table 1"] == "for +3.50"
-    assert told["lamp 2"] == "against -2.00 (not where the map has it)"
+    assert told["lamp 2"] == "against -2.00 (not at its place in the map)"
     assert all(message.stamp == 7.5 for message in said.values())
 
 

@@ -17,19 +17,27 @@ USED = "Frame data"
 def check_device(device: str, *, network: bool = False) -> None:
     """Raise where a device is not the CPU; a matcher that is a `network` may run on CUDA."""
     if device.startswith("cuda") and not network:
-        raise OptionError(f"device is {device!r}; only matchers that are networks run there.")
+        raise OptionError(
+            f"device is {device!r}, but this matcher is not a neural network; remove it."
+        )
     if device not in {"auto", "cpu"} and not device.startswith("cuda"):
-        raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+        raise OptionError(f"device is {device!r}; it must be 'auto', 'cpu' or 'cuda'.")
 
 
 @dataclass(frozen=True, slots=True)
 class MotionNoise:
     """Gaussian noise of Eq. 1, per frame: a floor, and a share of the way and of the turn."""
 
-    translation: float = option(0.01, "Standard deviation of the way (paper: 0.05).", unit="m")
-    translation_per_metre: float = option(0.03, "Its increase per metre of way.")
+    translation: float = option(
+        0.01, "Standard deviation of the translation (paper: 0.05).", unit="m"
+    )
+    translation_per_metre: float = option(
+        0.03, "Increase of this standard deviation per metre travelled."
+    )
     rotation: float = option(0.005, "Standard deviation of the yaw (paper: 0.05).", unit="rad")
-    rotation_per_radian: float = option(0.02, "Its increase per radian of turn.")
+    rotation_per_radian: float = option(
+        0.02, "Increase of this standard deviation per radian turned."
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -48,12 +56,12 @@ class Likelihood:
     )
     wrong: float = option(0.3, "Share of patches with a wrong label.", above=0, below=1)
     sharpness: float = option(
-        0.0, "Temperature of the softmax of cosine similarities; 0: that of the encoder."
+        0.0, "Temperature of the softmax of cosine similarities; 0: the encoder's own."
     )
     object_patches: float = option(
         40.0,
-        "Patches of one object beyond this number count by the square root of the surplus, because "
-        "they are right or wrong together.",
+        "Number of patches of one object that count in full; of more, only the square root "
+        "of the surplus counts, because their errors are correlated.",
         above=0,
     )
     depth_floor: float = option(
@@ -61,13 +69,13 @@ class Likelihood:
     )
     depth_slope: float = option(0.03, "Increase of the standard deviation of depth per metre.")
     depth_gain: float = option(
-        3.5, "Log-likelihood ratio of a perfect reading to one from anywhere.", unit="nat"
+        3.5, "Log-likelihood ratio of a perfect reading to a random one.", unit="nat"
     )
     near_cost: float = option(
-        1.5, "Log-likelihood lost if something stands before the surface of the map.", unit="nat"
+        1.5, "Log-likelihood lost if an object stands in front of the map's surface.", unit="nat"
     )
     far_cost: float = option(
-        2.0, "Log-likelihood lost if the surface of the map is missing.", unit="nat"
+        2.0, "Log-likelihood lost if the map's surface is missing.", unit="nat"
     )
     depth_weight: float = option(60.0, "Independent readings in a full depth image.")
     colour_weight: float = option(
@@ -80,7 +88,9 @@ class Likelihood:
     )
     sigma: float = option(0.2, "Standard deviation in Eq. 2 (`gaussian` only).", above=0)
     depth_clip: float = option(
-        0.5, "Largest error of one reading (`gaussian` only); 0: none, as in Sec. 3.4.", unit="m"
+        0.5,
+        "Maximum error of one reading (`gaussian` only); 0: no limit, as in Sec. 3.4.",
+        unit="m",
     )
     depth_lambda: float = option(1.0, "lambda_1 of Eq. 2.")
     colour_lambda: float = option(1.0, "lambda_2 of Eq. 2.")
@@ -100,11 +110,11 @@ class Pass:
 
     stride: float = option(20.0, "Distance of samples in the colour image.", unit="px", above=0)
     box: float = option(
-        0.0, "Edge of the box of particles around each mode; 0: the whole map.", unit="m"
+        0.0, "Side length of the box of particles around each mode; 0: the whole map.", unit="m"
     )
-    turn: float = option(pi, "Half width of that box in yaw.", unit="rad")
+    turn: float = option(pi, "Half width of the box of particles in yaw.", unit="rad")
     particles: int = option(
-        300, "Most particles at the start of the pass and after a resampling.", minimum=1
+        300, "Maximum number of particles at the start of the pass and after resampling.", minimum=1
     )
 
     def __post_init__(self) -> None:
@@ -151,8 +161,8 @@ class PoseSearchOptions:
     )
     heights: tuple[float, ...] = option(
         (0.15, 2.3),
-        "Heights of the camera above the floor. The visibility table spans them; a uniform start has "
-        "each, and those of `STANDING` between them.",
+        "Camera heights above the floor. The visibility table spans them; a uniform start "
+        "uses each of them, and those of `STANDING` in between.",
         unit="m",
         minimum=-inf,
         flag="--height",
@@ -166,12 +176,18 @@ class PoseSearchOptions:
     )
     motion: MotionNoise = option(MotionNoise(), "Noise of the odometry.")
     likelihood: Likelihood = option(Likelihood(), "Log-likelihood of a frame.")
-    modes: int = option(8, "Most modes kept between passes, and returned.", minimum=1)
+    modes: int = option(8, "Maximum number of modes kept between passes and returned.", minimum=1)
     every: float = option(
-        0.0, "Keyframes: least time between frames; 0: all.", unit="s", flag="--every", panel=USED
+        0.0,
+        "Keyframes: minimum time between frames; 0: all frames.",
+        unit="s",
+        flag="--every",
+        panel=USED,
     )
     every_metre: float = option(
-        0.0, "Keyframes: least way between frames, or 0.2 rad of turn; 0: all.", unit="m"
+        0.0,
+        "Keyframes: minimum distance between frames, or 0.2 rad of rotation; 0: all frames.",
+        unit="m",
     )
 
     def __post_init__(self) -> None:
@@ -210,7 +226,7 @@ class FilterOptions(PoseSearchOptions):
     """
 
     start: Literal["table", "uniform"] = option(
-        "table", "First particles: at places of the visibility table, or everywhere."
+        "table", "Initial particles: at places of the visibility table, or uniform."
     )
     per_cell: int = option(3, "Particles per cell and height of a uniform start.", minimum=1)
     passes: tuple[Pass, ...] = option(ONE_PASS, "Passes over the sequence, coarse to fine.")
@@ -218,29 +234,32 @@ class FilterOptions(PoseSearchOptions):
     kld_error: float = option(0.1, "epsilon of KLD-sampling.", above=0)
     kld_confidence: float = option(0.95, "1 - delta of KLD-sampling.", above=0, below=1)
     min_particles: int = option(
-        24, "Fewest particles after KLD-sampling, if the pass has so many.", minimum=1
+        24, "Minimum number of particles after KLD-sampling, if the pass has as many.", minimum=1
     )
     injection: float = option(
-        0.1, "Share of particles drawn anew: from the table, or everywhere.", below=1
+        0.1, "Share of particles injected from the table, or uniformly.", below=1
     )
     inject_every: int = option(0, "Frames between injections; 0: inject if the likelihood drops.")
     burn_in: int = option(
-        0, "Frames at the beginning that only move particles; the last is always scored."
+        0, "Number of initial frames that only move particles; the last frame is always scored."
     )
     pool_modes: bool = option(
         False, "Take the modes between passes from all frames of a pass, not only the last."
     )
     answer: Literal["fit", "mle"] = option(
         "fit",
-        "`fit`: the best modes, fitted to the whole sequence; `mle`: the heaviest particles of the "
-        "last pass, the first of which is the maximum likelihood estimate of Sec. 3.5.",
+        "`fit`: the best modes, fitted to the whole sequence; `mle`: the particles with the "
+        "largest weights in the last pass; the first is the maximum likelihood estimate of "
+        "Sec. 3.5.",
     )
     record: bool = option(False, "Keep all particles of all passes in the estimate, for pictures.")
 
     def __post_init__(self) -> None:
         PoseSearchOptions.__post_init__(self)
         if not self.passes:
-            raise OptionError("passes: give one at least, or PoseSearchOptions to do without.")
+            raise OptionError(
+                "passes: the list is empty; give at least one pass, or use PoseSearchOptions."
+            )
 
     @property
     def particle_filter(self) -> FilterOptions | None:
@@ -260,7 +279,7 @@ class FilterOptions(PoseSearchOptions):
             "published": FilterOptions.published, "coarse": FilterOptions.coarse,
         }  # fmt: skip
         if name not in presets:
-            raise OptionError(f"preset is {name!r}; there are {', '.join(presets)}.")
+            raise OptionError(f"preset is {name!r}; choose one of {', '.join(presets)}.")
         return presets[name]()
 
     @classmethod
@@ -348,23 +367,27 @@ class RefineOptions:
     )
     joint: bool = option(
         True,
-        "Refine all frames together in one robust fit, of a pose that is not `LOST`, and keep it near "
-        "that pose; otherwise the frame with most inliers decides, as in the paper, wherever it is.",
+        "Refine all frames jointly in one robust fit near a coarse pose that is not `LOST`; "
+        "otherwise use the frame with most inliers, as in the paper.",
     )
     views: int = option(
         1,
-        "Rendered views per frame for matchers without a neighbourhood; with several, `auto` takes RoMa "
-        "or SIFT. More than one gain nothing from starts within 10 degrees (benchmark; paper: 6).",
+        "Rendered views per frame for matchers without a neighbourhood; with several, "
+        "`auto` takes RoMa or SIFT. More than one view brings no gain if the initial yaw is "
+        "within 10 degrees (benchmark; paper: 6).",
         minimum=1,
         maximum=72,
     )
     spread: float = option(
-        pi / 4, "Half width of these views in yaw (paper: 45 degrees).", unit="rad", maximum=pi
+        pi / 4,
+        "Half width of the rendered views in yaw (paper: 45 degrees).",
+        unit="rad",
+        maximum=pi,
     )
     frames: int | None = option(
         None,
-        "Most frames with matched images, spread over the sequence; none: 12 with the guided matcher, "
-        "5 with slower ones.",
+        "Maximum number of frames with matched images, spread over the sequence; none: 12 "
+        "with the guided matcher, 5 with slower ones.",
         minimum=1,
     )
     readings: int = option(1500, "Depth readings per frame.", minimum=1)
@@ -375,9 +398,14 @@ class RefineOptions:
         maximum=5,
     )
     inlier: float = option(
-        8.0, "Reprojection error of an inlier of RANSAC.", unit="px of an image 640 wide", above=0
+        8.0,
+        "Reprojection error of an inlier of RANSAC.",
+        unit="px in an image 640 px wide",
+        above=0,
     )
-    least: int = option(12, "Fewest inliers of a pose, in a frame or a sequence.", minimum=1)
+    least: int = option(
+        12, "Minimum number of inliers of a pose, in a frame or a sequence.", minimum=1
+    )
     noise: DepthNoise = option(DepthNoise(), "Noise of depth readings.")
     motion: MotionNoise = option(
         MotionNoise(0.0025, 0.01, 0.00125, 0.005), "Noise of the odometry from frame to frame."
@@ -386,7 +414,7 @@ class RefineOptions:
         0.005, "Standard deviation of the direction of gravity.", unit="rad", minimum=_LEAST
     )
     check: bool = option(
-        True, "Keep the coarse pose if held-back pixels do not confirm the refined one."
+        True, "Keep the coarse pose if held-out pixels do not confirm the refined one."
     )
 
     def __post_init__(self) -> None:
@@ -394,7 +422,7 @@ class RefineOptions:
         if not (self.depth or self.images):
             raise OptionError("depth and images are both off; leave one on, or refine=False.")
         if self.reach[1] > pi:
-            raise OptionError(f"reach is {self.reach}; a turn is at most pi.")
+            raise OptionError(f"reach is {self.reach}; it must be at most pi.")
 
     @classmethod
     def preset(cls, name: str) -> RefineOptions | None:
@@ -405,7 +433,7 @@ class RefineOptions:
         paper = cls.paper()
         follows = {"default": cls(), "paper": paper, "published": None, "coarse": paper}
         if name not in follows:
-            raise OptionError(f"preset is {name!r}; there are {', '.join(follows)}.")
+            raise OptionError(f"preset is {name!r}; choose one of {', '.join(follows)}.")
         return follows[name]
 
     @classmethod

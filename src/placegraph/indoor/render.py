@@ -172,7 +172,7 @@ def check_pose(map_from_camera: ArrayLike) -> Floats:
     try:
         pose = np.asarray(map_from_camera, np.float64)
     except (TypeError, ValueError) as error:
-        raise OptionError(f"map_from_camera is no matrix of numbers: {error}.") from error
+        raise OptionError(f"map_from_camera is not a numeric matrix: {error}.") from error
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise OptionError(
             f"map_from_camera has shape {pose.shape}; it must be 4 x 4 finite numbers."
@@ -186,7 +186,7 @@ def check_pose(map_from_camera: ArrayLike) -> Floats:
         )
     if not np.abs(pose[:3, 3]).max() <= _FARTHEST:
         raise OptionError(
-            f"map_from_camera lies at {pose[:3, 3].tolist()} m; positions are within "
+            f"map_from_camera is {pose[:3, 3].tolist()} m away; positions must be within "
             f"{_FARTHEST:.0e} m."
         )
     return pose

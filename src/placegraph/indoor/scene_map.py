@@ -213,7 +213,10 @@ class SceneMap(HtmlRepr, Scene):
         from placegraph.indoor.mapping.change.diff_capture import diff_capture
 
         if poses is None:
-            raise OptionError("poses: a capture needs poses; give the estimate of scene.localize.")
+            raise OptionError(
+                "poses: they are missing, but a capture needs them; give the estimate of "
+                "scene.localize."
+            )
         return diff_capture(self, later, poses, options=options)
 
     def updated(self, diff: SceneDiff, **options: Any) -> SceneMap:  # noqa: ANN401  # of `update`

@@ -73,7 +73,7 @@ class RefinementDiagnostics:
     """Measurements of one refinement that the status depends on."""
 
     accepted: bool = False
-    """Whether held-back samples confirm the refined pose."""
+    "Whether held-out samples confirm the refined pose."
     objection: str = ""
     """Evidence against the coarse pose too, as half a sentence."""
     motion: float = 0.0
@@ -181,7 +181,7 @@ def decide_pose(
         and not _is_sure(without_looks, modes[0].probability)
     ):
         status = Status.AMBIGUOUS
-        reason = "One place fits best, but the looks of patches alone do not suffice."
+        reason = "One place fits best, but the appearance of patches alone is not sufficient."
     if status is Status.OK and diagnostics.unmet:
         status = Status.AMBIGUOUS
         reason = f"{reason} But the description does not fit there: {diagnostics.unmet}."
@@ -198,7 +198,7 @@ def decide_fit(
     """
     against = _contradicts(agreed, ratio_per_frame)
     if against:
-        return Status.LOST, f"Nowhere on the map fits: {against}."
+        return Status.LOST, f"No place on the map fits: {against}."
     best = modes[0]
     loose, axis = least_certain(best.covariance)
     if loose > LOOSE:
@@ -246,7 +246,7 @@ def _contradicts_newest(frame: Floats) -> str:
     """Return why the newest frame, by its agreements (3,), contradicts the pose; empty: it does not."""
     semantic, depth, colour = frame.tolist()
     if semantic < _PATCHES_AGREE - _LENIENT:
-        return f"only {semantic:.0%} of its labelled patches see their object"
+        return f"only {semantic:.0%} of its labelled patches hit their object"
     if depth < (_HALF - _LENIENT if colour > SPEAK else _HALF):
         return f"only {depth:.0%} of its depth readings lie on the map's surfaces"
     return ""
@@ -257,10 +257,10 @@ def _contradicts(agreed: Agreement, ratio_per_frame: float) -> str:
     if agreed.covered < _BLIND:
         return f"the map shows only {agreed.covered:.0%} of what the frames see"
     if agreed.semantic < _PATCHES_AGREE:
-        return f"only {agreed.semantic:.0%} of the labelled patches see their object"
+        return f"only {agreed.semantic:.0%} of the labelled patches hit their object"
     if _labels_only(agreed):
         poor = ratio_per_frame < _PATCHES_TELL
-        return "the labels seen fit many places as badly" if poor else ""
+        return "the observed labels fit many places equally badly" if poor else ""
     mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0
     denied = agreed.depth < _HALF - _LENIENT
     if mute or denied or CONFIDENCE.odds(agreed) < FITS_NOWHERE:
@@ -277,7 +277,7 @@ def _describe_weakness(agreed: Agreement) -> str:
     if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     if np.isnan(agreed.colour) or agreed.colour > SPEAK:
-        return "the surfaces in view are too bare to fix the position along them"
+        return "the visible surfaces do not constrain the position along them"
     return "only depth supports it, and the colours do not agree"
 
 
@@ -305,7 +305,7 @@ def needs_fault_search(estimate: PoseEstimate) -> bool:
 
 def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
     """Return an estimate that is not `OK` with the fault of the input that explains it."""
-    return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
+    return replace(estimate, reason=f"The frames fit nowhere on the map. {fault}")
 
 
 # ---------------------------------------------------------------------------------- refinement
@@ -317,8 +317,8 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
     if status is Status.OK and refined.motion > BENT:
         status = Status.AMBIGUOUS
         reason = (
-            "One place fits, but there the frames contradict the odometry, or the camera's intrinsics "
-            "do."
+            "One place fits, but the frames contradict the odometry or the camera's "
+            "intrinsics there."
         )
     if status is Status.OK and refined.objection:
         status, reason = Status.AMBIGUOUS, f"One place fits, but {refined.objection}."
@@ -390,10 +390,10 @@ def decide_followed(estimate: PoseEstimate, mode: PoseMode) -> PoseEstimate:
     `mode`: the best one with the covariance that it has by odometry.
     """
     loose, _ = least_certain(mode.covariance)
-    status, known = Status.OK, "tracked from a sure pose"
+    status, known = Status.OK, "tracked from a confirmed pose"
     if loose > LOOSE:
         status, known = Status.AMBIGUOUS, f"odometry gives it only to {loose:.1f} m"
-    reason = f"The frames fit, but are too bare to tell the place alone; {known}."
+    reason = f"The frames fit, but show too little to identify the place; {known}."
     return replace(estimate, status=status, modes=(mode, *estimate.modes[1:]), reason=reason)
 
 
@@ -432,13 +432,16 @@ def decide_live(
     status, reason = last.status, last.reason
     if silent > SILENT and status is Status.OK:
         status = Status.AMBIGUOUS
-        reason = f"No odometry for {silent:.0f} s: the way of the camera is unknown."
+        reason = f"There was no odometry for {silent:.0f} s, so the camera's motion is unknown."
     if covariance is None:
         return Status.LOST if status is Status.OK else status, unplaced or reason
     loose, _ = least_certain(covariance)
     if status is Status.OK and loose > LOOSE:
         status = Status.AMBIGUOUS
-        reason = f"Odometry alone since the last localized image: known only to {loose:.1f} m."
+        reason = (
+            "The pose is extrapolated by odometry since the last localized image and known only "
+            f"to {loose:.1f} m."
+        )
     return status, reason
 
 

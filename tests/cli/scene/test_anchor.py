@@ -134,4 +134,4 @@ def test_check_says_what_is_odd_of_an_anchor(run, scene):
     ):
         assert words in " ".join(said.split())
     map_.anchored(Anchor(7.42, 43.73, 0, 1)).save(scene)
-    assert "Nobody said how well" in run("scene", "check", scene).out
+    assert "has no covariance" in run("scene", "check", scene).out

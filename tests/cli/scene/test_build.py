@@ -73,9 +73,9 @@ def test_build_options(run, ply, tmp_path):
         (["--error", "-1"], 7, ["error is -1.0"]), (["--texel", "nan"], 7, ["texel is nan"]),
         (["--frames", "one"], 7, ["--frames", "10:20"]),
         (["--frames", "::0"], 7, ["--frames", "1 or more"]),
-        *((option, 7, ["room.ply is no capture"])
+        *((option, 7, ["room.ply is not a capture"])
           for option in (["--frames", "1:2"], ["--voxel", "0.1"], ["--poses", "odometry"])),
-        (["--landmarks"], 7, ["room.ply is no capture: landmarks can only be used"]),
+        (["--landmarks"], 7, ["room.ply is not a capture: landmarks can only be used"]),
         (["--reader", "x"], 7, ["--reader", "name=value"]),
         (["--reader", "x=1"], 7, ["x: not an option of .ply"]), (["--floor", "nan"], 7, ["floor"]),
     ],
@@ -141,4 +141,4 @@ def test_notes_and_counts_reach_the_summary(run, tmp_path):
     assert "1 triangles without area, 1 triangles twice in one place" in result.out
     told = run("scene", "build", source, "-o", out, "--json").json
     assert told["left_out"] == {"triangles without area": 1, "triangles twice in one place": 1}
-    assert "subtract a corner" in told["notes"][0]
+    assert "subtract an offset" in told["notes"][0]

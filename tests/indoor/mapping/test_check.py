@@ -36,7 +36,7 @@ def test_a_sound_room_has_no_errors_and_no_warnings(room, flat):
     for scene in (room, flat):
         found = check(scene)
         assert [f for f in found if f.severity != "note"] == []
-    assert said(check(room), "backs of triangles") == said(check(room), "colour") == []
+    assert said(check(room), "shows the back of triangles, so") == said(check(room), "colour") == []
 
 
 def scaled(factor):
@@ -57,7 +57,7 @@ def flipped(room):
         (scaled(1000.0), {"spacing": 250.0}, "millimetres", "error", "--scale 0.001"),
         (scaled(100.0), {"spacing": 25.0}, "centimetres", "error", "--scale 0.01"),
         (scaled(3.28), {"spacing": 0.82}, "feet", "error", "--scale 0.3048"),
-        (lying, {}, "on its side", "error", "--up y"), (flipped, {}, "backs of triangles", "note", ""),
+        (lying, {}, "on its side", "error", "--up y"), (flipped, {}, "shows the back of triangles, so", "note", ""),
         (lambda room: spoilt(room, floor=-1.0), {}, "hardly any level", "error", "--floor 0.00"),
         (lambda room: room, {"heights": (3.5,)}, "no place is free", "error", "--floor"),
     ],
@@ -70,13 +70,13 @@ def test_what_is_wrong_is_told_with_its_mend(room, spoil, options, words, severi
 
 def test_a_floor_that_stands_upright_is_told(room):
     lying = spoilt(room, mesh=turned(room, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
-    (finding,) = said(check(lying), "the floor stands upright")
+    (finding,) = said(check(lying), "the floor is vertical")
     assert finding.severity == "error"
     assert "along x" in finding.what
     labels = list(room.graph.labels)
     wall = labels.index("wall")
     labels[wall] = "floor"
-    (finding,) = said(check(spoilt(room, labels=labels)), "floor stands upright")
+    (finding,) = said(check(spoilt(room, labels=labels)), "floor is vertical")
     assert finding.severity == "warning"
     assert finding.objects == (room.graph.ids[wall],)
 
@@ -138,12 +138,12 @@ def test_double_triangles_twins_and_giants_are_told(room):
     found = check(scene)
     (twins,) = said(found, "same space")
     assert set(twins.objects) == {room.graph.ids[chair], "again"}
-    assert said(found, "lie on another one")
+    assert said(found, "coincide with another one, so")
     one = SceneMap.create(
         replace(mesh, object_of=np.zeros(len(mesh), np.int32)),
         ["0"], ["scan"], floor=0.0, encoded=room.encoded,
     )  # fmt: skip
-    (giant,) = said(check(one), "knows no objects")
+    (giant,) = said(check(one), "has no separate objects, which localization needs")
     assert giant.severity == "error"
 
 
@@ -153,9 +153,9 @@ def test_words_are_checked(room):
     assert [f.severity for f in said(unlabelled, "no label")] == ["warning"]
     assert "--labels" in said(unlabelled, "no label")[0].remedy
     names = ["thing"] * count
-    assert len(said(check(spoilt(room, names=names)), "stand for several")[0].objects) <= 20
+    assert len(said(check(spoilt(room, names=names)), "are used by several")[0].objects) <= 20
     ids = ["Chair", "chair", *map(str, range(count - 2))]
-    alike = said(check(spoilt(room, ids=ids)), "case or blanks")[0]
+    alike = said(check(spoilt(room, ids=ids)), "case or spaces")[0]
     assert set(alike.objects) == {"Chair", "chair"}
 
 

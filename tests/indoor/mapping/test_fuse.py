@@ -211,7 +211,7 @@ def test_memory_is_bounded(views):
     assert found.stats.voxel > 0.02
     assert found.stats.memory <= 0.004e9
     assert "2 cm" in found.stats.coarser
-    with pytest.raises(OptionError, match="memory ended at frame 1 of 3"):
+    with pytest.raises(OptionError, match="was reached at frame 1 of 3"):
         fuse(frames, poses, voxel=0.02, options=replace(small, coarsen=False))
     with pytest.raises(OptionError, match="memory"):
         FuseOptions(memory=100.0)

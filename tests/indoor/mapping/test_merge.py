@@ -110,9 +110,9 @@ def test_embeddings_are_joined_or_refused(scenes, rng):
     np.testing.assert_allclose(
         merged.graph.embeddings, np.concatenate(list(vectors.values())), atol=0.02
     )
-    with pytest.raises(OptionError, match="embed all scenes alike"):
+    with pytest.raises(OptionError, match="use the same encoder for all scenes"):
         merge_scenes({"a": embedded["flat"], "b": scenes["shed"]})
-    with pytest.raises(OptionError, match="embed all scenes alike"):
+    with pytest.raises(OptionError, match="use the same encoder for all scenes"):
         merge_scenes({"a": embedded["flat"], "b": scenes["shed"].with_embeddings(np.ones((2, 3)))})
 
 

@@ -88,7 +88,7 @@ def test_without_levels_and_from_afar(tmp_path):
     assert any("no level" in note for note in notes)
     far = [shape("room", box(0, 0, 4, 3)), shape("room", box(9000, 0, 9004, 3))]
     path.write_bytes(encode_rooms(far, osmag=False, generator="test"))
-    with pytest.raises(InputError, match="cut out one building"):
+    with pytest.raises(InputError, match="extract one building"):
         pg.build_scene(path, None)
 
 

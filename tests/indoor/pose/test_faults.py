@@ -91,7 +91,7 @@ def test_a_place_elsewhere_is_lost_without_a_fault(room, clip):
     ]  # fmt: skip
     estimate = room.localize(frames, refine=False)
     assert estimate.status is Status.LOST
-    assert estimate.reason.startswith("Nowhere on the map fits")
+    assert estimate.reason.startswith("No place on the map fits")
 
 
 def test_hopeless_frames_are_not_searched(room, clip, rng, monkeypatch):

@@ -32,7 +32,7 @@ def test_a_sentence_leans_towards_where_it_is_true(room):
 
 def test_a_sentence_about_nothing_here_is_told(room):
     table = room.visibility(PoseSearchOptions())
-    with pytest.raises(OptionError, match="names nothing on this map"):
+    with pytest.raises(OptionError, match="mentions nothing on this map"):
         LogPrior.of(room, table, "next to the swimming pool", None)
 
 

@@ -224,9 +224,9 @@ def test_by_slice_by_rows_or_all(capture, asked, rows):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ([], "none chosen"),
-        (slice(3, 3), "none chosen"),
-        (slice(9, 12), "none chosen"),
+        ([], "none of the capture's"),
+        (slice(3, 3), "none of the capture's"),
+        (slice(9, 12), "none of the capture's"),
         ([6], "outside"),
         ([-7], "outside"),
         ([3, 1], "order of time"),
@@ -245,7 +245,7 @@ def test_what_is_refused(capture, asked, says):
 
 
 def test_nothing_to_choose_from():
-    with pytest.raises(OptionError, match="none chosen of the capture's 0"):
+    with pytest.raises(OptionError, match="none of the capture's 0"):
         chosen_frames([], None)
 
 

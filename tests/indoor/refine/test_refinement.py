@@ -230,7 +230,7 @@ def test_what_is_no_pose(room, walk, pose):
 
 
 def test_what_cannot_be_asked_is_refused_before_any_work(room, walk, exact):
-    with pytest.raises(OptionError, match="none chosen"):
+    with pytest.raises(OptionError, match="none of the capture's"):
         room.refine(walk, exact.poses[-1], frames=[])
     with pytest.raises(OptionError, match="refine=False"):
         room.localize(walk, refine=RefineOptions(depth=False, images=False))

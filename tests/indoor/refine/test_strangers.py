@@ -84,9 +84,9 @@ def test_points_that_are_no_numbers_end(room, walk, start, options, which):
     ("made", "says"),
     [
         (lambda _, views: [(1, 2)] * views, "returned tuple"),
-        (lambda *_: None, "one Matches for each"),
-        (lambda _, views: [Matches.none()] * (views + 1), "one Matches for each"),
-        (lambda _, views: (Matches.none() for _ in range(views)), "one Matches for each"),
+        (lambda *_: None, "one Matches object for each"),
+        (lambda _, views: [Matches.none()] * (views + 1), "one Matches object for each"),
+        (lambda _, views: (Matches.none() for _ in range(views)), "one Matches object for each"),
     ],
     ids=["other things", "None", "too many", "a generator"],
 )

@@ -240,7 +240,7 @@ def test_odometry_that_begins_anew(live, film, truth):
     assert distance(pose, truth(film)[8]) < 0.2
     broken = live.move(film[8].stamp + 0.1, np.eye(4))
     assert broken.status is Status.AMBIGUOUS
-    assert "beside that of the images" in broken.reason
+    assert "arrived in addition to that of the" in broken.reason
 
 
 def test_images_of_another_clock(live, film):
@@ -366,7 +366,7 @@ def test_odometry_that_falls_silent(told, live, film):
         live.see(replace(film[6], stamp=later))
     pose = live.pose(later)
     assert pose.status is Status.AMBIGUOUS
-    assert "No odometry for 3 s" in pose.reason
+    assert "There was no odometry for 3 s" in pose.reason
     assert live.move(later, frame.odometry).status is Status.OK
 
 

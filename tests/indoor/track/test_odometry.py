@@ -127,7 +127,7 @@ def test_a_pose_is_less_sure_the_further_odometry_leads():
     np.testing.assert_allclose(found[2].map_from_camera, here @ odometry.at(4.0).pose, atol=1e-9)
     assert found[0].status is Status.OK
     assert found[-1].status is Status.AMBIGUOUS
-    assert "Odometry alone" in found[-1].reason
+    assert "The pose is extrapolated by odometry" in found[-1].reason
     # a turn that is not known swings the way gone: across it, not along it
     turned = Anchor.of(odometry.at(0.0), here, np.diag([0, 0, 0, 0, 0, 0.01]), "room")
     shift = turned.spread(odometry.at(4.0), MotionNoise())[:3, :3]

@@ -113,7 +113,7 @@ def spoil(where, **changes):
     ("edit", "words"),
     [
         (spoil("cell", id=None), ["cells/", "cell 0", "has no id"]),
-        (spoil("cell", id=7), ["cell 0", "id is not text"]),
+        (spoil("cell", id=7), ["cell 0", "id is no text"]),
         (spoil("cell", id="0003_00001"), ["cell 1", "used before"]),
         (spoil("cell", bbox_w=np.zeros(6)), ["cell 0", "bbox_w is empty"]),
         (spoil("cell", bbox_w=np.full(6, np.nan)), ["bbox_w is not finite"]),
@@ -135,7 +135,7 @@ def spoil(where, **changes):
         (spoil("pose", descriptions=None), ["has no descriptions"]),
         (spoil("pose", descriptions=[None]), ["description 0 is no DescriptionBestCell"]),
         (spoil("description", direction="up"), ["direction is 'up', none of north"]),
-        (spoil("description", object_label=3), ["description 0: object_label is not text"]),
+        (spoil("description", object_label=3), ["description 0: object_label is no text"]),
         (spoil("description", offset_center=None), ["has no offset_center"]),
         (spoil("description", is_matched=None), ["has no is_matched"]),
     ],

@@ -54,7 +54,9 @@ class Detail:
                 f"max_texture is {self.max_texture}; it must be 1 to {_LARGEST_SIDE} texels."
             )
         if self.quality > 100:
-            raise OptionError(f"quality is {self.quality}; it must be 0 (lossless) or 1 to 100.")
+            raise OptionError(
+                f"quality is {self.quality}; it must be 1 to 100, or 0 to keep images as they are."
+            )
         if not 1e-3 <= self.baked <= 1.0:
             raise OptionError(f"baked is {self.baked} m; texels must be 0.001 to 1 m.")
         for name, least in (("grain", GRAIN), ("uv_grain", UV_GRAIN)):

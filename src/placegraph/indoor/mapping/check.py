@@ -79,9 +79,10 @@ def _check_doubles(scene: Scene) -> Iterator[Finding]:
         rows = np.unique(scene.mesh.object_of[order[1:][same]])
         yield Finding(
             "warning" if share > 10 * _DOUBLES else "note",
-            f"{share:.0%} of the triangles lie on another one: the mesh is there twice.",
+            f"{share:.0%} of the triangles coincide with another one, so the mesh is duplicated.",
             [scene.graph.ids[i] for i in rows.tolist()],
-            "Delete double faces in the file; they cost bytes and time, and flicker in colour.",
+            "Delete duplicate faces in the file; they take space and time, and their "
+            "colours flicker.",
         )
 
 
@@ -89,10 +90,10 @@ def _check_colours(scene: Scene) -> Iterator[Finding]:
     mesh = scene.mesh
     if not scene.has_colours:
         white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
-        fault = "has no colours" if white else "is of one colour all over"
+        fault = "has no colours" if white else "has a single colour"
         yield Finding(
             "warning" if white else "note",
-            f"The map {fault}: images cannot be compared with it, depth and labels alone can.",
+            f"The map {fault}, so images cannot be compared with it; only depth and labels can.",
             remedy=(
                 "Export textures or vertex colours with the file"
                 + ("." if white else ", if it has any.")
@@ -132,11 +133,11 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
         severity: Severity = "warning" if len(scene) > 1 else "error"
         yield Finding(
             severity,
-            f"{_describe_object(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
-            "apart, and objects are what it localizes by.",
+            f"{_describe_object(scene, largest)} holds {share:.0%} of the surface, so the "
+            "map has no separate objects, which localization needs.",
             [scene.graph.ids[largest]],
-            "Build from a file with one node, group or id an object (--object-property, --labels), "
-            "or from the capture, which cuts the mesh into objects.",
+            "Build from a file with one node, group or id per object (--object-property, "
+            "--labels), or from the capture, which segments the mesh.",
         )
 
 
@@ -182,10 +183,10 @@ def _check_far_objects(scene: Scene) -> Iterator[Finding]:
         out = order[jump[0] + 1 :]
         yield Finding(
             "warning",
-            f"{len(out)} object{'s lie' if len(out) > 1 else ' lies'} far off from the rest, "
+            f"{len(out)} object{('s lie' if len(out) > 1 else ' lies')} far from the rest, "
             f"{_describe_object(scene, int(out[0]))} by {reach[out[0]]:.0f} m.",
             [scene.graph.ids[i] for i in out.tolist()],
-            "Delete or move it in the file: the map's box is searched, and grows with it.",
+            "Delete or move it in the file; it enlarges the bounding box that is searched.",
         )
 
 
@@ -195,7 +196,7 @@ def _check_words(scene: Scene) -> Iterator[Finding]:
     if len(bare) > 0.2 * len(scene):
         yield Finding(
             "warning" if len(bare) > 0.5 * len(scene) else "note",
-            f"{len(bare)} of {len(scene)} objects have no label that says what they are.",
+            f"{len(bare)} of {len(scene)} objects have no meaningful label.",
             [graph.ids[i] for i in bare],
             "--labels FILE gives each object's id or name a label.",
         )
@@ -205,18 +206,19 @@ def _check_words(scene: Scene) -> Iterator[Finding]:
         rows = [i for i, name in enumerate(graph.names) if name in twice]
         yield Finding(
             "note",
-            f"{len(twice)} names stand for several objects, such as {min(twice)!r}.",
+            f"{len(twice)} names are used by several objects, such as {min(twice)!r}.",
             [graph.ids[i] for i in rows],
-            "Give each object its own name in the file; ids tell them apart meanwhile.",
+            "Give each object its own name in the file; until then use ids.",
         )
     folded = Counter(id_.strip().casefold() for id_ in graph.ids)
     alike = [id_ for id_ in graph.ids if folded[id_.strip().casefold()] > 1]
     if alike:
         yield Finding(
             "warning",
-            f"{len(alike)} ids differ in case or blanks alone, such as {alike[0]!r}.",
+            f"{len(alike)} ids differ only in case or spaces, such as {alike[0]!r}.",
             alike,
-            "Rename them in the file: instance images and tables of labels mix them up.",
+            "Rename them in the file, so that instance images and label tables can "
+            "distinguish them.",
         )
 
 
@@ -229,7 +231,7 @@ def _check_relations(scene: Scene) -> Iterator[Finding]:
             + (f": there are more than {MAX_RELATED_OBJECTS:,} of them." if many else "."),
             remedy="Cut the scene into fewer objects."
             if many
-            else "Check --scale: nothing is near.",
+            else "Check --scale; no surface is near the cameras.",
         )
 
 
@@ -285,12 +287,12 @@ def _check_units(scene: Scene) -> Iterator[Finding]:
     unit, scale = min(UNITS, key=lambda u: abs(np.log(guess * u[1])))
     text = f"Rooms are {rooms:.3g} m high"
     if known is not None:
-        text += f", and things {known:.3g} times as high as such things are"
+        text += f", and objects {known:.3g} times as high as usual"
     if scale != 1.0 and abs(np.log(guess * scale)) < 0.7:
         unsure = unit == "feet" and known is None  # or it is a hall
         severity: Severity = "warning" if unsure else "error"
         yield Finding(
-            severity, f"{text}: the file looks to be in {unit}.", remedy=f"--scale {scale:g}"
+            severity, f"{text}: the file seems to be in {unit}.", remedy=f"--scale {scale:g}"
         )
     else:
         yield Finding(
@@ -312,7 +314,7 @@ def _check_up_axis(scene: Scene) -> Iterator[Finding]:
         severity: Severity = "error"
         sure, what = 2.0, "ceilings face"
         if named.any():
-            what = "the floor stands upright, it faces"
+            what = "the floor is vertical; it faces"
     else:
         shares = _sum_facing(areas, unit)
         extents = np.ptp(scene.bounds, axis=0)
@@ -323,17 +325,17 @@ def _check_up_axis(scene: Scene) -> Iterator[Finding]:
     if best != 2 and shares[best] > sure * shares[2]:
         yield Finding(
             severity,
-            f"The map looks to lie on its side: {what} along {'xy'[best]}.",
+            f"The map seems to lie on its side: {what} along {'xy'[best]}.",
             remedy="--up y" if best == 1 else "Turn the file so that z points up.",
         )
     elif standing.any():
         many = int(standing.sum())
         yield Finding(
             "warning",
-            f"The floor stands upright in {many} object{'s' if many > 1 else ''} labelled so: the "
-            "map's floor was found without.",
+            f"The floor is vertical in {many} object{('s' if many > 1 else '')} with that "
+            "label, so these were ignored when the map's floor was estimated.",
             [scene.graph.ids[i] for i in np.flatnonzero(standing)],
-            "Label them for what they are (--labels), or turn the file so that z points up.",
+            "Correct their labels (--labels), or rotate the file so that z points up.",
         )
 
 
@@ -352,7 +354,7 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
             where = _find_largest_level(heights[own], areas[own], floor)
             yield Finding(
                 "error" if where is None or abs(where - floor) > 0.3 else "warning",
-                f"The floor is said to be at {floor:.2f} m, but hardly any level surface lies there"
+                f"The floor height is {floor:.2f} m, but hardly any level surface lies there"
                 + ("." if where is None else f"; the next large one is at {where:.2f} m."),
                 remedy="--floor H" if where is None else f"--floor {where:.2f}",
             )
@@ -362,8 +364,8 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
             where = float(np.average(heights[below], weights=areas[below]))
             yield Finding(
                 "warning",
-                f"More of what is labelled floor lies at {where:.2f} m than at the map's floor, "
-                f"{floor:.2f} m.",
+                f"More of the surface labelled floor lies at {where:.2f} m than at the "
+                f"map's floor height, {floor:.2f} m.",
                 remedy=f"--floor {where:.2f}, or cut the storeys apart.",
             )
         floor_like = near & named if (near & named).any() else near
@@ -374,8 +376,8 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
         if tilt > _TILTED:
             yield Finding(
                 "error" if tilt > _VERY_TILTED else "warning",
-                f"The floor slopes by {tilt:.1f} degrees: gravity is not -z of the map, and poses "
-                "are found with gravity taken for known.",
+                f"The floor slopes by {tilt:.1f} degrees, so -z is not the direction of "
+                "gravity, which localization assumes.",
                 remedy="Level the file (rotate the floor into the plane z = const), and build again.",
             )
 
@@ -450,8 +452,8 @@ def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[F
         rooms = measure_room_height(scene)
         yield Finding(
             "error",
-            f"At camera heights of {heights} m above the floor ({scene.floors[0]:.2f} m) no place is "
-            "free: no particle can start, and nothing is localized.",
+            f"At camera heights of {heights} m above the floor ({scene.floors[0]:.2f} m) no "
+            "place is free, so no particle can start and localization is impossible.",
             remedy=(
                 "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
                 f"`scene localize --height {max(0.3, min(0.6 * rooms, 1.0)):.1f}`."
@@ -499,8 +501,8 @@ def _check_holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterat
         f"From inside, {share:.0%} of all rays leave the map ({listed}): "
         + ("it has no ceiling." if only_up else "walls or floors have holes, or are missing."),
         remedy=(
-            "Nothing can be compared there. Keep ceiling and walls when the file is exported, or scan "
-            "what is missing."
+            "Those rays cannot be compared. Export the file with ceiling and walls, or scan "
+            "the missing parts."
         ),
     )
 
@@ -520,9 +522,10 @@ def _check_normals(
     worst = np.argsort(-turned)[: int((turned > 0.5 * np.maximum(seen, 1)).sum())]
     yield Finding(
         "note",
-        f"{share:.0%} of what one sees from inside are backs of triangles: normals are flipped.",
+        f"{share:.0%} of the surface visible from inside shows the back of triangles, so "
+        "normals are flipped.",
         [scene.graph.ids[i] for i in worst.tolist() if turned[i] > 0.5 * seen[i]],
-        "Placegraph sees both sides; recalculate normals in the file if other programs shall, too.",
+        "Placegraph renders both sides; recalculate the normals if other programs use the file.",
     )
 
 
@@ -542,29 +545,29 @@ def _check_anchors(scene: Scene) -> Iterator[Finding]:
         if best.probability < _SURE:
             yield Finding(
                 "warning",
-                f"The place{of} on Earth is ambiguous: the likeliest of {len(found)} candidates has "
-                f"{best.probability:.0%}.",
-                remedy=f"{_AGAIN} by point pairs, or keep the right candidate alone.",
+                f"The position{of} on Earth is ambiguous: the best of {len(found)} "
+                f"candidates has probability {best.probability:.0%}.",
+                remedy=f"{_AGAIN} with point pairs, or keep only the correct candidate.",
             )
         left = sqrt(sum(r * r for r in best.residuals) / max(1, len(best.residuals)))
         worst = max(best.residuals, default=0.0)
         if left > _FAR or worst > _FARTHEST:
             yield Finding(
                 "warning",
-                f"What the place{of} on Earth was fitted to is off by {left:.1f} m on the whole, "
-                f"{worst:.1f} m at worst.",
-                remedy=f"{_AGAIN}; a pair may be wrong, or the building another.",
+                f"The anchor{of} has residuals of {left:.1f} m on average and {worst:.1f} m "
+                "at most.",
+                remedy=f"{_AGAIN}; check the point pairs and the building.",
             )
         if not best.has_covariance:
             yield Finding(
                 "note",
-                f"Nobody said how well the place{of} on Earth is known: poses there look exact.",
+                f"The position{of} on Earth has no covariance, so GeoPoses look exact.",
                 remedy="Give the anchor a covariance.",
             )
         elif best.covariance[2, 2] > _NO_HEIGHT**2:
             yield Finding(
                 "note",
-                f"The height{of} on Earth is unknown; GeoPoses have it wrong.",
+                f"The height{of} on Earth is unknown, so heights of GeoPoses are wrong.",
                 remedy=f"{_AGAIN} and --height.",
             )
 

@@ -30,7 +30,7 @@ _SOME = 200_000  # triangles that are looked at to tell unit and axis
 def check_model(model: Model) -> None:
     """Raise `InputError` where a model has no triangle, or one with vertices that are no numbers."""
     if not len(model.triangles):
-        what = "is empty" if not len(model.vertices) else "holds points, but no triangle"
+        what = "is empty" if not len(model.vertices) else "contains points, but no triangles"
         raise InputError(f"{model.path} {what}; a scene map needs a mesh.")
     used = np.zeros(len(model.vertices), np.bool_)
     used[model.triangles.ravel()] = True
@@ -40,7 +40,7 @@ def check_model(model: Model) -> None:
             triangle = int(np.flatnonzero(bad[model.triangles].any(axis=1))[0])
             thing = model.objects[int(model.object_of[triangle])]
             raise InputError(
-                f"{model.path}: {int(bad.sum())} {name} are not numbers, the first in object "
+                f"{model.path}: {int(bad.sum())} {name} are not finite, the first in object "
                 f"{thing.name or thing.id!r}; repair the mesh, or delete them."
             )
 
@@ -57,17 +57,20 @@ def convert_to_metres(model: Model, scale: float | None, notes: list[str]) -> Mo
         tiny = sides[2] > 10 * TALLEST or sides.max() > 200 * TALLEST
         unit, factor = ("millimetres", 0.001) if tiny else ("centimetres", 0.01)
         raise InputError(
-            f"{model.path} is {size} units large: it looks like {unit}. Pass scale={factor} "
-            f"(--scale {factor}; inches: 0.0254); or scale=1 (--scale 1), if it is that many metres."
+            f"{model.path} is {size} units large, so its unit seems to be {unit}. Pass "
+            f"scale={factor} (--scale {factor}; inches: 0.0254), or scale=1 (--scale 1) if "
+            "the unit is the metre."
         )
     if sides.max() < TINIEST:
         raise InputError(
-            f"{model.path} is only {size} units large, as no scene is. Pass how many metres its unit "
-            "is, such as scale=1000 (--scale 1000); or scale=1, if it is that small."
+            f"{model.path} is only {size} units large. Pass the metres per unit, such as "
+            "scale=1000 (--scale 1000), or scale=1 if it really is that small."
         )
     if sides.max() < FLATTEST or sides.max() > WIDEST:
         only = "only " if sides.max() < FLATTEST else ""
-        notes.append(f"It is {only}{size} m large; if its unit is not the metre, pass --scale.")
+        notes.append(
+            f"The mesh is {only}{size} m large; if its unit is not the metre, pass --scale."
+        )
     return model
 
 
@@ -81,8 +84,8 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
         x, y, z = high - low
         if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
             notes.append(
-                f"It is {z:.1f} m high, and {y:.1f} m along y, as rooms are high: if it lies on its side, "
-                "pass --up y."
+                f"The mesh is {z:.1f} m high, but {y:.1f} m along y, which is the height of "
+                "a room; if it lies on its side, pass --up y."
             )
         return model
     corners = model.vertices[model.triangles]
@@ -92,8 +95,8 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
         return model
     below = corners[rows, :, 1].mean() < corners[:, :, 1].mean()
     notes.append(
-        f"Its floor stands upright as the file has it; it was turned, so that {'+' if below else '-'}y "
-        "points up. Pass up (--up) to have your way."
+        "The floor is vertical in the file, so the mesh was rotated to make "
+        f"{('+' if below else '-')}y point up. Pass up (--up) to set the axis."
     )
     turn = Z_UP if below else Z_UP.T
     return replace(model, vertices=model.vertices @ turn.T, floor=None)
@@ -112,9 +115,10 @@ def clean_model(
     if reach > LARGEST:
         span = float(np.ptp(model.vertices[used], axis=0).max())
         mend = (
-            "its coordinates are a country's grid's: subtract a corner of it, in whole metres"
+            "its coordinates seem to be those of a national grid; subtract an offset in "
+            "whole metres"
             if span < 0.1 * reach
-            else "is it in millimetres? Then pass scale=0.001; else move it to its origin"
+            else "if it is in millimetres, pass scale=0.001; otherwise move it to its origin"
         )
         raise InputError(f"{model.path} reaches {reach:.3g} m from its origin; {mend}.")
     flat = find_flat_triangles(model.vertices, model.triangles, model.object_of)
@@ -249,8 +253,8 @@ def _bake_atlas(
     texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
     if texel > detail.baked:
         notes.append(
-            f"Its surface of {area:,.0f} m2 is coloured by texels of {100 * texel:.2g} cm instead of "
-            f"{100 * detail.baked:.2g} cm: there would be too many."
+            f"The surface of {area:,.0f} m2 has texels of {100 * texel:.2g} cm instead of "
+            f"{100 * detail.baked:.2g} cm, because there would be too many."
         )
     painted = bake(mesh, colour_of, texel=texel)
     return painted, textures.encode_arrays(painted.textures, detail.quality)

@@ -48,10 +48,10 @@ def _check_paths(paths: Paths) -> dict[str, NDArray[np.float64]]:
     for name, poses in checked.items():
         if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
             raise OptionError(
-                f"camera_paths: {name!r} has shape {poses.shape}; poses (T, 4, 4) belong."
+                f"camera_paths: {name!r} has shape {poses.shape}, expected (T, 4, 4)."
             )
         if not np.isfinite(poses).all():
-            raise OptionError(f"camera_paths: {name!r} holds a pose that is not finite.")
+            raise OptionError(f"camera_paths: {name!r} has a pose that is not finite; remove it.")
     return checked
 
 
@@ -161,17 +161,17 @@ def export(
     """
     path, ending = Path(path), _ending_of(path)
     if not ending:
-        raise OptionError(f"{path} has an unknown ending; a map becomes {', '.join(ENDINGS)}.")
+        raise OptionError(f"{path} has an unknown ending; choose {', '.join(ENDINGS)}.")
     paths = _check_paths(camera_paths or {})
     files = [path] if ending != ".ply" else [path, path.with_suffix(".labels.json")]
     for file in files if not overwrite else ():
         if not _is_free(file):
             raise OptionError(
-                f"{file} is there already, and is no earlier export; name another file, or allow it "
-                "to be overwritten (overwrite=True, or --force)."
+                f"{file} exists and is not an earlier export; choose another file, or "
+                "overwrite it (overwrite=True, or --force)."
             )
     if paths and ending not in (".glb", ".json"):
-        raise OptionError(f"camera_paths: a {ending} has no place for them; export .glb or .json.")
+        raise OptionError(f"camera_paths: {ending} files cannot hold them; export .glb or .json.")
     if ending == ".glb":
         write_file(path, [encode_scene(scene, paths)])
     elif ending in (".osm", *OSMAG_ENDINGS):
@@ -194,16 +194,19 @@ def list_losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
     ending, lost = _ending_of(path), []
     if ending in (".osm", *OSMAG_ENDINGS):
         return (
-            "Rooms and doors are written; furniture, surfaces and textures have no place in it.",
+            "Only rooms and doors are written; the format has no furniture, surfaces or textures.",
         )
     relations = len(scene.graph.relations)
     if ending == ".ply" and relations:
-        lost.append(f"Relations ({relations}) have no place in a .ply; a .glb or .json keeps them.")
+        lost.append(
+            f"Relations ({relations}) cannot be written to .ply; export .glb or .json to keep them."
+        )
     if ending == ".ply" and any(texture.shape[:2] != (1, 1) for texture in scene.mesh.textures):
-        lost.append("Textures have no place in a .ply; they are averaged around each vertex.")
+        lost.append("Textures cannot be written to .ply; they are averaged around each vertex.")
     if ending != ".json" and len(scene.scenes) > 1:
         lost.append(
-            f"A map that is built of a {ending} is one scene: {len(scene.scenes)} scenes become one."
+            f"A map built from a {ending} has one scene, so the {len(scene.scenes)} scenes "
+            "are merged into one."
         )
     return tuple(lost)
 
@@ -288,7 +291,10 @@ def _make_extras(scene: Scene, row: int) -> dict[str, Any]:
 def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
     writer = load_module("placegraph_io.graphs.spark_dsg_write", "io")
     if len(paths) > writer.MOST_PATHS:
-        raise OptionError(f"camera_paths: {len(paths)}; a .json holds {writer.MOST_PATHS} at most.")
+        raise OptionError(
+            f"camera_paths: there are {len(paths)}, but a .json file holds at most "
+            f"{writer.MOST_PATHS}."
+        )
     model = paint_vertices(scene)
     rooms = []
     for thing, row in zip(model.objects, scene.scene_of.tolist(), strict=True):

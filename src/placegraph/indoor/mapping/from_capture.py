@@ -143,9 +143,10 @@ def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tu
         return height, ()
     lowest = float(np.quantile(fused.vertices[:, 2], _LOWEST))
     said = (
-        f"{path} shows no floor: it is taken to lie where its surface ends, at z = {lowest:.2f} m"
+        f"{path}: no floor was found, so it is assumed at the lower end of the surface, z = "
+        f"{lowest:.2f} m"
     )
-    return lowest, (f"{said}; pass its height where it is known (floor=0.0, or --floor 0).",)
+    return lowest, (f"{said}; give its height if you know it (floor=0.0, or --floor 0).",)
 
 
 def _open_capture(
@@ -156,7 +157,7 @@ def _open_capture(
         raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
     if capture.depth_camera is None:
         raise InputError(
-            f"{path} has no depth images; a map is fused from depth: record them, or build from a mesh."
+            f"{path} has no depth images, which a map needs; record depth, or build from a mesh."
         )
     return capture
 
@@ -192,13 +193,15 @@ def _write_notes(
     rate = stats.frames / max(stats.seconds, 1e-9)
     apart = 100 * stats.agreement
     notes = [f"{stats.frames} frames fused, {rate:.0f} a second."]
-    notes.append(f"Their depth lies within {apart:.1f} cm of the surface (median).")
+    notes.append(f"The depth readings lie within {apart:.1f} cm of the surface (median).")
     if has_trajectory:
-        notes.append(f"Poses are those of {path / 'trajectory.tum'}.")
+        notes.append(f"The poses are those of {path / 'trajectory.tum'}.")
     if stats.coarser:
         notes.append(stats.coarser)
     known = sum(label != UNKNOWN for label in labels)
-    notes.append(f"It was cut into {len(labels)} objects, {known} of them with a label.")
+    notes.append(
+        f"The mesh was segmented into {len(labels)} objects, {known} of them with a label."
+    )
     return notes
 
 

@@ -379,11 +379,13 @@ def fuse(
     options = options or FuseOptions()
     counts: Counter[str] = Counter() if left_out is None else left_out
     if not FINEST <= voxel <= COARSEST:
-        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
+        raise OptionError(f"voxel is {voxel}; it must be {FINEST} to {COARSEST} m.")
     if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
-        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
+        raise OptionError(
+            f"truncation is {truncation}; it must be at least 1.5 voxels ({1.5 * voxel})."
+        )
     if not 0 < reach < np.inf:
-        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
+        raise OptionError(f"reach is {reach}; it must be greater than 0.")
     given = [frame.odometry for frame in frames] if poses is None else poses
     matrices = np.asarray(given, np.float64).reshape(-1, 4, 4)
     edge, why, start = voxel, "", perf_counter()
@@ -396,8 +398,8 @@ def fuse(
             break
         except FullError as error:
             need = (
-                f"{options.memory:g} GB of memory ended at frame {run.done + 1} of {len(frames)} with "
-                f"voxels of {100 * edge:.3g} cm"
+                f"The memory limit of {options.memory:g} GB was reached at frame "
+                f"{run.done + 1} of {len(frames)} with voxels of {100 * edge:.3g} cm"
             )
             if not options.coarsen or COARSER * edge > COARSEST:
                 raise OptionError(
@@ -405,7 +407,7 @@ def fuse(
                 ) from error
             edge, why = COARSER * edge, why or need
     counts.update(passed_over)
-    return run.finish(start, why and f"{why}; they are {100 * edge:.3g} cm now.", counts)
+    return run.finish(start, why and f"{why}; the voxel size is now {100 * edge:.3g} cm.", counts)
 
 
 class _Run:
@@ -456,7 +458,9 @@ class _Run:
         volume, options = self.volume, self.options
         if not any(len(points) for points in self.readings):
             reasons = ", ".join(f"{n} {what}" for what, n in counts.items()) or "no frame"
-            raise InputError(f"There is no depth to fuse ({reasons}); a map needs depth images.")
+            raise InputError(
+                f"The capture has no depth to fuse ({reasons}); a map needs depth images."
+            )
         vertices, triangles, colours = extract_surface(
             volume, least=options.least, speck=options.speck, left_out=counts
         )
@@ -495,22 +499,23 @@ class FuseOptions:
         "of depth grows with its square; one frontal view from 7.6 m is enough.",
         unit="1/m^4",
     )
-    speck: float = option(0.02, "Connected parts with less surface are dropped.", unit="m^2")
-    edges: bool = option(
-        True, "Drop readings at depth edges, where cameras often read a mean of both sides."
+    speck: float = option(
+        0.02, "Minimum surface of a connected part; smaller ones are dropped.", unit="m^2"
     )
+    edges: bool = option(True, "Drop readings at depth edges, where cameras often mix both sides.")
     gains: bool = option(
-        True, "Bring every image to the brightness of the model so far: exposure changes vanish."
+        True,
+        "Adjust the brightness of every image to the model so far, which removes exposure changes.",
     )
     memory: float = option(
         1.5,
-        "Memory of the volume; meshing takes up to as much again.",
+        "Maximum memory of the volume; meshing may need the same amount again.",
         unit="GB",
         above=0,
         maximum=2,
     )
     coarsen: bool = option(
-        True, "Start again with coarser voxels beyond that memory; otherwise raise `OptionError`."
+        True, "Restart with coarser voxels when memory is exceeded; otherwise raise `OptionError`."
     )
 
     def __post_init__(self) -> None:

@@ -82,21 +82,23 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
 
 def _check_scenes(scenes: Mapping[str, Scene]) -> None:
     if not scenes:
-        raise OptionError("scenes: there is none; give at least one scene map.")
+        raise OptionError("scenes: the list is empty; give at least one scene map.")
     for name in scenes:
         if not name or "/" in name:
-            raise OptionError(f"scenes: {name!r} is no name; use one without a slash.")
+            raise OptionError(f"scenes: {name!r} is not a valid name; use one without a slash.")
     widths = {
         None if m.graph.embeddings is None else m.graph.embeddings.shape[1] for m in scenes.values()
     }
     if len(widths) > 1:
         raise OptionError(
-            f"embeddings: their lengths are {sorted(map(str, widths))}; embed all scenes alike."
+            f"embeddings: their lengths differ ({sorted(map(str, widths))}); use the same "
+            "encoder for all scenes."
         )
     encoders = {m.encoder for m in scenes.values()}
     if len(encoders) > 1:
         raise OptionError(
-            f"embeddings: they are of the encoders {', '.join(sorted(encoders))}; embed all scenes alike."
+            "embeddings: they were made by different encoders "
+            f"({', '.join(sorted(encoders))}); use the same encoder for all scenes."
         )
 
 

@@ -97,7 +97,7 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
     nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
     if nowhere:
         levels = tuple(sorted({*levels, 0.0}))
-        notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
+        notes.append(f"{nowhere:,} rooms have no level and are assumed to be on level 0.")
     known = ", ".join(map(format_level, levels))
     if level is None and len(levels) > 1:
         raise OptionError(
@@ -117,8 +117,9 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
     east, north = np.ptp(_project(anchor, points), axis=0)
     if max(east, north) > SPREAD:
         raise InputError(
-            f"{plan.path}: the rooms of level {chosen:g} are spread over {max(east, north) / 1000:,.0f} "
-            "km; cut out one building, as with `osmium extract`."
+            f"{plan.path}: the rooms on level {chosen:g} are spread over "
+            f"{max(east, north) / 1000:,.0f} km; extract one building, for instance with "
+            "`osmium extract`."
         )
     storey, note = _find_storey(plan, anchor)
     if not all(_parse_height(shape.tags) for shape in held):
@@ -132,7 +133,7 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
         else:
             plan.left_out["rooms without an area"] += 1
     if not rooms:
-        raise InputError(f"{plan.path}: no room of level {chosen:g} has an area.")
+        raise InputError(f"{plan.path}: no room on level {chosen:g} has an area.")
     return Level(
         anchor=anchor,
         rooms=rooms,
@@ -178,9 +179,10 @@ def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
             if _LOW <= height <= _HIGH:
                 return (
                     height,
-                    f"Rooms are {height:.1f} m high, by their building's height and levels.",
+                    f"Rooms are {height:.1f} m high, according to the height and levels of "
+                    "their building.",
                 )
-    return HEIGHT, f"Rooms without a height are taken to be {HEIGHT} m high."
+    return HEIGHT, f"Rooms without a height are assumed to be {HEIGHT} m high."
 
 
 def _parse_height(tags: Mapping[str, str]) -> float | None:
@@ -335,7 +337,8 @@ def read_rooms(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -
     """
     if strange := set(options) - {"level"}:
         raise OptionError(
-            f"{', '.join(sorted(strange))}: no option of OpenStreetMap's rooms; it has level."
+            f"{', '.join(sorted(strange))} is not an option for OpenStreetMap rooms; the "
+            "only option is level."
         )
     given = options.get("level")
     wanted = (
@@ -344,7 +347,7 @@ def read_rooms(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -
         else parse_levels(f"{given:g}" if isinstance(given, float) else str(given))
     )
     if wanted is not None and len(wanted) != 1:
-        raise OptionError(f"level is {given!r}; give one, as 1 or -1 or 0.5.")
+        raise OptionError(f"level is {given!r}; give a number such as 1, -1 or 0.5.")
     plan = read_indoor_osm(path)
     level = select_level(plan, wanted[0] if wanted else None)
     model = build_model(level, path, plan.left_out)
@@ -402,7 +405,7 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
     for door in level.doors:
         far = segment_distances(door.at[None], starts, ends)[0]
         if far.min(initial=np.inf) > REACH:
-            left_out["doors that are on no wall"] += 1
+            left_out["doors that lie on no wall"] += 1
             continue
         nearest = walls[int(far.argmin())]
         for row in np.flatnonzero(far < REACH + door.width / 2.0).tolist():
@@ -488,7 +491,10 @@ def export_shapes(scene: Scene) -> list[IndoorShape]:
         shapes += _export_rooms(scene, s, rows, anchors[0])
         shapes += _export_doors(scene, s, rows, anchors[0])
     if not any(shape.kind in ROOMS for shape in shapes):
-        raise OptionError("The map has no room: neither floors nor free floor between walls.")
+        raise OptionError(
+            "The map has no rooms, neither labelled floors nor free floor between walls; label "
+            "the floors."
+        )
     return shapes
 
 

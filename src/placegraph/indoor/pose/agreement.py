@@ -282,7 +282,7 @@ def _of_object(scene: Scene, n: int, weight: float) -> Evidence:
         verdict=verdict,
         weight=weight,
         objects=(make_object_ref(scene, n),),
-        note="" if verdict != "against" else "not where the map has it",
+        note="" if verdict != "against" else "not at its place in the map",
     )
 
 
@@ -320,8 +320,8 @@ def find_image_fault(window: Window) -> str:
         return ""
     first, last = (window.observations[i].frame.index for i in frozen)
     return (
-        f"The images are frozen: frames {first} to {last} are the same, although the camera "
-        "moved by its odometry. Restart the camera, or leave repeated frames out."
+        f"The images are frozen: frames {first} to {last} are identical, but the odometry "
+        "shows motion. Restart the camera, or remove repeated frames."
     )
 
 
@@ -383,8 +383,8 @@ def find_contradiction(window: Window, frames: Floats) -> str:
     """
     if _is_odometry_missing(window.observations):
         return (
-            "The odometry stands still, although the camera moved by its depth: give its odometry, or "
-            "localize each frame by itself."
+            "The odometry shows no motion, but the depth images do; check the odometry, or "
+            "localize each frame separately."
         )
     depth, colour = frames[:, 1], frames[:, 2]
     by_images = np.isnan(depth) & np.isnan(frames[:, 0])
@@ -398,7 +398,7 @@ def find_contradiction(window: Window, frames: Floats) -> str:
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
     return (
         f"Frames {listed} contradict the others: they were taken elsewhere, or the odometry "
-        "jumped. Localize each part by itself."
+        "jumped. Localize each part separately."
     )
 
 
@@ -456,22 +456,24 @@ def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
         yield (
             Window(query, window.scorer, upright),
             (
-                "With gravity turned round they fit: gravity seems to point up. Give the direction in which "
-                "things fall; an accelerometer at rest measures the opposite."
+                "Gravity seems to point up, because the frames fit when it is reversed. "
+                "Give the direction in which objects fall; an accelerometer at rest "
+                "measures the opposite."
             ),
         )
     yield (
         Window(query, window.scorer, [_mirror(s) for s in observations]),
         (
-            "Mirrored they fit: left and right of the images seem to be swapped. Give images as the camera "
-            "sees them."
+            "The images seem to be mirrored, because they fit when flipped. Give images as "
+            "the camera sees them."
         ),
     )
     below = replace(query, options=replace(query.options, heights=_UNDERGROUND))
     yield (
         Window(below, window.scorer, observations),
         (
-            "They fit a camera below the floor of the map: check which storey this is, and the map's floor."
+            "The frames fit a camera below the floor of the map; check the storey and the "
+            "map's floor height."
         ),
     )
 

@@ -37,7 +37,10 @@ class Prior:
     def __post_init__(self) -> None:
         numbers = (self.x, self.y, self.z or 0.0, self.yaw or 0.0, self.spread, self.turn)
         if not np.isfinite(numbers).all() or self.spread <= 0 or self.turn <= 0:
-            raise OptionError("prior: numbers must be finite, spread and turn greater than 0.")
+            raise OptionError(
+                "prior: position, spread and turn must be finite, and spread and turn greater "
+                "than 0."
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,8 +112,9 @@ def _read(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     if len(unused(sentence, scene)) == len(sentence.statements):
         reasons = "; ".join(f"{i.text!r}: {i.reason}" for i in ignored)
         raise OptionError(
-            f"description {sentence.text!r} names nothing on this map"
-            f"{f' ({reasons})' if reasons else ''}; name things that it has."
+            f"description {sentence.text!r} mentions nothing on this "
+            f"map{(f' ({reasons})' if reasons else '')}; mention objects or rooms of the "
+            "map."
         )
     return sentence
 
@@ -123,7 +127,7 @@ def _parts(
     share = np.asarray(shares, np.float64)
     if share.shape != (len(scene.scenes),) or not (share >= 0).all() or not share.sum() > 0:
         raise OptionError(
-            f"shares: {share.tolist()}; give one number from 0 for each of the map's "
+            f"shares: {share.tolist()}; give one non-negative number for each of the map's "
             f"{len(scene.scenes)} scenes."
         )
     part = np.array([scene.scene_at(p[:2]) for p in table.positions])

@@ -112,7 +112,7 @@ def _numbers(file: MapFile, name: str, shape: tuple[int, ...]) -> Floats:
     """A column in this shape; `ValueError` where it holds what no pose has, which none could draw."""
     numbers = file.array(name, "<f8", 2).reshape(shape)
     if not (np.abs(numbers) <= _FARTHEST).all():
-        raise ValueError(f"{name} holds what is no place on a map")
+        raise ValueError(f"{name} contains an invalid position")
     return numbers
 
 
@@ -120,7 +120,7 @@ def _modes(file: MapFile) -> tuple[PoseMode, ...]:
     scenes = [str(name) for name in file.meta["scenes"]]
     probabilities = file.array("mode_probabilities", "<f8")
     if not ((probabilities >= 0.0).all() and probabilities.sum() <= 1.0 + _ROUNDING):
-        raise ValueError("the probabilities of its modes are none")
+        raise ValueError("the probabilities of its modes are invalid")
     rows = zip(
         _matrices(file, "mode_matrices", len(scenes)),
         _numbers(file, "mode_poses", (len(scenes), 4)),
@@ -141,7 +141,7 @@ def _history(file: MapFile) -> tuple[PassRecord, ...]:
     negative = any(column.min(initial=0) < 0 for column in (counts, lengths))
     said = (int(counts.sum()), int(lengths.sum()))
     if negative or said != (len(poses), len(counts)) or len(weights) != len(poses):
-        raise ValueError("the counts of particles do not add up")
+        raise ValueError("the particle counts do not add up")
     ends = np.cumsum(counts)[:-1]
     clouds = zip(frames.tolist(), np.split(poses, ends), np.split(weights, ends), strict=True)
     steps = list(clouds) if len(counts) else []

@@ -70,7 +70,7 @@ def search(window: Window, rng: Generator) -> Floats:
     with timed(window.seconds, "table"):
         if not len(window.table):
             raise OptionError(
-                f"heights: {window.scene.source or 'the map'} has no free place at "
+                f"heights: {window.scene.source or 'the map'} has no free place "
                 f"{window.options.heights} m above its floor; give the camera's height."
             )
         views = window.views(COARSE)

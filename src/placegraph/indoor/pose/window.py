@@ -154,7 +154,7 @@ class PoseQuery:
         check_device(device)
         options = options or PoseSearchOptions()
         if known.get("seed", 0) < 0:
-            raise OptionError(f"seed is {known['seed']}; a seed is not negative.")
+            raise OptionError(f"seed is {known['seed']}; it must not be negative.")
         chosen: list[Frame] = []
         if capture is not None:
             chosen = chosen_frames(capture, frames)
@@ -184,13 +184,13 @@ def chosen_frames(
             raise OptionError(f"frames is {frames!r}; give a slice, or rows as whole numbers.")
         rows = list(frames)
         if any(not -len(capture) <= i < len(capture) for i in rows):
-            raise OptionError(f"frames: a row lies outside the capture's {len(capture)} frames.")
+            raise OptionError(f"frames: an index is outside the capture's {len(capture)} frames.")
     if not rows:
-        raise OptionError(f"frames: none chosen of the capture's {len(capture)}.")
+        raise OptionError(f"frames: none of the capture's {len(capture)} is selected.")
     chosen = [capture[i] for i in rows]
     if any(b.stamp <= a.stamp for a, b in itertools.pairwise(chosen)):
         raise OptionError(
-            "frames: their stamps must grow; choose each frame once, in order of time."
+            "frames: their stamps must increase; choose each frame once, in order of time."
         )
     return chosen
 
@@ -330,8 +330,9 @@ def observe(query: PoseQuery) -> Window:
         ]
     if not any(is_comparable(s) for s in window.observations):
         raise OptionError(
-            "Nothing to compare: the frames have no depth and no labels that the map knows, and "
-            "the map has no colours (or these terms are switched off)."
+            "The frames cannot be compared with the map: they have no depth and no known "
+            "labels, and the map has no colours (or these terms are switched off). Give "
+            "depth or labels."
         )
     check_unit(float(np.linalg.norm(np.ptp(scene.bounds, axis=0))), window.observations)
     return window

@@ -89,7 +89,7 @@ class RayCaster:
         corners = np.ascontiguousarray(vertices, np.float32)
         rows = np.ascontiguousarray(triangles, np.int32)
         if not len(rows):
-            raise OptionError("triangles is empty; a mesh needs one triangle at least.")
+            raise OptionError("triangles is empty; a mesh needs at least one triangle.")
         self.backend: str = backend
         """``embree`` or ``bvh``."""
         self.backend_note = ""

@@ -87,7 +87,7 @@ def explain_unavailable() -> str:
     except PackageNotFoundError:
         return "The wheel `embreex` is not installed."
     if not version.startswith(WHEEL):
-        return f"`embreex` is of version {version}; its interface is known for {WHEEL}x only."
+        return f"`embreex` has version {version}, but only {WHEEL}x is supported."
     try:
         return _self_test(_load_library())
     except (OSError, LookupError, AttributeError, PlacegraphError) as error:
@@ -125,7 +125,7 @@ def _make_scene(
     version = library.rtcGetDeviceProperty(device, _VERSION)
     if version not in LIBRARY:
         library.rtcReleaseDevice(device)
-        raise PlacegraphError(f"Embree says its version is {version}")
+        raise PlacegraphError(f"Embree reports version {version}")
     scene = library.rtcNewScene(device)
     library.rtcSetSceneFlags(scene, _ROBUST)
     geometry = library.rtcNewGeometry(device, _TRIANGLES)
@@ -198,4 +198,4 @@ def _self_test(library: ctypes.CDLL) -> str:
         and (room[:start] == 7.0).all()
         and (room[start + size :] == 7.0).all()
     )
-    return "" if right else "Embree answers a scene of known answers otherwise."
+    return "" if right else "Embree returns wrong results for a test scene."

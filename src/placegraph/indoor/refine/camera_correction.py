@@ -329,14 +329,14 @@ class CameraCorrection:
             fits = scale_focal(frame.camera, image)
             both = " (depth likewise)" if abs(depth - image) < _ALIKE else ""
             said.append(
-                f"The focal length is {_percent(image)} than the camera says{both}: "
-                f"fx {fits.fx:.1f}, fy {fits.fy:.1f} would fit."
+                f"The focal length is {_percent(image)} than in the intrinsics{both}: fx "
+                f"{fits.fx:.1f}, fy {fits.fy:.1f} would fit."
             )
         if depth and abs(depth - image) >= _ALIKE and frame.depth_camera is not None:
             fits = scale_focal(frame.depth_camera, depth)
             said.append(
-                f"The focal length of the depth camera is {_percent(depth)} than it says: fx "
-                f"{fits.fx:.1f}, fy {fits.fy:.1f} would fit."
+                f"The focal length of the depth camera is {_percent(depth)} than in its "
+                f"intrinsics: fx {fits.fx:.1f}, fy {fits.fy:.1f} would fit."
             )
         return said
 
@@ -357,8 +357,14 @@ class CameraCorrection:
             return []
         way, turn = np.linalg.norm(place[:3]), np.degrees(np.linalg.norm(place[3:]))
         apart = f"{100 * way:.0f} cm and {turn:.1f} degrees"
-        late = "; that is no device, one of them is late" if self._late else ""
-        return [f"Depth and images are not of one view: {apart} lie between their cameras{late}."]
+        late = (
+            "; this is too far for one device, so one of the streams is probably delayed"
+            if self._late
+            else ""
+        )
+        return [
+            f"Depth and images do not share a viewpoint: their cameras are {apart} apart{late}."
+        ]
 
     def _tilt(self) -> list[str]:
         turn = np.degrees(self.values[list(TILT)])
@@ -366,7 +372,7 @@ class CameraCorrection:
             return []
         x, y, z = turn + 0.0
         off = f"Gravity is {np.linalg.norm(turn):.1f} degrees off"
-        return [f"{off}: turned by {x:.1f}, {y:.1f}, {z:.1f} degrees in camera axes it would fit."]
+        return [f"{off}: a rotation by {x:.1f}, {y:.1f}, {z:.1f} degrees in camera axes would fit."]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -459,8 +465,11 @@ PLAUSIBLE = 0.25
 ENOUGH = 300
 """Least number of matches that tell the focal length of images."""
 DULL = 0.35
-"""Correlation of held-back parts of the images with the map at a pose that depth has fitted, below
-which depth and images may not be of one place: right ones have 0.4 and more (benchmark)."""
+(
+    "Correlation of held-out parts of the images with the map at a pose that depth has fitted, "
+    "below\nwhich depth and images may not be of one place: right ones have 0.4 and more "
+    "(benchmark)."
+)
 APART = (0.03, 0.012)
 """Way [m] and turn [rad] between depth and images from which on they are not of one view."""
 GAIN = 0.04

@@ -252,7 +252,8 @@ def _check_matches(
     """Keep the matches of each view that lie in both images; `OptionError`: a matcher gives none."""
     if not isinstance(views, Sequence) or len(views) != count:
         raise OptionError(
-            f"The matcher {matcher.name!r} must return one Matches for each of {count} views."
+            f"The matcher {matcher.name!r} must return one Matches object for each of "
+            f"{count} views."
         )
     size, checked = np.array([camera.width, camera.height] * 2), []
     for matches in views:
@@ -374,8 +375,8 @@ def _poselib() -> Any:  # noqa: ANN401  # PoseLib is untyped
         import poselib
     except ImportError as error:
         raise MissingExtraError(
-            "Poses from images need PoseLib, which has no wheel for every machine: "
-            "pip install poselib, or refine by depth alone."
+            "Poses from images need PoseLib: run `pip install poselib` (not available on "
+            "every platform), or refine with depth only."
         ) from error
     return poselib
 

@@ -321,7 +321,7 @@ def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
             by = f"{abs(lag):.2g} {'frames' if counted else 's'}"
             side = "after" if lag > 0 else "before"
             its = "their stamps" if what == "images" else "its stamp"
-            told += f" Note that {taken} taken {by} {side} {its}; that was allowed for."
+            told += f" Note: {taken} taken {by} {side} {its}; this was corrected."
     return told
 
 
@@ -340,7 +340,7 @@ def _check_move(refiner: Refiner, shift: float, turn: float) -> str:
     return f"the fit ended {shift:.1f} m and {np.degrees(turn):.0f} degrees away, at another place"
 
 
-NOTHING = "the frames show nothing that could be matched with the map"
+NOTHING = "nothing in the frames can be matched with the map"
 
 
 def _choose_candidate(
@@ -352,7 +352,7 @@ def _choose_candidate(
     """
     senses = _evidence(refiner, coarse, [way.candidate for way in ways])
     if not any(e.samples for e in senses.values()):
-        return ways[-1], "no held-back pixel tells whether it helped"
+        return ways[-1], "no held-out pixels can confirm it"
     gains = [np.sum([e.gain(k + 1) for e in senses.values()], axis=0) for k in range(len(ways))]
     row = int(np.argmax([np.sum(gain) for gain in gains]))
     way, z = ways[row], standard_errors(gains[row])
@@ -371,7 +371,7 @@ def _choose_candidate(
     # landmarks were found in the whole map: unlike renderings they are not wrong together
     needed = SURE if refiner.has_depth or refiner.landmark_matches is not None else SURER
     if z < needed:
-        return way, "held-back pixels are not explained better than by the coarse pose"
+        return way, "held-out pixels do not fit better than at the coarse pose"
     return way, ""
 
 
@@ -404,9 +404,9 @@ def _diagnose_camera(refiner: Refiner, way: FitCheck) -> tuple[str, str]:
     """
     factor, hint = measure_scale_error(refiner, way.candidate), ""
     if abs(factor) > SUSPECT:
-        hint = f"a scale looks {factor:+.1%} off"
+        hint = f"the scale seems {factor:+.1%} off"
     elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
-        hint = "images do not show what depth does"
+        hint = "images and depth disagree"
     if abs(factor) <= OFF:
         return "", hint
     how = "larger" if factor > 0 else "smaller"

@@ -144,13 +144,16 @@ def checked_pose(what: str, matrix: ArrayLike) -> Floats:
     except (TypeError, ValueError) as error:
         raise OptionError(f"{what}: not numbers ({error}); give a 4x4 matrix.") from error
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise OptionError(f"{what}: shape {pose.shape}; a pose is 4x4 finite numbers.")
+        raise OptionError(f"{what}: shape is {pose.shape}, expected 4x4 finite numbers.")
     if np.abs(pose).max() > FARTHEST:
-        raise OptionError(f"{what}: more than {FARTHEST:g} m from its origin; it is in metres.")
+        raise OptionError(f"{what}: it is more than {FARTHEST:g} m from the origin; give metres.")
     turn = pose[:3, :3]
     off = max(np.abs(turn @ turn.T - _UNIT[:3, :3]).max(), np.abs(pose[3] - _UNIT[3]).max())
     if off > 1e-3 or np.linalg.det(turn) <= 0:
-        raise OptionError(f"{what}: not rigid; give a rotation and a translation, 0 0 0 1 below.")
+        raise OptionError(
+            f"{what}: the matrix is not rigid; give a rotation and a translation, with last row "
+            "0 0 0 1."
+        )
     return pose
 
 
@@ -161,7 +164,7 @@ def checked_covariance(what: str, matrix: ArrayLike) -> Floats:
     except (TypeError, ValueError) as error:
         raise OptionError(f"{what}: not numbers ({error}); give a 6x6 matrix.") from error
     if spread.shape != (6, 6) or not np.isfinite(spread).all():
-        raise OptionError(f"{what}: shape {spread.shape}; 6x6 finite numbers belong.")
+        raise OptionError(f"{what}: shape is {spread.shape}, expected 6x6 finite numbers.")
     spread = 0.5 * (spread + spread.T)
     least = float(np.linalg.eigvalsh(spread)[0])
     if least < -1e-6 * max(1.0, float(np.abs(spread).max())):
@@ -332,7 +335,7 @@ class Belief:
         odometry, newest = self.odometry, self.odometry.newest
         jump = odometry.jumps(stamp, pose)
         if own and not self.moved and newest is not None:
-            jump = "Separate odometry came beside that of the images"
+            jump = "Separate odometry arrived in addition to that of the images"
         self.moved = own
         if jump:
             self._break(jump, stamp, pose, covariance)
@@ -389,11 +392,14 @@ class Belief:
         if sample is None or newest is None:
             return (
                 None,
-                f"An image of {frame.stamp:.3f} s is older than all odometry; is its clock the same?",
+                f"An image at {frame.stamp:.3f} s is older than all odometry; check that "
+                "both use the same clock.",
             )
         if frame.stamp > newest.stamp + AHEAD:
             ahead = frame.stamp - newest.stamp
-            return None, f"An image is {ahead:.3g} s ahead of odometry; are their clocks the same?"
+            return None, (
+                f"An image is {ahead:.3g} s ahead of odometry; check that both use the same clock."
+            )
         return sample, ""
 
     def update(self, result: FrameResult) -> None:
@@ -429,6 +435,6 @@ class Belief:
         when = now.stamp if now is not None else np.nan if stamp is None else stamp
         forgotten = ""
         if self.anchor is not None:
-            forgotten = f"Odometry is kept for {KEPT:g} s; {stamp} is older."
+            forgotten = f"Odometry is buffered for {KEPT:g} s, but {stamp} is older."
         status, reason = decide_live(last, silent, None, forgotten)
         return LivePose(when, status, reason, None, None, None, last.estimate, "", np.inf)

@@ -106,7 +106,7 @@ class Worker:
         """End threads; without the lock."""
         with self._changed:
             self._inbox = None
-            self._failed = self._failed or OptionError("The tracker is closed; make another.")
+            self._failed = self._failed or OptionError("The tracker is closed; create another.")
             self._changed.notify_all()
         if self._own:
             self._executor.shutdown(wait=True, cancel_futures=True)
@@ -363,7 +363,9 @@ class LiveTracker:
         if self.camera is None:
             self.camera = self._follower.camera = frame.camera
         if frame.camera != self.camera:
-            raise OptionError("frame: taken by another camera than the tracker was made for.")
+            raise OptionError(
+                "frame: its camera differs from the tracker's; create a tracker for this camera."
+            )
         sample = checked_odometry(frame.stamp, frame.odometry, None)
         with self._changed:
             self._worker.check()
@@ -447,7 +449,7 @@ class LiveTracker:
             pose, now = self._belief.pose(None), self._belief.odometry.newest
             moved = self._belief.moved
         if now is None or pose.map_from_camera is None or pose.covariance is None:
-            raise OptionError(f"There is no pose to save: {pose.reason}")
+            raise OptionError(f"There is no pose to save. {pose.reason}")
         digest = digest_of(self._finder.scene(pose.scene))
         SavedPose(
             pose.scene, digest, now.stamp, moved, now.pose, pose.map_from_camera, pose.covariance
@@ -482,10 +484,11 @@ class LiveTracker:
         try:
             same = digest_of(live._finder.scene(live._finder.named(saved.scene))) == saved.digest
         except OptionError as error:
-            raise MapError(f"{path} is of another map: {error}") from error
+            raise MapError(f"{path} belongs to another map: {error}") from error
         if not same:
             raise MapError(
-                f"{path} was saved in another map named {saved.scene!r}; open that one, or begin anew."
+                f"{path} was saved with another map named {saved.scene!r}; open that map, "
+                "or start again."
             )
         belief = live._belief
         belief.tell(saved.stamp, saved.odom_from_camera, None, own=saved.moved)

@@ -196,12 +196,17 @@ class Tracker:
 
     def _sighted(self, frame: Frame) -> Observation:
         if self.camera is not None and frame.camera != self.camera:
-            raise OptionError("frame: taken by another camera than the tracker was made for.")
+            raise OptionError(
+                "frame: its camera differs from the tracker's; create a tracker for this camera."
+            )
         if self.query.encoder is None:
             self.query = replace(self.query, encoder=make_label_encoder(self.query.scene, frame))
         observation = observe_frame(frame, self.query.encoder, self.query.options)
         if not is_comparable(observation):
-            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+            raise OptionError(
+                "frame: it has no depth, known labels or colours, so it cannot be compared with "
+                "the map."
+            )
         return observation
 
     # ------------------------------------------------------------------------------ following
@@ -312,8 +317,8 @@ def track_capture(tracker: Tracker, frames: Sequence[Frame]) -> PoseEstimate:
     """
     if tracker.query.prior is not None:
         raise OptionError(
-            f"prior: a capture of {len(frames)} frames is tracked, which starts without one; "
-            "choose fewer frames."
+            f"prior: it applies only to short captures, but {len(frames)} frames are "
+            "tracked; choose fewer frames."
         )
     known: list[Floats | None] = []
     for i, frame in enumerate(frames):
@@ -390,7 +395,7 @@ class Relocalizer:
             return self.scenes[0]
         if name not in self.scenes:
             known = ", ".join(self.scenes[:5])
-            raise OptionError(f"scene is {name!r}; name one of {known or 'an empty library'}.")
+            raise OptionError(f"scene is {name!r}; choose one of {known or 'an empty library'}.")
         return name
 
     def scene(self, name: str) -> Scene:
@@ -426,7 +431,10 @@ class Relocalizer:
         encoder = query.encoder or make_label_encoder(query.scene, frames[-1])
         seen = [observe_frame(frame, encoder, query.options) for frame in frames]
         if not is_comparable(seen[-1]):
-            raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
+            raise OptionError(
+                "frame: it has no depth, known labels or colours, so it cannot be compared with "
+                "the map."
+            )
         shown = [s for s in seen if is_comparable(s)]
         check_unit(float(np.linalg.norm(np.ptp(query.scene.bounds, axis=0))), shown)
         window = Window(query, Scorer(query.scene, query.options.likelihood), shown)

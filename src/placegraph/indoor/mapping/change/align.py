@@ -200,9 +200,9 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
         share = _measure_overlap(a, b, ours, theirs, options.b_from_a, options.within)
         if share < LEAST_GIVEN:
             raise OptionError(
-                f"b_from_a: only {share:.0%} of {_name(a)} lies on {_name(b)} by it; is it the way "
-                "from the first map's axes to the second's, and not back? Leave it out to have one "
-                "found."
+                f"b_from_a: it aligns only {share:.0%} of {_name(a)} with {_name(b)}; check "
+                "that it maps the first map's frame to the second's, not the reverse. "
+                "Remove it to estimate the alignment."
             )
         return Alignment(options.b_from_a, f"given; {_describe_overlap(share, options)}")
     few = ours.some(_SOME), theirs.some(_SOME)
@@ -223,20 +223,21 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
     agreed = _measure_overlap(a, b, ours, theirs, found, options.within, upright=True)
     if agreed < LEAST:
         raise OptionError(
-            f"{_name(a)} and {_name(b)}: no way is found to lay one on the other ({agreed:.0%} of "
-            "their walls agree at best); are they of one place, and in one unit? If so, give "
+            f"{_name(a)} and {_name(b)} cannot be aligned (at best {agreed:.0%} of their "
+            "walls agree); check that they show the same place in the same unit, or give "
             "b_from_a."
         )
     moved_by = np.linalg.norm(found[:3, 3])
     turn = np.degrees(np.arctan2(found[1, 0], found[0, 0]))
     description = (
-        f"found: turned by {turn:.1f} degrees and shifted by {moved_by:.2f} m; "
+        f"estimated: rotation of {turn:.1f} degrees, translation of {moved_by:.2f} m; "
         f"{_describe_overlap(share, options)}"
     )
     if agreed < SURE:
         description += (
-            f", but only {agreed:.0%} of what is upright; that is doubtful, and so is every change: "
-            "they may be of two places, or share a part of one. If they are of one, give b_from_a"
+            f", but only {agreed:.0%} of the upright surfaces. The alignment and all "
+            "changes are therefore uncertain: the maps may show different places or overlap "
+            "only in part. If they show the same place, give b_from_a"
         )
     return Alignment(found, description, doubtful=agreed < SURE)
 

@@ -31,37 +31,45 @@ class DiffOptions:
 
     least_shift: float = option(
         0.08,
-        "Objects that moved less, and turned less than `least_turn`, stayed.",
+        "Minimum displacement of an object; objects that move less, and turn less than "
+        "`least_turn`, count as unmoved.",
         unit="m",
         above=0,
         flag="--least-shift",
     )
-    least_turn: float = option(10.0, "Least turn of an object.", unit="deg", above=0)
+    least_turn: float = option(10.0, "Minimum rotation of an object.", unit="deg", above=0)
     reach: float = option(4.0, "Largest distance of a moved object.", unit="m", above=0)
     depth_floor: float = option(
         0.04,
-        "A reading agrees with the map within this at 0 m, errors of map and pose included.",
+        "Tolerance between a depth reading and the map at 0 m, including errors of map and pose.",
         unit="m",
         above=0,
     )
     depth_slope: float = option(0.015, "Increase of this tolerance per metre.")
-    frames: int = option(60, "Most frames of a capture, spread evenly.", minimum=1)
+    frames: int = option(60, "Maximum number of frames of a capture, spread evenly.", minimum=1)
     least_pixels: int = option(
-        100, "Least pixels on an object, of pictures at most 320 wide, in all frames.", minimum=1
+        100,
+        "Minimum number of pixels on an object over all frames, at an image width of at most 320.",
+        minimum=1,
     )
     least_frames: int = option(
-        3, "Least frames with `least_pixels` / 10 on an object each; all, if fewer.", minimum=1
+        3,
+        "Minimum number of frames with at least `least_pixels` / 10 on an object; all "
+        "frames if there are fewer.",
+        minimum=1,
     )
-    voxel: float = option(0.05, "Edge of the cells that gather new surfaces.", unit="m", above=0)
-    least_box: float = option(0.08, "Least longest side of an object that appeared.", unit="m")
+    voxel: float = option(0.05, "Size of the cells that collect new surfaces.", unit="m", above=0)
+    least_box: float = option(
+        0.08, "Minimum length of the longest side of an object that appeared.", unit="m"
+    )
     depth: bool = option(True, "Use depth images.", flag="--depth/--no-depth", panel=USED)
     colour: bool = option(
-        True, "Use colours where depth cannot tell.", flag="--colour/--no-colour", panel=USED
+        True, "Use colours where depth is inconclusive.", flag="--colour/--no-colour", panel=USED
     )
     b_from_a: Floats | None = None
     """(4, 4) rigid [m], from the first map's axes to the second's; estimated if not given."""
     within: float = option(
-        0.05, "Surfaces of two maps at this distance are the same.", unit="m", above=0
+        0.05, "Maximum distance between identical surfaces of two maps.", unit="m", above=0
     )
     points: int = option(400, "Points per object that are compared between maps.", minimum=1)
     seed: int = option(0, "The same seed gives the same answer.", flag="--seed")
@@ -97,9 +105,9 @@ class Piece:
         shapes = [a.ndim == 2 and a.shape[1] == 3 for a in (self.vertices, self.triangles)]
         inside = self.triangles.size and 0 <= self.triangles.min() <= self.triangles.max() < count
         if not (all(shapes) and inside and self.colours.shape == self.vertices.shape):
-            raise OptionError("piece: its vertices, triangles and colours do not fit each other.")
+            raise OptionError("piece: its vertices, triangles and colours are inconsistent.")
         if not np.isfinite(self.vertices).all():
-            raise OptionError("piece: a vertex is not a number.")
+            raise OptionError("piece: a vertex is not finite.")
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers; vertices to a tenth of a millimetre."""
@@ -158,15 +166,17 @@ class Change:
         if self.kind not in KINDS:
             raise OptionError(f"kind is {self.kind!r}; choose one of {', '.join(KINDS)}.")
         if not 0.0 <= self.confidence <= 1.0:
-            raise OptionError(f"confidence is {self.confidence}; it lies between 0 and 1.")
+            raise OptionError(f"confidence is {self.confidence}; it must be between 0 and 1.")
         for name, shape in (("after_from_before", (4, 4)), ("box", (2, 3)), ("centre", (3,))):
             value = getattr(self, name)
             if value is not None and (value.shape != shape or not np.isfinite(value).all()):
                 raise OptionError(f"{name}: {shape} finite numbers belong.")
         if self.kind == "moved" and self.after_from_before is None:
-            raise OptionError("after_from_before: what moved needs a motion.")
+            raise OptionError(
+                "after_from_before: it is missing, but a moved object needs a motion."
+            )
         if self.kind == "appeared" and self.piece is None:
-            raise OptionError("piece: what appeared needs a surface.")
+            raise OptionError("piece: it is missing, but an object that appeared needs a surface.")
 
     @property
     def shift_m(self) -> float:
@@ -280,7 +290,7 @@ def read_diff(path: str | PathLike[str]) -> SceneDiff:
     data: Any = read_json(path)
     try:
         if data["version"] != VERSION:
-            raise ValueError(f"version {data['version']}, and {VERSION} is known")  # noqa: TRY301
+            raise ValueError(f"version {data['version']}, but this placegraph reads {VERSION}")  # noqa: TRY301
         return SceneDiff(
             changes=tuple(Change.from_dict(change) for change in data["changes"]),
             same=tuple(map(str, data["same"])),
@@ -292,6 +302,6 @@ def read_diff(path: str | PathLike[str]) -> SceneDiff:
         )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise InputError(
-            f"{path} is not what `placegraph scene diff --json` prints "
-            f"({type(error).__name__}: {error}); make it again."
+            f"{path} is not output of `placegraph scene diff --json` "
+            f"({type(error).__name__}: {error}); create it again."
         ) from error

@@ -312,7 +312,7 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
 
 
 def _describe_vanished(body: MapObject, around: float) -> Change:
-    reason = f"The other map has {around:.0%} of what is around it, and nothing that fits it."
+    reason = f"The other map covers {around:.0%} of its surroundings, but contains no match."
     return Change(
         kind="vanished", id=body.id, name=body.name, label=body.label, box=body.box,
         confidence=min(around, SUREST), reason=reason,
@@ -428,17 +428,17 @@ def _describe_moved(ours: MapObject, theirs: MapObject, motion: Motion) -> Chang
         new_label="" if labels_agree(ours.label, theirs.label) else theirs.label,
         confidence=min(motion.fit * motion.colour, SUREST),
         after_from_before=motion.after_from_before, centre=ours.middle, box=theirs.box,
-        reason=f"After the motion {motion.fit:.0%} of it and of {theirs.id!r} lie on each other.",
+        reason=f"After the motion, {motion.fit:.0%} of it and of {theirs.id!r} overlap.",
     )  # fmt: skip
 
 
 def _describe_appeared(b: Scene, theirs: MapObject, around: float, b_from_a: Floats) -> Change:
     sure = min(around, SUREST) if around >= COVERED and not theirs.built_in else UNSURE
-    reason = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
+    reason = f"The first map covers {around:.0%} of its surroundings, but contains no match."
     if around < COVERED:
-        reason = "The first map hardly covers the place: it may have been there before."
+        reason = "The first map hardly covers this place, so the object may have been there before."
     elif theirs.built_in:
-        reason = "It is built in: the first map may end there, or cut it otherwise."
+        reason = "It is built in, so the first map may end there or segment it differently."
     return Change(
         kind="appeared", label=theirs.label, name=theirs.name, other=theirs.id, box=theirs.box,
         confidence=sure, piece=cut_piece(b, theirs.row, invert_rigid(b_from_a)), reason=reason,

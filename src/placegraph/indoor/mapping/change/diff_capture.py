@@ -82,7 +82,10 @@ def diff_capture(
         observation = observe.observe_frame(scene, frame, pose)
         observations.append(observation if options.depth else replace(observation, depth=None))
     if all(observation.depth is None for observation in observations) and not options.colour:
-        raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
+        raise OptionError(
+            "The capture has no depth, and colour is switched off, so nothing can be compared; "
+            "give depth, or use colours."
+        )
     _check_poses(observations, options, name)
     counts = observe.count_evidence(observations, len(scene), options)
     changes = _find_changes(scene, observations, counts, options, frames, matrices, tell)
@@ -122,12 +125,12 @@ def _find_changes(
     changes = [_describe_moved(scene, counts, row, placement) for row, placement in found.items()]
     gone = [int(r) for r in suspects if r not in found and share[r] >= GONE]
     for row in gone:
-        what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
+        what = "show what is behind it" if counts.by_colour[row] else "continue behind it"
         changes.append(
             Change(
                 kind="vanished", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
                 confidence=counts.confidence(row), box=np.stack(measure_box(scene, row, np.eye(4))),
-                reason=f"{share[row]:.0%} of {counts.describe(row)} {what}, and nothing near fits it.",
+                reason=f"{share[row]:.0%} of {counts.describe(row)} {what}, and no match is near.",
             )
         )  # fmt: skip
     # what lies in the box of a thing before it moved, and the motion back, is no news
@@ -148,19 +151,24 @@ def _select_frames(
     if isinstance(poses, PoseEstimate):
         if poses.status is Status.LOST or poses.best is None:
             raise InputError(
-                f"{name or 'The capture'} was not found in the map ({poses.status.name}: "
-                f"{poses.reason}); nothing can be compared. Give its poses if they are known."
+                f"{name or 'The capture'} could not be localized in the map "
+                f"({poses.status.name}: {poses.reason}), so nothing can be compared. Give "
+                "its poses if you know them."
             )
         by_index = {frame.index: frame for frame in frames}
         if missing := [i for i in poses.frames.tolist() if i not in by_index]:
-            raise OptionError(f"poses: frame {missing[0]} of the estimate is none of the capture.")
+            raise OptionError(
+                f"poses: frame {missing[0]} of the estimate is not in the capture; give the "
+                "capture that was localized."
+            )
         frames = [by_index[i] for i in poses.frames.tolist()]
         matrices: Floats = poses.trajectory
     else:
         matrices = np.asarray(poses, np.float64)
     if matrices.ndim != 3 or len(matrices) != len(frames) or not frames:
         raise OptionError(
-            f"poses: shape {matrices.shape}; (T, 4, 4) belongs, one for each of {len(frames)} frames."
+            f"poses: shape is {matrices.shape}, expected (T, 4, 4), one pose for each of "
+            f"{len(frames)} frames."
         )
     return frames, [check_pose(m) for m in matrices]
 
@@ -186,8 +194,9 @@ def _check_poses(
             readings += int(there.sum())
     if agree < _AGREE * readings:
         raise InputError(
-            f"{name or 'The capture'}: only {agree / readings:.0%} of its depth readings end on the "
-            "map's surfaces; its poses are not in this map, or its depth has another unit."
+            f"{name or 'The capture'}: only {agree / readings:.0%} of its depth readings "
+            "lie on the map's surfaces; check that its poses are in the map's frame, and "
+            "the unit of its depth."
         )
 
 
@@ -198,12 +207,16 @@ def _describe_moved(
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
     sure = placement.fit * (placement.frames + 0.5) / (placement.frames + 1.0)
     sure *= placement.share  # gone it is; which of those alike came here is a guess
-    alike = f" So does {', '.join(placement.rivals)}, from farther off." if placement.rivals else ""
+    alike = (
+        f" {', '.join(placement.rivals)} also matches, but from farther away."
+        if placement.rivals
+        else ""
+    )
     return Change(
         kind="moved", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
         confidence=float(np.clip(max(counts.confidence(row), 0.5) * sure, 0.0, 1.0)),
         after_from_before=placement.motion, centre=graph.positions[row],
         box=np.stack(measure_box(scene, row, placement.motion)),
-        reason=f"{counts.share[row]:.0%} of {counts.describe(row)} are seen through it; where it is "
-        f"now {placement.fit:.0%} {by} in {placement.frames} frames.{alike}",
+        reason=f"{counts.share[row]:.0%} of {counts.describe(row)} pass through its old place; at "
+        f"its new place {placement.fit:.0%} {by} in {placement.frames} frames.{alike}",
     )  # fmt: skip

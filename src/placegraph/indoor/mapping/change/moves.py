@@ -102,7 +102,9 @@ def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.zeros(0, np.int64)
     at = cells - cells.min(axis=0) + _EMPTY
     if int(at.max()) >= (1 << BITS) - _EMPTY:
-        raise OptionError(f"Points are {int(at.max()):,} cells apart; make the cells larger.")
+        raise OptionError(
+            f"The points are {int(at.max()):,} cells apart, which is too far; use larger cells."
+        )
     keys = (at[:, 0] << 2 * BITS) + (at[:, 1] << BITS) + at[:, 2]
     unique, rows = np.unique(keys, return_inverse=True)
     return np.unique(label_connected(unique), return_inverse=True)[1][rows]
@@ -155,7 +157,8 @@ def _describe_cluster(cluster: Cluster, pixels: int, piece: Piece) -> Change:
         box=box,
         piece=piece,
         confidence=(observed + 0.5) / (observed + 1.0) * min(1.0, pixels / 400.0),
-        reason=f"{pixels:,} readings in {observed} frames end before the map, in a box of {size} m.",
+        reason=f"{pixels:,} readings in {observed} frames lie in front of the map's surfaces, in a "
+        f"box of {size} m.",
     )
 
 

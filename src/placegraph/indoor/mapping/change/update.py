@@ -65,7 +65,7 @@ class MapEdit(Generic[S]):
             self._kept[row] = False
             thing = change.name or change.id
             for base in self._bases(row):
-                self._tell(base, f"{prefix}{change.label} {thing!r} vanished from it")
+                self._tell(base, f"{prefix}{change.label} {thing!r} vanished")
         elif change.kind == "appeared" and change.piece is not None:
             row = len(self._ids)
             id_, number = change.other, 1
@@ -87,7 +87,7 @@ class MapEdit(Generic[S]):
         kept = np.concatenate([self._kept, np.ones(len(self._pieces), np.bool_)])
         rows = np.flatnonzero(kept)
         if not rows.size:
-            raise OptionError("diff: no object would be left; take over less of it.")
+            raise OptionError("diff: it would remove every object; apply fewer changes.")
         place = np.cumsum(kept) - 1
         mesh, encoded = self._mesh()
         mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
@@ -295,7 +295,8 @@ def update(
     known = {*KINDS, *(c.id for c in diff if c.id), *(c.other for c in diff if c.other)}
     if unknown := sorted(wanted - known):
         raise OptionError(
-            f"take: {unknown[0]!r} is no kind of change ({', '.join(KINDS)}), and no id in the diff."
+            f"take: {unknown[0]!r} is neither a kind of change ({', '.join(KINDS)}) nor an "
+            "id in the diff."
         )
     chosen = [
         c
@@ -306,8 +307,8 @@ def update(
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
     if strange := [c.id for c in chosen if c.id and c.id not in rows]:
         raise OptionError(
-            f"diff: {strange[0]!r} is no object of {scene.source or 'the map'}; it was made from "
-            f"{diff.before or 'another map'}."
+            f"diff: {strange[0]!r} is not an object of {scene.source or 'the map'}; use the "
+            f"map that the diff was made from, {diff.before or 'another map'}."
         )
     edit = MapEdit(scene)
     for change in chosen:

@@ -35,40 +35,42 @@ class SegmentOptions:
     flatness: float = option(
         0.05, "Largest distance of a triangle of floor or wall from its plane.", unit="m", above=0
     )
-    wall_area: float = option(1.5, "Least area of a wall.", unit="m^2", above=0)
-    wall_height: float = option(1.2, "Least height of a wall.", unit="m")
+    wall_area: float = option(1.5, "Minimum area of a wall.", unit="m^2", above=0)
+    wall_height: float = option(1.2, "Minimum height of a wall.", unit="m")
     crease: float = option(
         0.6, "Concave angle between neighbours that counts as a full step.", unit="rad", above=0
     )
     contrast: float = option(
         25.0,
-        "Color difference of neighbours that counts as a full step.",
+        "Colour difference of neighbours that counts as a full step.",
         unit="CIE76 Delta E",
         above=0,
     )
     patch: float = option(
         0.02,
-        "Area from which a smooth patch resists being joined over half a step.",
+        "Area above which a smooth patch is not merged across half a step.",
         unit="m^2",
         above=0,
     )
     gap: float = option(
-        0.03, "Parts without a common edge touch at this distance.", unit="m", above=0
+        0.03, "Maximum distance of touching parts without a common edge.", unit="m", above=0
     )
     support: float = option(
-        0.12, "Level surfaces of this area carry objects of their own.", unit="m^2", above=0
+        0.12, "Minimum area of a level surface that supports separate objects.", unit="m^2", above=0
     )
     thin: float = option(
         0.5,
-        "Two parts that could stand alone stay apart if their contact is shorter than this share of "
-        "the size of the smaller one, the root of its area.",
+        "Minimum contact length for merging two parts, as a share of the square root of the "
+        "smaller one's area.",
     )
     mark: float = option(
-        0.05, "Least area of objects on a wall that differ from it by colour alone.", unit="m^2"
+        0.05, "Minimum area of objects on a wall that differ only in colour.", unit="m^2"
     )
-    carpet: float = option(0.5, "The same on the floor.", unit="m^2")
+    carpet: float = option(
+        0.5, "Minimum area of objects on the floor that differ only in colour.", unit="m^2"
+    )
     least: float = option(
-        0.02, "Least area of an object; smaller parts belong to a neighbour.", unit="m^2"
+        0.02, "Minimum area of an object; smaller parts join a neighbour.", unit="m^2"
     )
 
     def __post_init__(self) -> None:

@@ -79,7 +79,7 @@ def collect_votes(
     if not kinds:
         return None
     if len(kinds) > 1:
-        raise OptionError("frames: some hold labels, others instances; give those of one kind.")
+        raise OptionError("frames: some have labels, others instances; give frames of one kind.")
     box = _VoteCounter(kinds.pop(), len(faces))
     caster = RayCaster(faces.points, faces.corners)
     for i, (frame, pose) in enumerate(zip(frames, poses, strict=True)):

@@ -66,7 +66,7 @@ def matcher(
     elif name in EXTRA or name in plugins.plugins(plugins.MATCHERS):
         make = plugins.load_plugin(plugins.MATCHERS, name, EXTRA.get(name, ""))
     else:
-        raise OptionError(f"matcher is {name!r}; there are {', '.join(map(repr, MATCHERS))}.")
+        raise OptionError(f"matcher is {name!r}; choose one of {', '.join(map(repr, MATCHERS))}.")
     known = inspect.signature(make).parameters
     if weights is not None:
         options["weights"] = weights

@@ -31,7 +31,7 @@ class Matches:
         n = len(self.confidence)
         shapes = (self.query.shape, self.rendered.shape, self.confidence.shape)
         if shapes != ((n, 2), (n, 2), (n,)):
-            raise OptionError(f"matches: shapes {shapes}; (N, 2), (N, 2) and (N,) belong.")
+            raise OptionError(f"matches: shapes are {shapes}, expected (N, 2), (N, 2) and (N,).")
 
     def __len__(self) -> int:
         return len(self.confidence)
@@ -119,8 +119,8 @@ def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
     array = np.asarray(image)
     if array.dtype != np.uint8 or array.ndim not in {2, 3} or array.shape[2:] not in {(), (3,)}:
         raise OptionError(
-            f"{name} is {array.dtype} of shape {array.shape}; an image is uint8 of shape "
-            "(H, W, 3), or (H, W) for grey."
+            f"{name} is {array.dtype} of shape {array.shape}, expected uint8 of shape (H, "
+            "W, 3), or (H, W) for grey."
         )
     if 0 in array.shape:
         raise OptionError(f"{name} has no pixels: its shape is {array.shape}.")
@@ -135,14 +135,14 @@ def pairs(
     if masks is None:
         return [(view, None) for view in checked]
     if len(masks) != len(checked):
-        raise OptionError(f"masks: {len(masks)} for {len(checked)} views; each view has one.")
+        raise OptionError(f"masks: {len(masks)} masks for {len(checked)} views; give one per view.")
     found: list[tuple[NDArray[np.uint8], NDArray[np.bool_] | None]] = []
     for i, (view, given) in enumerate(zip(checked, masks, strict=True)):
         mask = np.asarray(given)
         if mask.dtype != np.bool_ or mask.shape != view.shape[:2]:
             raise OptionError(
-                f"masks[{i}] is {mask.dtype} of shape {mask.shape}; views[{i}] needs bool of shape "
-                f"{view.shape[:2]}."
+                f"masks[{i}] is {mask.dtype} of shape {mask.shape}, but views[{i}] needs "
+                f"bool of shape {view.shape[:2]}."
             )
         found.append((view, mask))
     return found
