@@ -342,8 +342,8 @@ def lies(tail):
         "is not understood.*filter": (tail, [entry(tail, filter="xor")]),
         "is not understood.*one name": (tail * 2, [entry(tail), entry(tail, offset=len(tail))]),
         "is not understood.*extra": (tail, [entry(tail, extra=1)]),
-        "have the length given in its header": (bomb, [entry(bomb, codec="zlib")]),
-        "header says": (tail, [entry(tail, codec="lzma")]),
+        "length given in its header": (bomb, [entry(bomb, codec="zlib")]),
+        "given in its header": (tail, [entry(tail, codec="lzma")]),
         "neither true nor false": (tail, [entry(tail, dtype="|b1", shape=[8])]),
         "checksum": (tail, [entry(tail, crc32=1)]),
         # a gigabyte of zeros in 1 MB: refused before it is allocated

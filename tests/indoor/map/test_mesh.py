@@ -62,7 +62,7 @@ def test_columns_have_their_types_and_cannot_be_written():
         ({"uv": np.zeros((3, 2))}, "uv: shape"),
         ({"colours": [[0, 0, 256]] * 4}, "colours: a number does not fit into uint8"),
         ({"textures": ()}, "textures: the list is empty"),
-        ({"textures": (np.zeros((2, 2), np.uint8),)}, "textures: 0 expected uint8"),
+        ({"textures": (np.zeros((2, 2), np.uint8),)}, "textures: 0 is uint8"),
         ({"textures": (WHITE, np.zeros((2, 2, 3)))}, "textures: 1 is float64"),
         ({"textures": (np.zeros((0, 2, 3), np.uint8),)}, "textures: 0 is"),
     ],

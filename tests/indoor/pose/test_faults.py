@@ -35,9 +35,9 @@ def half_elsewhere(clip, _, rng):  # noqa: ARG001
     ("spoil", "strength", "said"),
     [
         (bad.lens_cap, 0, "lens seems to be covered"),
-        (bad.frozen, 0, "frames 0 to 9 are the same"),
-        (bad.mirrored, 0, "left and right"),
-        (bad.gravity_up, 0, "gravity turned round"),
+        (bad.frozen, 0, "frames 0 to 9 are identical"),
+        (bad.mirrored, 0, "seem to be mirrored"),
+        (bad.gravity_up, 0, "Gravity seems to point up"),
         (half_elsewhere, 0, "contradict the others"),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_quarter_of_an_image_is_held_back_in_blocks(width, seed):
     camera = Camera(width, max(1, 3 * width // 4), 100.0, 100.0, 10.0, 10.0)
     held = held_back(pixels, camera)
     assert 0.1 < held.mean() < 0.35
-    # neighbours of a held-back point, a hundredth of a block away, mostly are too
+    # neighbours of a held-out point, a hundredth of a block away, mostly are too
     near = held_back(pixels + 0.01 * width / BLOCKS, camera)
     assert np.mean(near[held]) > 0.95
     # the same share of the image whatever its size
@@ -167,7 +167,7 @@ def test_the_true_way_is_believed_and_a_worse_one_is_not(refiner, exact, kit):
     assert found.stats["turn_deg"] == pytest.approx(2.0, abs=1e-2)
     refused = confirm_fit(refiner(), exact.poses, fitted(off))
     assert not refused.accepted
-    assert refused.reason.startswith("Not refined: held-back pixels")
+    assert refused.reason.startswith("Not refined: held-out pixels")
     assert refused.stats["held_back"]["depth"]["z"] == pytest.approx(-held["depth"]["z"], abs=0.02)
     unchecked = confirm_fit(refiner(check=False), exact.poses, fitted(off))
     assert (unchecked.accepted, unchecked.reason) == (True, "Refined by depth, unchecked.")
@@ -270,7 +270,7 @@ def test_images_alone_must_convince_more(refiner, exact, kit):
         (fitted(exact.poses, 0), True, NOTHING),
         (fitted(exact.poses, 5), True, "only 5 matches"),
         (nothing, True, NOTHING),
-        (fitted(exact.poses, 40), False, "no held-back pixel"),
+        (fitted(exact.poses, 40), False, "no held-out pixel"),
     ):
         found = confirm_fit(refiner(depth=False, colour=colour), off, few)
         assert not found.accepted

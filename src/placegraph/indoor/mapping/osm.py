@@ -179,8 +179,7 @@ def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
             if _LOW <= height <= _HIGH:
                 return (
                     height,
-                    f"Rooms are {height:.1f} m high, according to the height and levels of "
-                    "their building.",
+                    f"Rooms are {height:.1f} m high, from their building's height and levels.",
                 )
     return HEIGHT, f"Rooms without a height are assumed to be {HEIGHT} m high."
 

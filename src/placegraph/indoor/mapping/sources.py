@@ -75,7 +75,7 @@ class ReadOptions:
         if self.scale is not None and not (np.isfinite(self.scale) and self.scale > 0):
             raise OptionError(f"scale is {self.scale}; it must be greater than 0.")
         if self.up not in {"auto", "y", "z"}:
-            raise OptionError(f"up is {self.up!r}; it is 'auto', 'y' or 'z'.")
+            raise OptionError(f"up is {self.up!r}; it must be 'auto', 'y' or 'z'.")
 
 
 def read_source(
@@ -102,8 +102,8 @@ def read_source(
             or options.segment != "auto"
         ):
             raise OptionError(
-                f"{path} is a capture, in metres and upright: up, scale, object_property and segment "
-                "belong to meshes; leave them out."
+                f"{path} is a capture, but up, scale, object_property and segment apply "
+                "only to meshes; remove them."
             )
         how = options.capture or FromCapture()
         source = read_capture(path, how, left_out, progress, reader=options.reader)
@@ -116,8 +116,8 @@ def read_source(
             if getattr(options.capture, f.name) != getattr(plain, f.name)
         ]
         raise OptionError(
-            f"{path} is no capture: {' and '.join(given) or 'capture'} can only be used with captures; "
-            "leave it out."
+            f"{path} is not a capture, but {' and '.join(given) or 'capture'} applies only "
+            "to captures; remove it."
         )
     # glTF is y-up, all others are z-up
     axis = options.up if options.up != "auto" else "y" if kind.verb == "glb" else "z"
@@ -127,7 +127,7 @@ def read_source(
     alone = len(model.objects) == 1 and model.objects[0].label == UNKNOWN
     nameless = options.segment == "auto" and alone and len(model.triangles) > _FEW
     if options.segment is True or nameless:
-        why = ", as its file names none" if nameless else ""
+        why = ", because the file names none" if nameless else ""
         return Source(model, finish=lambda upright: cut(upright, left_out, progress, table, why))
     return Source(_label(model, table))
 
@@ -145,8 +145,8 @@ def cut(
     found = segment(model.vertices, model.triangles, model.colours, progress=progress)
     things = make_things(found)
     if model.relations:
-        left_out["relations of objects that were cut anew"] += len(model.relations)
-    note = f"It was cut into {len(things)} objects by geometry and colour{why}."
+        left_out["relations of objects that were segmented again"] += len(model.relations)
+    note = f"The mesh was segmented into {len(things)} objects by geometry and colour{why}."
     object_of = found.object_of.astype(np.int64)
     model = replace(model, objects=things, object_of=object_of, floor=found.floor, relations=())
     return Source(_label(model, table), notes=(note,))
@@ -158,8 +158,9 @@ def _label(model: Model, table: Mapping[str, Entry] | None) -> Model:
     entries = [table.get(t.id) or table.get(t.name) for t in model.objects]
     if not any(entries):
         raise InputError(
-            f"labels: none of the {len(table)} ids ({_list_some(table)}) is an object of {model.path} "
-            f"({_list_some(t.id for t in model.objects)}); is it the table of another mesh?"
+            f"labels: none of the {len(table)} ids ({_list_some(table)}) is an object of "
+            f"{model.path} ({_list_some(t.id for t in model.objects)}); check that the "
+            "table belongs to this mesh."
         )
     things = tuple(
         t
@@ -178,15 +179,15 @@ def _list_some(words: Iterable[str]) -> str:
 def _describe_unknown(path: Path) -> str:
     if not path.exists():
         return f"{path} does not exist."
-    what, mend = "has nothing that is known in it", ""
+    what, mend = "contains no known files", ""
     if path.is_file():
         what, mend = "has an unknown ending", " Save other meshes as .glb."
         if path.suffix.lower() == ".json":
-            what = "holds no scene graph" if path.stat().st_size else "is empty"
+            what = "contains no scene graph" if path.stat().st_size else "is empty"
     if "io" not in plugins(SOURCES):
         mend += (
-            " Data sets and other programs' scene graphs are read by placegraph-io, which "
-            "is not installed; run `pip install 'placegraph[io]'`."
+            " Data sets and scene graphs of other programs need placegraph-io, which is not "
+            "installed; run `pip install 'placegraph[io]'`."
         )
     known = "; ".join(map(str, (*source_formats(), *capture_formats())))
     return f"{path} {what}; a scene is built from {known}.{mend}"

@@ -392,8 +392,7 @@ class Belief:
         if sample is None or newest is None:
             return (
                 None,
-                f"An image at {frame.stamp:.3f} s is older than all odometry; check that "
-                "both use the same clock.",
+                f"An image at {frame.stamp:.3f} s is older than all odometry; check their clocks.",
             )
         if frame.stamp > newest.stamp + AHEAD:
             ahead = frame.stamp - newest.stamp
