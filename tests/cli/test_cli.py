@@ -356,7 +356,7 @@ def test_reset_and_what_is_not_understood(run, city):
     result = run("city", "track", city, stdin="I am next to a bench.\nreset\nzzz\n")
     first, reset, nothing = result.out.splitlines()
     assert first.startswith("AMBIGUOUS")
-    assert reset.startswith("LOST: There is not text yet")
+    assert reset.startswith("LOST: There is no text yet")
     assert nothing.startswith("LOST: The last text could not be understood.")
 
 

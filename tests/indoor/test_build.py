@@ -65,7 +65,7 @@ def test_a_ply_becomes_a_map(ply, tmp_path):
     opened = pg.open_map(out)
     assert opened.graph == scene.graph
     np.testing.assert_array_equal(opened.mesh.vertices, scene.mesh.vertices)
-    # Output is what is built without a file.
+    # What is written is what is built without a file.
     unwritten = build_scene(ply, None, labels={"1": "floor", "2": "table"})
     np.testing.assert_array_equal(unwritten.mesh.triangles, scene.mesh.triangles)
 
