@@ -64,33 +64,24 @@ class Node:
             raise TypeError(f"Trying to set parameter {name!r} to {given!r}, expecting {value!r}")
         return SimpleNamespace(value=given)
 
-    def create_publisher(
-        self, msg_type, topic, qos_profile, *, callback_group=None, event_callbacks=None,
-        qos_overriding_options=None, publisher_class=None,
-    ):  # fmt: skip
+    def create_publisher(self, msg_type, topic, qos_profile):
         self.publishers.append(Publisher(self, msg_type, topic, qos_profile))
         return self.publishers[-1]
 
-    def create_subscription(
-        self, msg_type, topic, callback, qos_profile, *, callback_group=None,
-        event_callbacks=None, qos_overriding_options=None, raw=False,
-    ):  # fmt: skip
+    def create_subscription(self, msg_type, topic, callback, qos_profile, *, raw=False):
         made = Subscription(msg_type, self.resolved(topic), callback, qos_profile, raw=raw)
         self.subscriptions.append(made)
         return made
 
-    def create_service(
-        self, srv_type, srv_name, callback, *, qos_profile=None, callback_group=None
-    ):
+    def create_service(self, srv_type, srv_name, callback, *, callback_group=None):
         service = SimpleNamespace(type=srv_type, callback=callback, group=callback_group)
         self.services[srv_name] = service
 
-    def create_timer(self, timer_period_sec, callback, callback_group=None, clock=None):
+    def create_timer(self, timer_period_sec, callback):
         self.timers.append(callback)
 
     def destroy_subscription(self, subscription):
         self.subscriptions.remove(subscription)
-        return True
 
     def destroy_node(self):
         self.destroyed = True
@@ -160,7 +151,7 @@ class World:
         world = self
 
         class MultiThreadedExecutor:
-            def __init__(self, num_threads=None, *, context=None):
+            def __init__(self, num_threads):
                 self.nodes = []
 
             def add_node(self, node):

@@ -12,6 +12,8 @@ from placegraph_io.ros.decode import typestore
 from placegraph_lab.worlds.bags import BagWriter
 from placegraph_ros.foxglove import FoxgloveServer, _ViewerListener, layout
 from placegraph_ros.message import Message, cdr
+from placegraph_ros.pose_messages import estimate_messages
+from placegraph_ros.scene_messages import map_messages
 from placegraph_ros.sources import PlaybackClock
 
 foxglove = pytest.importorskip("foxglove")
@@ -100,8 +102,6 @@ def test_every_setting_is_one_that_foxglove_knows():
 
 
 def test_every_topic_is_one_that_is_written(estimate, scene):
-    from placegraph_ros.pose_messages import estimate_messages
-    from placegraph_ros.scene_messages import map_messages
 
     written = [*map_messages(scene, 1.0), *estimate_messages(estimate(), 1.0)]
     topics = {f"/{message.topic}" for message in written}

@@ -72,7 +72,7 @@ def test_foxglove_knows_the_same_fields():
         (
             "geometry_msgs/msg/Point",
             {"x": "east"},
-            "a field does not fit the definition of geometry_msgs/msg/Point",
+            "does not fit the definition of geometry_msgs/msg/Point",
         ),
     ],
 )

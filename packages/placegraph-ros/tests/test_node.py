@@ -169,15 +169,6 @@ def test_without_nav2(robot, recorded):
     assert "apt install ros-$ROS_DISTRO-nav2-msgs" in warned[0]
 
 
-def test_what_is_missing_is_the_status(robot, recorded):
-    packets, _ = recorded
-    world, shell = robot()
-    sent(world, shell, [p for p in packets if "camera_info" not in p.topic])
-    said = world.node.told["/localization/status"][-1].message
-    assert said.startswith("LOST: placegraph_localizer holds no CameraInfo")
-    assert "placegraph_localizer.json" in said
-
-
 def test_images_wait_in_no_queue():
     inbox, kind = Inbox(), "sensor_msgs/msg/CompressedImage"
     for i in range(3 * NEWEST):

@@ -11,7 +11,7 @@ import pytest
 
 import killers
 from placegraph.core.geo import are_in_tile
-from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.errors import InputError, MapError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph_scale import build as module
 from placegraph_scale.build import build_world
@@ -164,9 +164,13 @@ def test_a_worker_that_is_killed_is_replaced(extract, tmp_path, monkeypatch):
     monkeypatch.setenv("KILLED_ONCE", str(tmp_path / "killed"))
     build_world([extract], tmp_path / "w", options)
     assert (tmp_path / "killed").exists()
+
+
+@pytest.mark.all
+def test_a_tile_that_kills_three_workers_ends_the_build(extract, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "build_tile", killers.always)
     with pytest.raises(MapError, match="killed 3 times"):
-        build_world([extract], tmp_path / "again", options)
+        build_world([extract], tmp_path / "w", replace(SMALL, workers=2))
 
 
 def test_workers_end_with_who_started_them(extract, tmp_path):
@@ -239,13 +243,6 @@ def test_an_extract_that_is_missing(tmp_path):
     with pytest.raises(OptionError, match="name at least one"):
         build_world([], tmp_path / "w", SMALL)
     assert not (tmp_path / "w").exists()
-
-
-def test_without_dask(extract, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    options = BuildOptions(zoom=15, scheduler="tcp://127.0.0.1:1")
-    with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
-        build_world([extract], tmp_path / "w", options)
 
 
 @pytest.fixture(scope="module")

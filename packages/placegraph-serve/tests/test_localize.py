@@ -42,6 +42,13 @@ def encoded(array, kind="PNG", **more):
     return out.getvalue()
 
 
+INTRINSICS = {"fx": 230.0, "cx": 160.0, "cy": 90.0, "width": 320, "height": 180}
+
+
+def depth_png(frame):
+    return encoded(np.nan_to_num(frame.depth() * 1000).astype(np.uint16))
+
+
 def asked(client, files, **request):
     return client.post("/v1/localize", files=files, data={"request": json.dumps(request)})
 
@@ -67,14 +74,9 @@ def test_a_phones_picture_without_gravity(client, frame, truth):
 def test_images_of_a_way_with_depth(client, walk, truth):
     capture = pg.open_capture(walk)[10:]
     files = [("images", ("i", encoded(f.rgb()))) for f in capture]
-    files += [("depth", ("d", encoded(np.nan_to_num(f.depth() * 1000).astype(np.uint16))))
-              for f in capture]  # fmt: skip
-    camera = {"fx": 230.0, "cx": 160.0, "cy": 90.0, "width": 320, "height": 180}
-    known = {
-        "intrinsics": camera,
-        "odometry": capture.odometry.tolist(),
-        "gravity": capture.gravity.tolist(),
-    }
+    files += [("depth", ("d", depth_png(f))) for f in capture]
+    known = {"intrinsics": INTRINSICS, "odometry": capture.odometry.tolist()}
+    known["gravity"] = capture.gravity.tolist()
     told = asked(client, files, **known).json()
     assert told["estimate"]["status"] == "OK"
     assert off(told["estimate"]["modes"][0], truth[-1]) < 0.05
@@ -101,8 +103,6 @@ def test_a_capture_in_a_zip(client, walk, truth, tmp_path):
     ("files", "request_", "status", "says"),
     [
         ({}, "{}", 400, "images: send one or more"),
-        ({"images": b""}, "{}", 400, r"images\[0\] is empty"),
-        ({"images": encoded(np.zeros((1, 1, 3), np.uint8))}, "{}", 400, "1 x 1 pixels"),
         ({"images": encoded(np.zeros((5000, 8000), bool))}, "{}", 413, "megapixels"),
         ({"images": b"x"}, "{", 400, "request: not JSON"),
         ({"images": b"x"}, "[" * 100, 413, "nested"),
@@ -115,9 +115,7 @@ def test_bad_uploads(client, files, request_, status, says):
     sent = {name: (name, data) for name, data in files.items()} or {"other": ("a", b"")}
     answer = client.post("/v1/localize", files=sent, data={"request": request_})
     assert answer.status_code == status
-    import re
-
-    assert re.search(says, answer.json()["detail"])
+    assert says in answer.json()["detail"]
 
 
 def test_a_prior_is_given_in_degrees_and_in_part():
@@ -204,18 +202,21 @@ def test_a_geolocation_far_from_the_map_is_left_out_and_told(
     assert all(says in note and "was left out" in note for note in told["notes"])
 
 
-def test_the_protocols_own_example(client, shared):
+@pytest.fixture
+def example(shared):
+    return json.loads((shared / "conformance/geopose/gpp-request.example.json").read_text())
+
+
+def test_the_protocols_own_example(client, shared, example):
+    """It has no picture: what is left is where its geolocation says."""
     jsonschema = pytest.importorskip("jsonschema")
-    folder = shared / "conformance" / "geopose"
-    example = json.loads((folder / "gpp-request.example.json").read_text())
-    schema = json.loads((folder / "gpp-request.schema.json").read_text())
+    schema = json.loads((shared / "conformance/geopose/gpp-request.schema.json").read_text())
     wrong = [list(e.path) for e in jsonschema.Draft7Validator(schema).iter_errors(example)]
     assert all(path[-1] == "timestamp" for path in wrong)  # text, where its schema wants numbers
     for stamp in (None, 1608995990413):
         if stamp:
-            example["timestamp"] = stamp
-            for reading in example["sensorReadings"]:
-                reading["timestamp"] = stamp
+            for entry in (example, *example["sensorReadings"]):
+                entry["timestamp"] = stamp
             jsonschema.validate(example, schema)
         told = client.post("/geopose", json=example).json()
         assert told["id"] == example["id"]
@@ -227,9 +228,7 @@ def test_the_protocols_own_example(client, shared):
         assert told["accuracy"]["orientation"] == 180
 
 
-def test_the_example_with_a_picture_of_the_flat(client, shared, frame):
-    folder = shared / "conformance" / "geopose"
-    example = json.loads((folder / "gpp-request.example.json").read_text())
+def test_the_example_with_a_picture_of_the_flat(client, example, frame):
     reading = example["sensorReadings"][0]["reading"]
     reading["imageBytes"] = base64.b64encode(encoded(frame.rgb(), "JPEG")).decode()
     told = client.post("/geopose", json=example).json()
@@ -265,22 +264,15 @@ def test_no_image_and_no_fix(client):
 
 
 def test_a_camera_is_followed(client, walk, truth):
-    camera = {"fx": 230.0, "cx": 160.0, "cy": 90.0, "width": 320, "height": 180}
-    begun = client.post("/v1/sessions", json={"camera": camera})
+    begun = client.post("/v1/sessions", json={"camera": INTRINSICS})
     assert begun.status_code == 201
     session = begun.json()["session"]
     with client.websocket_connect(f"/v1/sessions/{session}") as socket:
         for f in pg.open_capture(walk):
-            step = {
-                "image": base64.b64encode(encoded(f.rgb())).decode(),
-                "depth": base64.b64encode(
-                    encoded(np.nan_to_num(f.depth() * 1000).astype(np.uint16))
-                ).decode(),
-                "odometry": f.odometry.tolist(),
-                "gravity": f.gravity.tolist(),
-                "stamp": f.stamp,
-            }
-            socket.send_json(step)
+            images = {"image": encoded(f.rgb()), "depth": depth_png(f)}
+            step = {name: base64.b64encode(png).decode() for name, png in images.items()}
+            step |= {"odometry": f.odometry.tolist(), "gravity": f.gravity.tolist()}
+            socket.send_json(step | {"stamp": f.stamp})
             told = socket.receive_json()
         assert told["estimate"]["status"] == "OK"
         assert off(told["estimate"]["modes"][0], truth[-1]) < 0.15
@@ -288,7 +280,4 @@ def test_a_camera_is_followed(client, walk, truth):
         assert socket.receive_json()["mend"] == "Give one in base64, JPEG or PNG."
     assert client.delete(f"/v1/sessions/{session}").status_code == 204
     assert client.post(f"/v1/sessions/{session}", json={}).json()["code"] == "session_unknown"
-
-
-def test_a_session_needs_a_camera(client):
     assert "camera: missing" in client.post("/v1/sessions", json={}).json()["detail"]

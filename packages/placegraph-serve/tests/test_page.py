@@ -131,9 +131,8 @@ def test_keys_and_labels_suffice(browser, url):
         seen = []
         for _ in range(40):
             page.keyboard.press("Tab")
-            seen.append(
-                page.evaluate("document.activeElement.id || document.activeElement.tagName")
-            )
+            focused = "document.activeElement.id || document.activeElement.tagName"
+            seen.append(page.evaluate(focused))
             if seen[-1] == "CANVAS":
                 break
         assert seen[0] == "text"  # then what is found, and the map at last
@@ -188,10 +187,8 @@ def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
         inside(page)
         assert page.evaluate(SCALE) in {"1 m", "2 m"}
         assert page.inner_text(".floor b") == "Hotel Hansa"
-        assert (
-            page.get_by_role("button", name="Floor 2", exact=True).get_attribute("aria-pressed")
-            == "true"
-        )
+        floor = page.get_by_role("button", name="Floor 2", exact=True)
+        assert floor.get_attribute("aria-pressed") == "true"
         box = page.locator(".pin.on").bounding_box()  # it stands in the kitchen
         page.mouse.move(box["x"] + 60, box["y"] + 60)
         page.wait_for_selector(".tip:has-text('kitchen')")

@@ -4,8 +4,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from placegraph.core.geo import key_at
 from placegraph.errors import InputError, MapError, RequestError
 from placegraph.maps import open_map
+from placegraph_scale.shards import finish
 from placegraph_serve.drawing import AnswerCache
 from placegraph_serve.locate import locate
 from placegraph_serve.options import ServeOptions
@@ -101,8 +103,6 @@ def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
 
 
 def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
-    from placegraph.core.geo import key_at
-    from placegraph_scale.shards import finish
 
     town = open_map(maps / "hafenstadt.city")
     key = key_at(town.plane.longitude, town.plane.latitude, 6)

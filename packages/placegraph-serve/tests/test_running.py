@@ -240,21 +240,15 @@ def test_worlds_are_asked_with_no_map_named(running, walk):
     told = httpx.post(f"{running.url}/v1/localize", files={"images": picture}, timeout=60).json()
     assert told["map"] == "altbau"
     assert told["geopose"]["position"]["lat"] == pytest.approx(53.55, abs=1e-3)
-    asked = {
-        "id": "w",
-        "timestamp": 1,
-        "type": "geopose",
-        "sensors": [{"id": "0", "type": "camera"}],
-        "sensorReadings": {
-            "cameraReadings": [
-                {
-                    "sensorId": "0",
-                    "imageBytes": base64.b64encode(picture).decode(),
-                    "size": [320, 180],
-                }
-            ]
-        },
+    reading = {
+        "sensorId": "0",
+        "imageBytes": base64.b64encode(picture).decode(),
+        "size": [320, 180],
     }
+    asked = {
+        "id": "w", "timestamp": 1, "type": "geopose", "sensors": [{"id": "0", "type": "camera"}],
+        "sensorReadings": {"cameraReadings": [reading]},
+    }  # fmt: skip
     told = httpx.post(f"{running.url}/geopose", json=asked, timeout=60).json()
     assert told["source"] == "images"
     assert told["geopose"]["position"]["lat"] == pytest.approx(53.55, abs=1e-3)

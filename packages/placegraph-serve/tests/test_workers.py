@@ -8,6 +8,7 @@ from starlette.testclient import TestClient
 
 from placegraph_serve.limits import Guard, Keys, Metrics
 from placegraph_serve.options import ServeOptions
+from placegraph_serve.workers import answer
 from serve_world import SENTENCE, ready, serving
 
 SAID = {"text": SENTENCE}
@@ -81,11 +82,8 @@ def test_a_session_whose_process_died_is_over(bounded):
 
 
 def test_an_answer_that_is_no_json_is_a_problem(monkeypatch):
-    from placegraph_serve import locate
-    from placegraph_serve import workers as worker
-
-    monkeypatch.setattr(locate, "locate", lambda *_: {"text": "\ud800"})
-    body, trouble = worker.answer(None, "locate", {})
+    monkeypatch.setattr("placegraph_serve.locate.locate", lambda *_: {"text": "\ud800"})
+    body, trouble = answer(None, "locate", {})
     assert (body, trouble["code"]) == (None, "failed")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.indoor.library.library import Entry
 from placegraph.world import open_world
@@ -156,10 +157,8 @@ def test_a_shard_that_cannot_be_read_is_named_and_the_rest_answers(damaged, faul
     elif fault == "another":
         shutil.copy(damaged / "all.shards" / "00002.shard", shard)
     elif fault == "newer":
-        from placegraph.core import mapfile as store
-
-        file = store.read_map(shard, "shard", 1)
-        store.write_map(shard, "shard", 2, file.meta, file.arrays)
+        file = read_map(shard, "shard", 1)
+        write_map(shard, "shard", 2, file.meta, file.arrays)
     else:
         middle = len(whole) // 2
         other = bytes([whole[middle] ^ 1])
@@ -180,14 +179,8 @@ def test_a_shard_that_cannot_be_read_is_named_and_the_rest_answers(damaged, faul
 def test_a_map_that_is_gone_is_named(maps_and_library, damaged, tmp_path):
     read, _ = maps_and_library
     library = pg.open_map(read / "all.library")
-    listed = [
-        NamedEntry(
-            n,
-            library.entry(n),
-            str(tmp_path / "gone.scene") if n == "reading" else str(library.entry(n).path),
-        )
-        for n in library
-    ]
+    paths = {n: library.entry(n).path for n in library} | {"reading": tmp_path / "gone.scene"}
+    listed = [NamedEntry(n, library.entry(n), str(path)) for n, path in paths.items()]
     write_shards(damaged / "all.shards", listed)
     found = open_world(damaged).locate("There is a bed next to a wardrobe.")
     assert found.best.scene == "stacks"
@@ -197,24 +190,16 @@ def test_a_map_that_is_gone_is_named(maps_and_library, damaged, tmp_path):
 @pytest.mark.parametrize(
     "column",
     [
-        "code_0",
-        "panoramas",
-        "starts",
-        "names_starts",
-        "text_label_units",
-        "stand_starts",
-        "order",
+        "code_0", "panoramas", "starts", "names_starts", "text_label_units", "stand_starts", "order",
         "vectors_1",
     ],
-)
+)  # fmt: skip
 def test_a_forged_column_is_refused(damaged, column):
-    from placegraph.core import mapfile as store
-
     shard = damaged / "all.shards" / "00001.shard"
-    file = store.read_map(shard, "shard", 1)
+    file = read_map(shard, "shard", 1)
     forged = np.array(file.arrays[column])
     forged = forged[:-1] if column in ("order", "vectors_1") else forged + 5
-    store.write_map(shard, "shard", 1, file.meta, file.arrays | {column: forged})
+    write_map(shard, "shard", 1, file.meta, file.arrays | {column: forged})
     shards = pg.open_map(damaged / "all.shards")
     assert shards.missing == 4
     assert "00001.shard" in shards.notes[0]

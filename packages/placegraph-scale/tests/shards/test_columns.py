@@ -51,7 +51,7 @@ def test_no_more_is_checked_than_is_read(file):
     assert sum(columns["numbers"].is_checked) == 1
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(st.one_of(st.integers(0, 1 << 60), st.sampled_from(NUMBERS.tolist())))
 def test_a_value_is_found_where_it_belongs(file, value):
     assert read(file)[1]["numbers"].find(value) == np.searchsorted(NUMBERS, np.uint64(value))

@@ -1,5 +1,4 @@
 import gc
-import json
 import shutil
 import weakref
 from dataclasses import replace
@@ -23,37 +22,27 @@ def planet(sharded):
     return pg.open_world(sharded)
 
 
-@pytest.mark.parametrize("text", [TEXTS[i] for i in (0, 2, 3, 4)])
-def test_shards_answer_as_one_map(text, whole, planet):
-    one, many = whole.locate(text), planet.locate(text)
+# around what is seen from afar one map gives viewpoints a lower bound than a shard, which lists all
+@pytest.mark.parametrize(
+    ("row", "near"), [*((i, 1e-5) for i in (0, 2, 3, 4)), *((i, 1e-4) for i in (1, 5, 6))]
+)
+def test_shards_answer_as_one_map(row, near, whole, planet):
+    one, many = (world.locate(TEXTS[row]) for world in (whole, planet))
     assert many.status is one.status
-    assert len(many.modes) == len(one.modes)
-    assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-5)
-    assert many.best.latitude == pytest.approx(one.best.latitude, abs=1e-5)
-    for a, b in zip(one.modes, many.modes, strict=True):
-        assert b.probability == pytest.approx(a.probability, abs=0.01)
-    assert [e.verdict for e in many.evidence] == [e.verdict for e in one.evidence]
+    assert many.best.longitude == pytest.approx(one.best.longitude, abs=near)
+    assert many.best.latitude == pytest.approx(one.best.latitude, abs=near)
     assert [e.objects for e in many.evidence] == [e.objects for e in one.evidence]
-
-
-@pytest.mark.parametrize("text", [TEXTS[i] for i in (1, 5, 6)])
-def test_what_is_seen_from_afar_is_found_across_borders(text, whole, planet):
-    # one map gives viewpoints around such a thing a lower bound than a shard, which lists them all
-    one, many = whole.locate(text), planet.locate(text)
-    assert many.status is one.status
-    assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-4)
-    assert many.best.latitude == pytest.approx(one.best.latitude, abs=1e-4)
-    assert [e.objects for e in many.evidence] == [e.objects for e in one.evidence]
+    if near == 1e-5:
+        chances = ([m.probability for m in found.modes] for found in (many, one))
+        np.testing.assert_allclose(*chances, atol=0.01)
+        assert [e.verdict for e in many.evidence] == [e.verdict for e in one.evidence]
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.004])
 def test_a_fix_is_a_prior_over_all_shards(shift, whole, planet):
     near = (10.012 + shift, 50.006)
     text = "A bakery is north of me. A cafe is east of me."
-    one, many = (
-        whole.locate(text, near=near, radius=200),
-        planet.locate(text, near=near, radius=200),
-    )
+    one, many = (world.locate(text, near=near, radius=200) for world in (whole, planet))
     assert many.best.longitude == pytest.approx(one.best.longitude, abs=1e-5)
     assert many.best.probability == pytest.approx(one.best.probability, abs=0.01)
     assert touched(many) < len(shards_of(planet).sources)
@@ -69,13 +58,6 @@ def test_a_rare_name_takes_few_shards_and_common_things_many(planet):
     )
     common = planet.locate("A bench is north of me. A tree is east of me.")
     assert touched(name) < touched(common)
-
-
-def test_the_same_question_has_the_same_answer(planet, sharded):
-    again = pg.open_world(sharded)
-    one, other = (w.locate(TEXTS[0]).to_dict() for w in (planet, again))
-    assert one == other
-    assert json.dumps(one)
 
 
 def test_it_asks_back_within_the_best_shard(planet):
@@ -179,6 +161,7 @@ def test_a_search_ends_where_what_is_lost_alone_matters(whole, tmp_path, monkeyp
 
 @pytest.mark.parametrize("fix", [{}, {"near": (10.012, 50.006), "radius": 200.0}])
 def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
+    assert planet.locate(TEXTS[0], budget=1e6).reason == planet.locate(TEXTS[0]).reason
     late = planet.locate(TEXTS[0], budget=1e-9, **fix)
     assert late.status is not Status.OK
     assert late.reason.startswith(
@@ -203,14 +186,6 @@ def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, st
     else:
         assert found.status is not Status.OK
         assert "The time was over" in found.reason
-
-
-def test_a_budget_gives_the_best_so_far(planet):
-    text = "A bench is north of me. A tree is east of me."
-    late = planet.locate(text, budget=1e-6)
-    assert late.status is not Status.OK
-    assert "was not searched" in late.reason
-    assert planet.locate(text, budget=1e6).reason == planet.locate(text).reason
 
 
 def test_a_table_of_another_world_is_refused(world):

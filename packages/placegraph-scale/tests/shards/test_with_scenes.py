@@ -105,12 +105,6 @@ def test_it_asks_back_for_buildings_and_takes_the_answer(both, frames):
     assert (told.status, told.best.building in question.text) == (Status.OK, False)
 
 
-def test_a_budget_leaves_nothing_sure(both, frames):
-    found = both[1].locate(WINDOW, frames, budget=1e-6)
-    assert found.status is Status.AMBIGUOUS
-    assert "The time was over" in found.reason
-
-
 def test_a_shard_where_scenes_stand_may_be_gone(folders, frames, tmp_path):
     world = shutil.copytree(folders[1], tmp_path / "WORLD")
     for shard in (world / "shards").iterdir():

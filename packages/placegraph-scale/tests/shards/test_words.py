@@ -129,7 +129,7 @@ def written(path, names):
     return WordTable.open(path).names
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(SAID, min_size=1, max_size=12, unique=True).map(sorted), SAID)
 def test_names_on_disk_mean_what_names_in_memory_mean(tmp_path_factory, names, phrase):
     path = tmp_path_factory.mktemp("names") / "words.table"
@@ -148,7 +148,7 @@ def test_a_misspelt_name_is_found_by_its_words(tmp_path):
     assert names.closest_name("Church") is None
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.data())
 def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
     names = tuple(sorted(f"{a} {b}" for a in WORDS for b in WORDS))

@@ -12,7 +12,6 @@ from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.outdoor.city import CityMap
 from placegraph_scale.shards import workers
-from placegraph_scale.shards import workers as cluster
 from shards_world import TEXTS, shards_of
 
 dask = pytest.importorskip("dask")
@@ -46,7 +45,7 @@ def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
         return await real(worker, tasks, seconds)
 
     monkeypatch.setattr(shards_of(planet).pool, "ask", asked)
-    tasks = [workers.ShardTask("name", source, ([],)) for source in shards_of(planet).sources]
+    tasks = [workers.ShardTask("name", shard, ([],)) for shard in shards_of(planet).sources]
     assert shards_of(planet).pool.each(tasks) == {row: [] for row in range(len(tasks))}
     assert len(sent) == 2 < len(tasks) == sum(map(len, sent))
     planet.close()
@@ -79,21 +78,21 @@ def test_a_scheduler_that_is_not_there_is_said():
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(ServiceError, match="No scheduler answers"):
-        cluster.connect(address, 0.2)
+        workers.connect(address, 0.2)
     with pytest.raises(ServiceError, match="No scheduler answers"):
-        cluster.connect("nonsense://x", 0.2)
+        workers.connect("nonsense://x", 0.2)
 
 
 def test_another_version_and_no_workers_are_said(scheduler, monkeypatch):
-    monkeypatch.setattr(cluster, "version", lambda _: "1999.1")
+    monkeypatch.setattr(workers, "version", lambda _: "1999.1")
     with pytest.raises(ServiceError, match="1999"):
-        cluster.connect(scheduler)
+        workers.connect(scheduler)
     monkeypatch.undo()
     with (
         local(n_workers=0, processes=False, protocol="tcp") as empty,
         pytest.raises(ServiceError, match="has no worker"),
     ):
-        cluster.connect(empty.scheduler_address)
+        workers.connect(empty.scheduler_address)
 
 
 def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
@@ -103,7 +102,7 @@ def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
 
 
 def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypatch):
-    monkeypatch.setattr(cluster, "TIMEOUT", 2.0)
+    monkeypatch.setattr(workers, "TIMEOUT", 2.0)
     options = {"n_workers": 1, "processes": False, "protocol": "tcp"}
     with local(**options) as found:
         address = found.scheduler_address
@@ -141,13 +140,16 @@ def source(key, size=1):
     return workers.ShardSource(key, f"{key}.city", "", size)
 
 
+TASKS = [workers.ShardTask("name", source("1"), ())]
+
+
 def ran(work):
     """What a coroutine returns; in a thread, since tests of pages leave a loop in this one."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(asyncio.run, work).result()
 
 
-class Ending(cluster.Cluster):
+class Ending(workers.Cluster):
     """Its workers are new at each look, and end at the shard 0."""
 
     looks = 0
@@ -164,7 +166,7 @@ class Ending(cluster.Cluster):
 
 def test_where_every_worker_ended_the_shard_is_lost_and_no_other():
     sources = [source(str(k)) for k in range(6)]
-    work = cluster._Dispatch(
+    work = workers._Dispatch(
         Ending(None, "x", sources), [workers.ShardTask("name", s, ()) for s in sources], None
     )
     ran(work.do())
@@ -177,17 +179,15 @@ def test_where_no_worker_is_left_it_is_said(monkeypatch):
         async def workers(self, _age=0.0):
             return []
 
-    monkeypatch.setattr(cluster, "REPLACED", 0.0)
-    work = cluster._Dispatch(
-        Empty(None, "x", []), [workers.ShardTask("name", source("1"), ())], None
-    )
+    monkeypatch.setattr(workers, "REPLACED", 0.0)
+    work = workers._Dispatch(Empty(None, "x", []), TASKS, None)
     with pytest.raises(ServiceError, match="no worker"):
         ran(work.do())
 
 
 def test_workers_share_the_world_and_keep_their_shards():
     sources = [source(str(k), 1 + k % 7) for k in range(200)]
-    three, four = (cluster.share_out(sources, [f"w{i}" for i in range(n)]) for n in (3, 4))
+    three, four = (workers.share_out(sources, [f"w{i}" for i in range(n)]) for n in (3, 4))
     loads = [sum(s.size for s in sources if three[s.key] == f"w{i}") for i in range(3)]
     assert max(loads) <= 1.05 * sum(loads) / 3 + 7
     moved = sum(three[s.key] != four[s.key] and four[s.key] != "w3" for s in sources)
@@ -219,10 +219,10 @@ def test_steps_of_two_clients_are_done_one_after_the_other(monkeypatch):
 
 
 @pytest.mark.all
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_worker_killed_in_between_loses_nothing(sharded, count):
     slow = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # to start on a busy machine
-    with dask.config.set(slow), local(n_workers=workers, processes=True) as found:
+    with dask.config.set(slow), local(n_workers=count, processes=True) as found:
         alone = pg.open_world(sharded)
         planet = pg.open_world(sharded, scheduler=found.scheduler_address)
         planet.locate(TEXTS[0])
@@ -241,9 +241,8 @@ def test_a_worker_stops_while_its_answer_is_still_in_time():
             sent.append(seconds)
             return [None for _ in tasks]
 
-    tasks = [workers.ShardTask("name", source("1"), ())]
-    for until in (cluster.monotonic() + 100.0, None):
-        ran(cluster._Dispatch(Asked(None, "x", [source("1")]), tasks, until).do())
+    for until in (workers.monotonic() + 100.0, None):
+        ran(workers._Dispatch(Asked(None, "x", [source("1")]), TASKS, until).do())
     assert 0.0 < sent[0] < 90.0
     assert sent[1] is None
 
@@ -253,9 +252,6 @@ def test_the_world_waits_for_no_worker_longer_than_was_given():
         async def ask(self, *_):
             await asyncio.Event().wait()
 
-    work = cluster._Dispatch(
-        Hanging(None, "x", [source("1")]), [workers.ShardTask("name", source("1"), ())],
-        cluster.monotonic() + 0.01,
-    )  # fmt: skip
+    work = workers._Dispatch(Hanging(None, "x", [source("1")]), TASKS, workers.monotonic() + 0.01)
     ran(work.do())
     assert work.results == {}
