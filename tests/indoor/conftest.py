@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.indoor.mapping.parts import cuboid
 
 from placegraph.core.geometry import Camera
 from placegraph.core.threads import limit_threads
@@ -119,17 +120,8 @@ def truth():
     return read
 
 
-FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-
-
-def _box(low, high):
-    low, high = np.array(low, float), np.array(high, float)
-    corners = [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
-    return np.array(corners), np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
-
-
 def _model(boxes, **columns):
-    parts = [_box(*box) for box in boxes.values()]
+    parts = [cuboid(*box) for box in boxes.values()]
     things = tuple(ModelObject(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
     model = Model(
         path=Path("drawn.glb"),

@@ -1,5 +1,4 @@
 import sys
-from collections import Counter
 
 import fsspec
 import numpy as np
@@ -20,71 +19,47 @@ from placegraph_io.overture import (
     Box,
     Overture,
     is_overture,
-    make_id,
     read_overture,
     tag_table,
     tags_of,
 )
 
-BBOX = pa.struct([(edge, pa.float32()) for edge in ("xmin", "xmax", "ymin", "ymax")])
-BETWEEN = pa.list_(pa.float64())
-RULE = pa.struct(
-    [
-        ("variant", pa.string()), ("language", pa.string()), ("perspectives", pa.string()),
-        ("value", pa.string()), ("between", BETWEEN), ("side", pa.string()),
+TYPES = {
+    "": pa.string(), "number": pa.float64(), "int": pa.int32(), "bool": pa.bool_(),
+    "blob": pa.binary(), "numbers": pa.list_(pa.float64()), "texts": pa.list_(pa.string()),
+    "tags": pa.map_(pa.string(), pa.string()),
+}  # fmt: skip
+
+
+def columns(words):
+    """Columns of text, or of another type where a colon and its name follow."""
+    return [
+        (name, TYPES[kind]) for name, _, kind in (word.partition(":") for word in words.split())
     ]
-)  # fmt: skip
-NAMES = pa.struct(
-    [
-        ("primary", pa.string()),
-        ("common", pa.map_(pa.string(), pa.string())),
-        ("rules", pa.list_(RULE)),
-    ]
-)
-SOURCE = pa.struct(
-    [
-        ("property", pa.string()), ("dataset", pa.string()), ("license", pa.string()),
-        ("record_id", pa.string()), ("update_time", pa.string()), ("confidence", pa.float64()),
-        ("between", BETWEEN),
-    ]
-)  # fmt: skip
-COMMON = [
-    ("id", pa.string()), ("geometry", pa.binary()), ("bbox", BBOX), ("version", pa.int32()),
-    ("sources", pa.list_(SOURCE)), ("names", NAMES),
-]  # fmt: skip
-CATEGORIES = pa.struct([("primary", pa.string()), ("alternate", pa.list_(pa.string()))])
-TAXONOMY = pa.struct(
-    [("primary", pa.string()), *((n, pa.list_(pa.string())) for n in ("hierarchy", "alternates"))]
-)
-ADDRESS = pa.struct([(x, pa.string()) for x in ("freeform", "locality", "postcode", "country")])
-BRAND = pa.struct([("wikidata", pa.string()), ("names", NAMES)])
+
+
+def struct(words):
+    return pa.struct(columns(words))
+
+
+TYPES["bbox"] = pa.struct([(edge, pa.float32()) for edge in ("xmin", "xmax", "ymin", "ymax")])
+TYPES["rules"] = pa.list_(struct("variant language perspectives value between:numbers side"))
+TYPES["names"] = struct("primary common:tags rules:rules")
+SOURCE = "property dataset license record_id update_time confidence:number between:numbers"
+TYPES["sources"] = pa.list_(struct(SOURCE))
+TYPES["categories"] = struct("primary alternate:texts")
+TYPES["taxonomy"] = struct("primary hierarchy:texts alternates:texts")
+TYPES["addresses"] = pa.list_(struct("freeform locality postcode country"))
+TYPES["brand"] = struct("wikidata names:names")
+TYPES["parts"] = pa.list_(struct("value between:numbers"))
+TYPES["connectors"] = pa.list_(struct("connector_id at:number"))
+COMMON = "id geometry:blob bbox:bbox version:int sources:sources names:names "
 SCHEMAS = {
-    "place": pa.schema(
-        [
-            *COMMON, ("categories", CATEGORIES), ("basic_category", pa.string()),
-            ("taxonomy", TAXONOMY), ("confidence", pa.float64()), ("brand", BRAND),
-            ("addresses", pa.list_(ADDRESS)), ("operating_status", pa.string()),
-        ]
-    ),
-    "building": pa.schema(
-        [
-            *COMMON, ("level", pa.int32()), ("subtype", pa.string()), ("class", pa.string()),
-            ("height", pa.float64()), ("has_parts", pa.bool_()), ("num_floors", pa.int32()),
-        ]
-    ),
-    "segment": pa.schema(
-        [
-            *COMMON, ("subtype", pa.string()), ("class", pa.string()), ("subclass", pa.string()),
-            ("subclass_rules", pa.list_(pa.struct([("value", pa.string()), ("between", BETWEEN)]))),
-            ("connectors", pa.list_(pa.struct([("connector_id", pa.string()), ("at", pa.float64())]))),
-        ]
-    ),
-    "infrastructure": pa.schema(
-        [
-            *COMMON, ("subtype", pa.string()), ("class", pa.string()),
-            ("source_tags", pa.map_(pa.string(), pa.string())),
-        ]
-    ),
+    "place": "categories:categories basic_category taxonomy:taxonomy confidence:number brand:brand"
+             " addresses:addresses operating_status",
+    "building": "level:int subtype class height:number has_parts:bool num_floors:int",
+    "segment": "subtype class subclass subclass_rules:parts connectors:connectors",
+    "infrastructure": "subtype class source_tags:tags",
 }  # fmt: skip
 UUID = "b4c3b6a4-5dfb-4a3f-8a3c-{:012x}"
 
@@ -107,7 +82,9 @@ def place(lon, lat, i=0, category=None, **columns):
 
 def write(path, kind, rows, **options):
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.Table.from_pylist(rows, SCHEMAS[kind]), path, **options)
+    pq.write_table(
+        pa.Table.from_pylist(rows, pa.schema(columns(COMMON + SCHEMAS[kind]))), path, **options
+    )
     return path
 
 
@@ -383,10 +360,3 @@ def test_without_pyarrow(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[overture\]"):
         read("p.parquet")
-
-
-def test_identities():
-    assert make_id("00000000-0000-4000-8000-0000000000ff") == -256
-    assert make_id("tmp_1") < 0
-    assert make_id("tmp_1") != make_id("tmp_2")
-    assert Counter(map(make_id, (UUID.format(i) for i in range(1000)))).most_common(1)[0][1] == 1

@@ -9,6 +9,13 @@ from placegraph.io.capture.capture import open_capture
 from placegraph_io.up import estimated_up, surface_normals, upright
 
 NONE = np.zeros((0, 3))
+
+
+def shaken(normals, rng, by=0.01):
+    normals = normals + by * rng.standard_normal(normals.shape)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
 VECTORS = st.tuples(*[st.floats(-2, 2)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
@@ -35,8 +42,7 @@ def test_level_surfaces_say_it_exactly(vector, seed):
     tilt = rotation_from_vector(vector)
     floor = np.tile([0.0, 0.0, 1.0], (300, 1)) * rng.choice([-1, 1], (300, 1))
     walls = np.tile([1.0, 0.0, 0.0], (900, 1))
-    noisy = np.concatenate([floor, walls]) + 0.02 * rng.standard_normal((1200, 3))
-    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+    noisy = shaken(np.concatenate([floor, walls]), rng, 0.02)
     up, how = estimated_up(tilt @ cameras([0.0, 0.05], roll=0.05), noisy @ tilt.T)
     assert degrees(up, tilt) < 0.5
     assert "surfaces" in how
@@ -91,9 +97,7 @@ def test_the_level_of_many_beats_a_ramp_of_more():
     rng = np.random.default_rng(2)
     ramp = rotation_from_vector([np.radians(8), 0, 0]) @ [0, 0, 1.0]
     parts = [(200, [0, 0, 1.0]), (300, ramp), (400, [1.0, 0, 0]), (400, [0, 1.0, 0])]
-    normals = np.concatenate([np.tile(n, (count, 1)) for count, n in parts])
-    normals += 0.01 * rng.standard_normal(normals.shape)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = shaken(np.concatenate([np.tile(n, (count, 1)) for count, n in parts]), rng)
     up, how = estimated_up(cameras([0.0, 0.05], 0.1), normals)
     assert degrees(up, np.eye(3)) < 0.3
     assert "surfaces" in how
@@ -101,19 +105,15 @@ def test_the_level_of_many_beats_a_ramp_of_more():
 
 def test_walls_alone_tell_it_but_not_one():
     rng = np.random.default_rng(4)
-    walls = np.repeat([[1.0, 0, 0], [0.6, 0.8, 0]], 100, axis=0)
-    walls += 0.01 * rng.standard_normal(walls.shape)
-    walls /= np.linalg.norm(walls, axis=1, keepdims=True)
-    turns = cameras([0.0, 0.05])
-    up, how = estimated_up(turns, walls)
+    walls = shaken(np.repeat([[1.0, 0, 0], [0.6, 0.8, 0]], 100, axis=0), rng)
+    up, how = estimated_up(cameras([0.0, 0.05]), walls)
     assert degrees(up, np.eye(3)) < 0.3
     assert "surfaces" in how
 
 
 def test_where_surfaces_tell_nothing_the_cameras_word_stands():
     rng = np.random.default_rng(3)
-    normals = rng.standard_normal((5000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = shaken(np.zeros((5000, 3)), rng, 1.0)
     up, how = estimated_up(cameras([0.0, 0.4, 1.2, 1.9]), normals)
     assert degrees(up, np.eye(3)) < 1e-4
     assert "x axes" in how

@@ -2,8 +2,6 @@ import os
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from placegraph.errors import InputError
@@ -16,8 +14,6 @@ from placegraph_learn.training import (
     draw_curves,
     open_folder,
     rows_of,
-    spread,
-    ticks,
 )
 
 
@@ -83,24 +79,3 @@ def test_few_epochs_and_few_figures_are_drawn(rows, tmp_path):
     path = draw_curves(rows, tmp_path / "curves.png")
     with Image.open(path) as picture:
         assert len(picture.getcolors(1 << 20)) > 10
-
-
-@given(st.floats(-1e6, 1e6), st.floats(0.0, 1e6))
-def test_ticks_span_what_they_label(low, span):
-    high = low + span
-    found = ticks(low, high)
-    slack = 1e-6 * max(1.0, abs(low), abs(high))
-    assert found[0] <= low + slack
-    assert found[-1] >= high - slack
-    assert 2 <= len(found) <= 9
-    assert (np.diff(found) > 0).all()
-
-
-@given(st.lists(st.floats(0.0, 400.0), max_size=8))
-def test_labels_keep_apart_and_in_order(heights):
-    moved = spread(heights, 17.0)
-    assert len(moved) == len(heights)
-    order = np.argsort(heights, kind="stable")
-    assert (np.diff(np.array(moved)[order]) >= 17.0 - 1e-6).all()
-    if len(heights) == 1 or (len(heights) and np.diff(np.sort(heights)).min() >= 17.0):
-        assert moved == pytest.approx(heights)

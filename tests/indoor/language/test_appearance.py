@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from tests.indoor.mapping.parts import cuboid
 
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, rank_scenes, read
@@ -17,26 +18,16 @@ from placegraph.indoor.language.prior import Referents
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 
-CUBE = np.array([
-    [0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
-    [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5],
-])  # fmt: skip
-
 
 def room(*things):
-    corners, colours = [], []
-    for _, centre, size, colour in things:
-        unit = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) - 0.5
-        corners.append(np.asarray(centre) + unit * size)
-        colours.append(np.tile(colour, (8, 1)))
-    mesh = Mesh.plain(
-        np.concatenate(corners),
-        np.concatenate([CUBE + 8 * i for i in range(len(things))]),
-        np.repeat(np.arange(len(things)), len(CUBE)),
-        np.concatenate(colours),
-    )
-    ids = [str(i) for i in range(len(things))]
-    return SceneMap.create(mesh, ids, [t[0] for t in things], floor=0.0)
+    """Scene map of boxes: (label, centre, size, colour)."""
+    labels, centres, sizes, colours = zip(*things, strict=True)
+    half = np.array(sizes) / 2
+    points, faces = zip(*map(cuboid, centres - half, centres + half), strict=True)
+    faces = [f + 8 * k for k, f in enumerate(faces)]
+    owner, colours = np.repeat(np.arange(len(labels)), 12), np.repeat(colours, 8, axis=0)
+    mesh = Mesh.plain(np.concatenate(points), np.concatenate(faces), owner, colours)
+    return SceneMap.create(mesh, list(map(str, range(len(labels)))), labels, floor=0.0)
 
 
 GREEN, BLUE, BROWN, GREY = (40, 125, 60), (40, 90, 170), (107, 68, 38), (138, 138, 138)

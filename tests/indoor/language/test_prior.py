@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.map.free_space import decode_ranges
-from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP, Panoramas
 from placegraph.indoor.options import PoseSearchOptions
 
 
@@ -140,13 +142,8 @@ def test_a_pose_is_told_why(flat, table):
 
 
 def test_a_table_without_positions(flat, table):
-    from dataclasses import replace
-
-    from placegraph.indoor.map.map_kernels import Panoramas
-
-    none = replace(
-        table, positions=table.positions[:0], panoramas=Panoramas(*(a[:0] for a in table.panoramas))
-    )
+    panoramas = Panoramas(*(a[:0] for a in table.panoramas))
+    none = replace(table, positions=table.positions[:0], panoramas=panoramas)
     assert prior(read("by the sofa"), flat, none).shape == (0, AZIMUTHS)
     assert evidence(read("by the sofa"), flat, none, [0, 0, 0, 0]) == ()
 

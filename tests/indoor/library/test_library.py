@@ -244,14 +244,12 @@ def test_where_no_scene_fits_no_pose_is_sure(maps, rooms):
     assert library.localize(film, refine=False).status is not Status.OK
 
 
-def test_what_a_library_decides_itself(by_labels, rooms):
-    with pytest.raises(OptionError, match="computes these itself"):
-        by_labels.localize(rooms["study"].film(4), shares=[1.0])
-
-
-def test_localizing_in_no_scene(by_labels, rooms):
-    with pytest.raises(OptionError, match="most"):
-        by_labels.localize(rooms["study"].film(4), most=0)
+@pytest.mark.parametrize(
+    ("options", "words"), [({"shares": [1.0]}, "computes these itself"), ({"most": 0}, "most")]
+)
+def test_what_a_library_decides_itself(by_labels, rooms, options, words):
+    with pytest.raises(OptionError, match=words):
+        by_labels.localize(rooms["study"].film(4), **options)
 
 
 def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch):

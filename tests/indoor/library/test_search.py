@@ -103,41 +103,28 @@ def test_the_same_question_has_the_same_answer(by_labels, rooms):
     assert once == again
 
 
-def test_frames_may_be_chosen(by_labels, rooms):
+def test_what_cannot_be_searched(by_labels, rooms):
     film = rooms["study"].film(4)
     assert by_labels.search(film, frames=[2]).stats["frames"] == 1
-    with pytest.raises(OptionError, match="most"):
-        by_labels.search(film, most=0)
-
-
-def test_a_capture_without_labels_asks_by_appearance(maps, rooms):
-    film = rooms["study"].film(4, labels=None)
-    with pytest.raises(OptionError, match="nothing for labels"):
-        make_library(maps, encoders="labels").search(film)
-
-
-def test_an_empty_library_says_so(rooms):
-    with pytest.raises(OptionError, match="empty; add a scene"):
-        SceneLibrary("labels").search(rooms["study"].film(4))
-    with pytest.raises(OptionError, match="at least one"):
-        SceneLibrary(())
-    with pytest.raises(OptionError, match="each once"):
-        SceneLibrary(("labels", "labels"))
+    unlabelled = rooms["study"].film(4, labels=None)
+    for words, ask in (
+        ("most", lambda: by_labels.search(film, most=0)),
+        ("no input for labels", lambda: by_labels.search(unlabelled)),
+        ("empty; add a scene", lambda: SceneLibrary("labels").search(film)),
+        ("at least one", lambda: SceneLibrary(())),
+        ("each once", lambda: SceneLibrary(("labels", "labels"))),
+    ):
+        with pytest.raises(OptionError, match=words):
+            ask()
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"method": "votes"},
-        {"wrong": 1.0},
-        {"max_frames": 0},
-        {"finalists": 0},
-        {"patches_per_frame": 0},
-    ],
-)
-def test_options_out_of_range(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        SearchOptions(**wrong)
+    ("name", "value"),
+    [("method", "votes"), ("wrong", 1.0), ("max_frames", 0), ("finalists", 0), ("patches_per_frame", 0)],
+)  # fmt: skip
+def test_options_out_of_range(name, value):
+    with pytest.raises(OptionError, match=name):
+        SearchOptions(**{name: value})
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.indoor.mapping.parts import lattice
 
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map.floor import (
@@ -66,22 +67,13 @@ def test_furniture_alone_is_no_floor(boxes):
 
 
 def test_scans_are_noisy_and_reach_below_the_floor(rng):
-    x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 6, 0.1), indexing="ij")
-    z = rng.normal(1.0, 0.02, x.shape)
+    points, triangles = lattice(79, 59)  # 7.9 x 5.9 m
+    z = rng.normal(1.0, 0.02, (80, 60))
     z[30:50, 20:30] = 1.75
     z[10:12, 10:12] = -0.4
     z[0, :] = z[-1, :] = 3.5
-    points = np.stack([x, y, z], axis=2).reshape(-1, 3)
-    corner = (np.arange(79)[:, None] * 60 + np.arange(59)).ravel()
-    triangles = np.concatenate(
-        [
-            np.stack([corner, corner + 60, corner + 61], 1),
-            np.stack([corner, corner + 61, corner + 1], 1),
-        ]
-    )
-    assert find_floor_height(Mesh.plain(points, triangles), ["unknown"]) == pytest.approx(
-        1.0, abs=0.02
-    )
+    mesh = Mesh.plain(np.column_stack([points * (7.9, 5.9), z.ravel()]), triangles)
+    assert find_floor_height(mesh, ["unknown"]) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from tests.indoor.mapping.parts import lattice
 
 from placegraph.core.mapfile import compress_array
 from placegraph.errors import OptionError
@@ -197,13 +198,9 @@ def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
 
 
 def test_order_makes_files_smaller(rng):
-    n = 60
-    x, y = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    corners = [a, a + n + 1, a + n + 2], [a, a + n + 2, a + 1]
-    triangles = np.concatenate([np.stack(c, 1) for c in corners])
-    shuffled = rng.permutation((n + 1) ** 2)
-    points = np.stack([x, y, 0 * x], axis=1)[np.argsort(shuffled)]
+    points, triangles = lattice(60, 60)
+    shuffled = rng.permutation(len(points))
+    points = np.insert(60 * points, 2, 0.0, axis=1)[np.argsort(shuffled)]
     triangles = shuffled[triangles][rng.permutation(len(triangles))].astype(np.int32)
     codes = encode_high_water(sort_triangles(Mesh.plain(points, triangles)).triangles)
     assert len(compress_array(codes)[2]) < len(compress_array(triangles)[2]) / 3

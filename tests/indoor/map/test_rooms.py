@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from tests.indoor.mapping.parts import lattice
 
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import assign_rooms, find_rooms
@@ -139,16 +140,13 @@ def test_what_is_in_which_room(boxes):
 
 
 def test_a_scan_with_holes_is_one_room(rng):
-    n = 60
-    x, y = np.meshgrid(np.linspace(0, 5, n), np.linspace(0, 4, n), indexing="ij")
-    corner = np.arange(n * n).reshape(n, n)
-    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
-    floor = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
-    wall = np.stack([x, 0 * x, y * 0.6], -1).reshape(-1, 3)
-    parts = [floor, wall, wall + np.array([0, 4, 0])]
-    vertices = np.concatenate(parts) + rng.normal(0, 0.02, (3 * n * n, 3))
-    triangles = np.concatenate([faces + k * n * n for k in range(3)])
+    points, faces = lattice(59, 59)
+    floor, wall = (
+        np.insert(points * size, k, 0.0, axis=1) for k, size in ((2, (5, 4)), (1, (5, 2.4)))
+    )
+    vertices = np.concatenate([floor, wall, wall + np.array([0, 4, 0])])
+    vertices += rng.normal(0, 0.02, vertices.shape)
+    triangles = np.concatenate([faces + k * len(points) for k in range(3)])
     object_of = np.repeat([0, 1, 1], len(faces))
     kept = rng.random(len(triangles)) > 1 / 3
     mesh = Mesh.plain(vertices, triangles[kept], object_of[kept])

@@ -4,6 +4,23 @@ import numpy as np
 
 from placegraph.indoor.scene_map import SceneMap
 
+FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+
+
+def cuboid(low, high):
+    low, high = np.array(low, float), np.array(high, float)
+    corners = [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
+    return np.array(corners), np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
+
+
+def lattice(columns, rows):
+    """Corners of squares between 0 and 1, first y, then x, and triangles that look up."""
+    x, y = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1), indexing="ij")
+    a = (np.arange(columns)[:, None] * (rows + 1) + np.arange(rows)).ravel()
+    b, c, d = a + rows + 1, a + rows + 2, a + 1
+    points = np.stack([x.ravel() / columns, y.ravel() / rows], axis=1)
+    return points, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+
 
 def only(scene, keep):
     mesh, graph = scene.mesh, scene.graph

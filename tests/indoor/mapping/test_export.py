@@ -66,11 +66,11 @@ def test_spark_dsg_there_and_back(room, tmp_path, way):
     assert sum(n["partition"] != 0 for n in nodes) == 10
 
 
-def plain_map(ids=("0", "1"), colours=None):
-    mesh = Mesh.plain(
-        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1], colours
-    )
-    return SceneMap.create(mesh, ids, ["floor", "ramp"], floor=0.0, relations=[(1, "on", 0)])
+def plain_map(ids=("0", "1"), colours=None, relation="on", **more):
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)]
+    mesh = Mesh.plain(corners, [(0, 1, 2), (0, 2, 3)], [0, 1], colours)
+    relations = [(1, relation, 0)]
+    return SceneMap.create(mesh, ids, ["floor", "ramp"], floor=0.0, relations=relations, **more)
 
 
 def test_vertex_colours_without_textures_are_exact(tmp_path):
@@ -93,11 +93,8 @@ TAKEN = {"label": "of a shop", "id": "EAN 4", "placegraph": "mine", "name": "n",
 
 
 def odd_map(ids):
-    mesh = Mesh.plain([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1])
-    return SceneMap.create(
-        mesh, ids, ["floor", "ramp"], names=["", "ramp"], floor=0.0, attributes=[TAKEN, {}],
-        relations=[(1, "leads to", 0)],
-    )  # fmt: skip
+    names, attributes = ["", "ramp"], [TAKEN, {}]
+    return plain_map(ids, relation="leads to", names=names, attributes=attributes)
 
 
 @pytest.mark.parametrize("ending", ["glb", "ply", "json"])

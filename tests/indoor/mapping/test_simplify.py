@@ -4,17 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.indoor.mapping.parts import lattice
 
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify import build_wedges, cut_tiles, simplify
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
-    x, y = (a.ravel() for a in np.meshgrid(*[np.linspace(0, size, n + 1)] * 2, indexing="ij"))
-    points = np.stack([x, y, height(x, y)], axis=1)
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    b, c, d = a + n + 1, a + n + 2, a + 1
-    return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    points, triangles = lattice(n, n)
+    return np.column_stack([size * points, height(*(size * points).T)]), triangles
 
 
 def ball(n):

@@ -5,24 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.indoor.mapping.parts import sphere, subdivided
+from tests.indoor.mapping.parts import cuboid, lattice, sphere, subdivided
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.rays import RayCaster, embree
 from placegraph.indoor.rays.trace_kernels import cast_rays
 from placegraph.io.mesh.gltf import read_glb
 from placegraph_lab.tables.indoor.maps import decimate
-
-BOX = np.array(
-    [
-        [[0, 2, 1], [1, 2, 3]],
-        [[4, 5, 6], [5, 7, 6]],
-        [[0, 1, 4], [1, 5, 4]],
-        [[2, 6, 3], [3, 6, 7]],
-        [[0, 4, 2], [2, 4, 6]],
-        [[1, 3, 5], [3, 7, 5]],
-    ]
-).reshape(12, 3)
 
 
 def soup(number, rng, size=0.1):
@@ -31,11 +20,6 @@ def soup(number, rng, size=0.1):
     corners[::50] = corners[1::50][: len(corners[::50])]
     corners[7::100, 2] = corners[7::100, 1]
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
-
-
-def box(low, high):
-    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
-    return np.asarray(low) + corners * (np.asarray(high, float) - low), BOX
 
 
 def anyhow(number, rng, low, high):
@@ -142,7 +126,7 @@ def test_rays_inside_a_box_reach_its_walls(size, seed, power):
     with np.errstate(divide="ignore"):
         walls = np.where(directions > 0, low + size - origins, low - origins) / directions
     expected, steep = walls.min(axis=1), np.abs(directions)[np.arange(64), walls.argmin(axis=1)]
-    mesh = box(low, low + size)
+    mesh = cuboid(low, low + size)
     for backend in ["bvh"] + ["embree"] * (not embree.explain_unavailable()):
         hits = RayCaster(*mesh, backend=backend).cast(origins, directions)
         # 150 m away four bytes hold 1.5e-5 m
@@ -164,25 +148,13 @@ def test_rays_from_the_middle_of_a_sphere(caster, rng):
 
 
 def test_no_ray_slips_through_a_wide_mesh(caster, rng):
-    n = 60
-    x, y = np.meshgrid(np.linspace(900, 1000, n), np.linspace(-400, -300, n), indexing="ij")
-    shift = rng.uniform(-0.7, 0.7, (2, n, n))
-    vertices = np.stack([x + shift[0], y + shift[1], 0.1 * rng.normal(size=(n, n))], axis=2)
-    row = np.arange(n * n).reshape(n, n)
-    a, b, c, d = row[:-1, :-1], row[1:, :-1], row[:-1, 1:], row[1:, 1:]
-    triangles = np.concatenate(
-        [np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (b, d, c))]
-    )
-    vertices = vertices.reshape(-1, 3).astype(np.float32)
-    inside = triangles[
-        ((vertices[triangles] > [905, -395, -9]) & (vertices[triangles] < [995, -305, 9])).all(
-            axis=(1, 2)
-        )
-    ]
-    edges = vertices[inside[:, :2]].astype(float)
-    targets = np.concatenate(
-        [edges[:, 0], edges.mean(axis=1), 0.3 * edges[:, 0] + 0.7 * edges[:, 1]]
-    )
+    points, triangles = lattice(59, 59)
+    level = 100 * points + (900, -400) + rng.uniform(-0.7, 0.7, points.shape)
+    vertices = np.column_stack([level, 0.1 * rng.normal(size=len(points))]).astype(np.float32)
+    off = np.abs(vertices[triangles] - (950, -350, 0)) < (45, 45, 9)
+    edges = vertices[triangles[off.all(axis=(1, 2)), :2]].astype(float)
+    shares = [edges[:, 0], edges.mean(axis=1), 0.3 * edges[:, 0] + 0.7 * edges[:, 1]]
+    targets = np.concatenate(shares)
     origins = np.array([950.0, -350.0, 30.0]) + rng.normal(size=(len(targets), 3))
     floor = caster(vertices, triangles)
     hits = floor.cast(origins, targets - origins)
@@ -193,7 +165,7 @@ def test_no_ray_slips_through_a_wide_mesh(caster, rng):
 
 
 def test_rays_that_start_on_a_surface(caster, rng):
-    room = caster(*box((0, 0, 0), (4, 4, 3)))
+    room = caster(*cuboid((0, 0, 0), (4, 4, 3)))
     origins = np.column_stack([rng.uniform(0.5, 3.5, (1000, 2)), np.zeros(1000)])
     hits = room.cast(origins, np.tile([0.0, 0.0, 1.0], (1000, 1)))
     assert (np.minimum(hits.distance, np.abs(hits.distance - 3.0)) < 1e-5).all()
@@ -212,7 +184,7 @@ def test_deep_trees_are_traversed(caster):
 
 
 def test_rays_that_are_none_hit_nothing(caster):
-    room = caster(*box((0, 0, 0), (4, 4, 3)))
+    room = caster(*cuboid((0, 0, 0), (4, 4, 3)))
     origins, directions = np.full((40, 3), 1.0), np.tile([1.0, 0.0, 0.0], (40, 1))
     directions[1], directions[2, 1], directions[18, 0] = 0.0, np.nan, np.inf
     origins[3, 2], origins[4, 0], origins[39, 1] = np.nan, -np.inf, 1e300
@@ -225,7 +197,7 @@ def test_rays_that_are_none_hit_nothing(caster):
 
 @pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 10_007])
 def test_any_number_of_rays(caster, number):
-    hits = caster(*box((0, 0, 0), (4, 4, 3))).cast(np.ones(3), np.tile([0, 0, 1], (number, 1)))
+    hits = caster(*cuboid((0, 0, 0), (4, 4, 3))).cast(np.ones(3), np.tile([0, 0, 1], (number, 1)))
     assert len(hits.triangle) == len(hits.u) == len(hits.v) == number
     np.testing.assert_allclose(hits.distance, np.full(number, 2.0))
 
@@ -234,7 +206,7 @@ def test_what_cannot_be_cast_at():
     with pytest.raises(OptionError, match="triangles is empty"):
         RayCaster(np.eye(3), np.zeros((0, 3), int))
     with pytest.raises(OptionError, match="backend is 'gpu'"):
-        RayCaster(*box((0, 0, 0), (1, 1, 1)), backend="gpu")
+        RayCaster(*cuboid((0, 0, 0), (1, 1, 1)), backend="gpu")
 
 
 def test_a_tracer_keeps_the_scene_and_lets_it_go(monkeypatch):
@@ -242,7 +214,7 @@ def test_a_tracer_keeps_the_scene_and_lets_it_go(monkeypatch):
         pytest.skip(reason)
     released, release = [], embree._release
     monkeypatch.setattr(embree, "_release", lambda *a: (released.append(1), release(*a)))
-    tracer = RayCaster(*box((0, 0, 0), (4, 4, 3)), backend="embree").tracer
+    tracer = RayCaster(*cuboid((0, 0, 0), (4, 4, 3)), backend="embree").tracer
     gc.collect()
     assert not released
     distance, u, v = np.full((3, 1), np.inf, np.float32)
@@ -266,11 +238,11 @@ def test_many_threads_at_once(caster, rng):
 
 def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):
     monkeypatch.setattr(embree, "explain_unavailable", lambda: "It rains.")
-    room = RayCaster(*box((0, 0, 0), (4, 4, 3)))
+    room = RayCaster(*cuboid((0, 0, 0), (4, 4, 3)))
     assert (room.backend, room.backend_note) == ("bvh", "It rains.")
     assert room.cast([[1, 1, 1]], [[1, 0, 0]]).distance == [3.0]
     with pytest.raises(MissingExtraError, match=r"It rains\. Install `embreex"):
-        RayCaster(*box((0, 0, 0), (4, 4, 3)), backend="embree")
+        RayCaster(*cuboid((0, 0, 0), (4, 4, 3)), backend="embree")
 
 
 def test_obstacles_to_embree(monkeypatch):

@@ -10,7 +10,6 @@ from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scannet import (
     axis_alignment,
     is_scannet,
-    label_patches,
     read_label_map,
     read_scannet,
 )
@@ -235,24 +234,6 @@ def test_colours_of_a_legend_are_none_and_labels_are_needed(wide):
     wide.write_mesh("_vh_clean_2.labels.ply")
     with pytest.raises(InputError, match=r"labels\.ply has no vertices with a `label`"):
         read_scannet(wide.folder)
-
-
-@given(st.data())
-def test_patches_are_what_walking_finds(data):
-    count = data.draw(st.integers(1, 12))
-    corner = st.integers(0, count - 1)
-    triangles = np.array(
-        data.draw(st.lists(st.tuples(corner, corner, corner), max_size=12)), np.int64
-    ).reshape(-1, 3)
-    label = np.array(data.draw(st.lists(st.integers(0, 2), min_size=count, max_size=count)))
-    expected = np.arange(count)
-    for _ in range(count):
-        for triangle in triangles:
-            for a in triangle:
-                for b in triangle:
-                    if label[a] == label[b]:
-                        expected[a] = expected[b] = min(expected[a], expected[b])
-    np.testing.assert_array_equal(label_patches(triangles, label), expected)
 
 
 @DAMAGE

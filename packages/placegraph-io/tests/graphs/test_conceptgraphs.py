@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.indoor.mapping.parts import cuboid, subdivided
 from tests.io.damage import DAMAGE, any_json
 
 from placegraph.core.geometry import rotation_z
@@ -24,24 +25,11 @@ PLACES = {
 """x, y, z [m] of the middle, yaw."""
 
 
-def grid(size, step=0.1):
-    vertices, triangles = [], []
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        n, m = (max(2, round(size[k] / step) + 1) for k in (u, v))
-        for side in (-0.5, 0.5):
-            a, b = np.meshgrid(np.linspace(-0.5, 0.5, n), np.linspace(-0.5, 0.5, m), indexing="ij")
-            points = np.zeros((n * m, 3))
-            points[:, axis], points[:, u], points[:, v] = side, a.ravel(), b.ravel()
-            first = sum(map(len, vertices))
-            row = first + np.arange(n * m).reshape(n, m)
-            p, q, r, s = row[:-1, :-1], row[1:, :-1], row[1:, 1:], row[:-1, 1:]
-            triangles += [
-                np.stack([p, q, r], -1).reshape(-1, 3),
-                np.stack([p, r, s], -1).reshape(-1, 3),
-            ]
-            vertices.append(points * size)
-    return np.concatenate(vertices), np.concatenate(triangles)
+def grid(size):
+    points, triangles = cuboid(np.full(3, -0.5), np.full(3, 0.5))
+    for _ in range(4):
+        points, triangles = subdivided(points, triangles)
+    return points * size, triangles
 
 
 def write(folder, *, turned=True, mesh=True):

@@ -140,12 +140,6 @@ def test_an_object_of_khronos_has_its_own_mesh_in_its_box(read):
     assert len(corners_of(model, 1)) == 36
 
 
-def test_an_object_without_anything_is_left_out(read):
-    model = read(graph([thing(0, 3), thing(1, 4, bounds=box([0, 0, 0], [1, 1, 1]))]))
-    assert model.left_out["objects with neither mesh nor box"] == 1
-    assert set(model.object_of.tolist()) == {1}
-
-
 def test_labels_names_rooms_and_relations(read):
     some = box([0, 0, 0], [1, 1, 1])
     nodes = [

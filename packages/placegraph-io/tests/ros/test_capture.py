@@ -18,7 +18,7 @@ from placegraph.core.geometry import (
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.tum import write_tum
 from placegraph_io.ros.decode import Registration
-from placegraph_io.ros.poses import MAX_GAP, Edge, TransformTree
+from placegraph_io.ros.poses import MAX_GAP, TransformTree
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start
@@ -215,14 +215,3 @@ def rows(*samples):
     return np.array(
         [(t, *pose[:3, 3], *quaternion_from_rotation(pose[:3, :3])) for t, pose in samples]
     )
-
-
-def test_broken_transforms_are_counted():
-    tree = TransformTree()
-    good, zero, nan = (0, 0, 0, 0, 0, 0, 1.0), (0,) * 7, (np.nan, 0, 0, 0, 0, 0, 1.0)
-    held = np.array([(0.0, *good), (1.0, *zero), (2.0, *nan)])
-    tree.add({("a", "b"): [held], ("a", "a"): [held[:1]]})
-    assert tree.invalid == 3
-    assert tree.names == ["a", "b"]
-    assert isinstance(tree.edges["a", "b"], Edge)
-    assert tree.edges["a", "b"].fixed

@@ -12,7 +12,7 @@ from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, bind_encoder, encoder
 from placegraph.io.capture.frame import Frame
 from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
-from placegraph_learn.scenegraphloc.features import ColourFeatures
+from placegraph_learn.scenegraphloc.features import MODEL, ColourFeatures
 from placegraph_learn.scenegraphloc.weights import read_weights
 
 
@@ -124,45 +124,32 @@ def test_a_scene_without_relations_is_encoded(made, room, survey):
     assert np.abs(vectors - made.objects(room, [survey])).max() > 1e-4
 
 
-WIDTH, BLOCKS, HIDDEN, CELLS = 1536, 40, 4096, 37
-"""Of DINOv2 ViT-g/14: SwiGLU, 518 px."""
+WIDTH = 1536
 NEEDED = 7e9
 """Bytes of disk that make a file of 4.5 GB."""
 
 
-def _draw_dino():
-    drawn = torch.Generator().manual_seed(0)
-    shapes = {
-        "cls_token": (1, 1, WIDTH), "pos_embed": (1, 1 + CELLS * CELLS, WIDTH),
-        "mask_token": (1, WIDTH), "patch_embed.proj.weight": (WIDTH, 3, 14, 14),
-        "patch_embed.proj.bias": (WIDTH,), "norm.weight": (WIDTH,), "norm.bias": (WIDTH,),
-    }  # fmt: skip
-    layers = {
-        "attn.qkv": (3 * WIDTH, WIDTH), "attn.proj": (WIDTH, WIDTH),
-        "mlp.w12": (2 * HIDDEN, WIDTH), "mlp.w3": (WIDTH, HIDDEN), "norm1": (WIDTH,), "norm2": (WIDTH,),
-    }  # fmt: skip
-    for i in range(BLOCKS):
-        for name, shape in layers.items():
-            shapes[f"blocks.{i}.{name}.weight"] = shape
-            shapes[f"blocks.{i}.{name}.bias"] = shape[:1]
-        shapes[f"blocks.{i}.ls1.gamma"] = shapes[f"blocks.{i}.ls2.gamma"] = (WIDTH,)
-    around = {"norm.weight": 1.0, "norm1.weight": 1.0, "norm2.weight": 1.0}
-    return {
-        name: torch.randn(shape, generator=drawn) * 0.02
-        + (0.1 if "gamma" in name else around.get(".".join(name.split(".")[-2:]), 0.0))
-        for name, shape in shapes.items()
-    }
+def draw_dino(timm):
+    """State dict of DINOv2 ViT-g/14, spelled as dinov2_vitg14_pretrain.pth is."""
+    with torch.device("meta"):
+        model = timm.create_model(MODEL, num_classes=0)
+    drawn, state = torch.Generator().manual_seed(0), {"mask_token": torch.zeros(1, WIDTH)}
+    for name, known in model.state_dict().items():
+        middle = 0.1 if "gamma" in name else float("norm" in name and name.endswith("weight"))
+        spelled = name.replace("mlp.fc1", "mlp.w12").replace("mlp.fc2", "mlp.w3")
+        state[spelled] = middle + 0.02 * torch.randn(known.shape, generator=drawn)
+    return state
 
 
 @pytest.fixture
-def files(timm, shared, tmp_path):  # noqa: ARG001
+def files(timm, shared, tmp_path):
     free = shutil.disk_usage(tmp_path).free
     if free < NEEDED:
         pytest.skip(f"needs {NEEDED / 1e9:.0f} GB of disk, and has {free / 1e9:.1f}")
     known = load_file(shared / "conformance/scenegraphloc/state_dict.safetensors")
     snapshot, dino = tmp_path / "snapshot.pth.tar", tmp_path / "dinov2_vitg14_pretrain.pth"
     torch.save({"epoch": 60, "iteration": 1, "model": known}, snapshot)
-    torch.save(_draw_dino(), dino)
+    torch.save(draw_dino(timm), dino)
     yield snapshot, dino
     dino.unlink()
 

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from tests.indoor.mapping.parts import cuboid
 
 from placegraph.core.geometry import Camera, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
@@ -39,15 +40,10 @@ def _unseen(count, width=4):
 
 
 def _boxes(*boxes, **more):
-    corners, faces = [], []
-    for k, (low, high) in enumerate(boxes):
-        corners += [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
-        faces += [[8 * k + i for i in face] for face in
-                  ((0, 3, 2), (0, 1, 3), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5),
-                   (2, 7, 6), (2, 3, 7), (0, 6, 4), (0, 2, 6), (1, 7, 3), (1, 5, 7))]  # fmt: skip
-    mesh = Mesh.plain(
-        np.array(corners, float), np.array(faces), np.repeat(np.arange(len(boxes)), 12)
-    )
+    points, faces = zip(*(cuboid(*box) for box in boxes), strict=True)
+    faces = [f + 8 * k for k, f in enumerate(faces)]
+    owner = np.repeat(np.arange(len(boxes)), 12)
+    mesh = Mesh.plain(np.concatenate(points), np.concatenate(faces), owner)
     names = [chr(ord("a") + k) for k in range(len(boxes))]
     return SceneMap.create(mesh, names, more.pop("labels", names), floor=0.0, **more)
 

@@ -21,7 +21,6 @@ from placegraph_learn.scenegraphloc.lessons import (
     kept_lesson,
     place_capture,
     read_lesson,
-    split,
     write_lesson,
 )
 from placegraph_learn.scenegraphloc.network import Widths
@@ -92,11 +91,6 @@ def test_an_interrupted_training_goes_on_as_if_never_interrupted(
     notes = make_notes()
     assert learn(tmp_path, progress=notes).digest == trained[0].digest
     assert not notes.steps  # it is only written again
-
-
-def test_another_seed_gives_another_network(learn, trained, tmp_path):
-    other = learn(tmp_path, replace(OPTIONS, seed=5, epochs=1))
-    assert other.digest != trained[0].digest
 
 
 def test_the_snapshot_is_laid_out_as_the_authors(trained):
@@ -204,12 +198,6 @@ def test_what_cannot_be_trained_is_refused(tmp_path, learn, trained):
         learn(trained[1], replace(OPTIONS, rate=0.5))
     with pytest.raises(OptionError, match="homes"):
         homes(0)
-
-
-def test_some_are_held_out_evenly():
-    learned, asked = split(list(range(10)), 2)
-    assert asked == [3, 6]
-    assert learned == [0, 1, 2, 4, 5, 7, 8, 9]
 
 
 def test_maps_of_a_folder_come_with_their_captures(room, walk, tmp_path):

@@ -24,6 +24,10 @@ def id_of(scene, name):
     return scene.graph.ids[scene.graph.names.index(name)]
 
 
+def edges_of(graph):
+    return list(zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True))
+
+
 @pytest.fixture
 def motion():
     return make_rigid(rotation_z(0.3), np.array([0.6, -0.4, 0.0]))
@@ -143,10 +147,6 @@ def test_rooms_keep_the_names_they_had(halves, west, east):
     assert rooms == {**was, chair: west}
     bare = replace(halves, attributes=({},) * len(halves))
     assert {a.get("room") for a in update(bare, diff_of()).attributes} >= {"1", "2"}
-
-
-def edges_of(graph):
-    return list(zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True))
 
 
 def test_relations_that_say_nothing_of_place_outlive_a_motion(room, found):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.indoor.mapping.parts import lattice
 
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment import SegmentOptions, segment
@@ -13,12 +14,9 @@ GREY, WHITE, RED = (120, 120, 120), (250, 250, 250), (190, 20, 20)
 
 def sheet(corner, u, v, step=0.05, colour=WHITE):
     n, m = (max(round(float(np.linalg.norm(side)) / step), 1) for side in (u, v))
-    i, j = np.mgrid[0 : n + 1, 0 : m + 1]
-    points = np.asarray(corner) + i[..., None] / n * np.array(u) + j[..., None] / m * np.array(v)
-    a, b = (i * (m + 1) + j)[:-1, :-1].ravel(), (i * (m + 1) + j)[1:, :-1].ravel()
-    rows = np.concatenate([np.stack([a, b, b + 1], axis=1), np.stack([a, b + 1, a + 1], axis=1)])
-    points = points.reshape(-1, 3)
-    return points, rows, np.broadcast_to(np.uint8(colour), points.shape)
+    points, triangles = lattice(n, m)
+    points = np.asarray(corner) + points @ np.array([u, v], float)
+    return points, triangles, np.broadcast_to(np.uint8(colour), points.shape)
 
 
 def box(low, high, colour=GREY, step=0.05):

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.indoor.mapping.parts import cuboid
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
@@ -12,9 +13,6 @@ from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 120, 110.0, 110.0, 80.0, 60.0)
 WORDS = {0: "floor", 1: "chair", 2: "window", 3: "lamp", 4: "rug"}
-FACES = np.array(
-    [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-)
 
 
 def fine(vertices, triangles, rounds):
@@ -28,9 +26,7 @@ def fine(vertices, triangles, rounds):
 
 
 def cube(low, high):
-    corners = np.array([np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)])
-    rows = np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
-    return fine(corners.astype(float), rows, 3)
+    return fine(*cuboid(low, high), 3)
 
 
 def wall(y0, y1, z0, z1, x=0.0):
