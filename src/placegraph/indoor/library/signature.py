@@ -108,8 +108,8 @@ def compute_signature(
     vectors = {e.key: encode_objects(e, scene, captures) for e in encoders}
     if not any(v.any() for v in vectors.values()):
         raise OptionError(
-            f"{scene.source or 'The map'}: the encoder {len(scene)} can use none of its "
-            f"{scene.source or 'The map'} objects; give the objects labels or colours."
+            f"{scene.source or 'The map'}: {', '.join(e.name for e in encoders)} can use none of its "
+            f"{len(scene)} objects; give the objects labels or colours."
         )
     heights = STANDING if height is None else (height,)
     table = build_table(
