@@ -213,35 +213,33 @@ def test_base64_of_all_kinds(head):
 
 def test_readings_of_both_versions_are_the_same():
     camera = {"imageBytes": "AAAA", "imageFormat": "JPG", "size": [4, 3]}
-    fix = {"latitude": 1.5, "longitude": 2.5}
+    fix, params = {"latitude": 1.5, "longitude": 2.5}, {"model": "PINHOLE"}
+    at = {"timestamp": 1608995990000}
     one = {
-        "id": "a",
-        "timestamp": "2020-12-26T15:19:50.413Z",
-        "sensors": [{"id": "0", "type": "camera", "params": {"model": "PINHOLE"}}],
+        "id": "a", "timestamp": "2020-12-26T15:19:50.413Z",
+        "sensors": [{"id": "0", "type": "camera", "params": params}],
         "sensorReadings": [
             {"sensorId": "0", "timestamp": "2020-12-26T15:19:50Z", "reading": camera},
-            {"sensorId": "9", "timestamp": 1608995990000, "reading": [fix]},
+            {"sensorId": "9", "reading": [fix]} | at,
         ],
-    }
+    }  # fmt: skip
     two = {
-        "id": "a",
-        "timestamp": 1608995990413,
-        "sensors": [{"id": "0", "type": "camera"}],
+        "id": "a", "timestamp": 1608995990413, "sensors": [{"id": "0", "type": "camera"}],
         "sensorReadings": {
-            "cameraReadings": [
-                camera | {"sensorId": "0", "timestamp": 1608995990000,
-                          "params": {"model": "PINHOLE"}}
-            ],
-            "geolocationReadings": [fix | {"sensorId": "1", "timestamp": 1608995990000}],
+            "cameraReadings": [camera | {"sensorId": "0", "params": params} | at],
+            "geolocationReadings": [fix | {"sensorId": "1"} | at],
         },
     }  # fmt: skip
-    first, second = (read_request(json.dumps(told).encode(), None) for told in (one, two))
-    assert (first.version, second.version) == (1, 2)
-    for told in (first, second):
-        assert told.camera[0]["image"] == b"\0\0\0"
-        assert told.camera[0]["params"] == {"model": "PINHOLE"}
-        assert told.camera[0]["when"] == 1608995990.0
-        assert told.geolocation[0]["latitude"] == 1.5
+    for version, body in enumerate((one, two), 1):
+        request = read_request(json.dumps(body).encode(), None)
+        assert request.version == version
+        assert request.camera[0]["image"] == b"\0\0\0"
+        assert request.camera[0]["params"] == params
+        assert request.camera[0]["when"] == 1608995990.0
+        assert request.geolocation[0]["latitude"] == 1.5
+
+
+SEEN = b'{"sensorReadings": {"cameraReadings": [%s]}}'
 
 
 @pytest.mark.parametrize(
@@ -252,14 +250,11 @@ def test_readings_of_both_versions_are_the_same():
         (b"{}", "sensorReadings: missing"),
         (b'{"sensorReadings": [1]}', "no list of objects"),
         (b'{"sensorReadings": [], "sensors": 3}', "sensors: no list"),
-        (b'{"sensorReadings": {"cameraReadings": [{"imageBytes": 7}]}}', "imageBytes: no text"),
-        (b'{"sensorReadings": {"cameraReadings": [{"timestamp": "now"}]}}', "timestamp"),
+        (SEEN % b'{"imageBytes": 7}', "imageBytes: no text"),
+        (SEEN % b'{"timestamp": "now"}', "timestamp"),
         (b'{"sensorReadings": [], "priorPoses": [{}]}', "priorPoses: a pose has no position"),
-        (b'{"sensorReadings": {"cameraReadings": [{"params": [1]}]}}', "params: .* is no object"),
-        (
-            b'{"sensorReadings": {"cameraReadings": [{"imageOrientation": 90}]}}',
-            "imageOrientation: '90' is no object",
-        ),
+        (SEEN % b'{"params": [1]}', "params: .* is no object"),
+        (SEEN % b'{"imageOrientation": 90}', "imageOrientation: '90' is no object"),
         (b'{"sensorReadings": [], "id": "\\ud800"}', "not JSON"),  # could not be sent back
         (b'{"sensorReadings": [], "timestamp": 1%s}' % (b"0" * 400), "not JSON"),
     ],

@@ -30,6 +30,10 @@ STAGE = {
 }  # fmt: skip
 CLOSED = {"wall east": ((5, 0, 0), (5.2, 4, 2.6))}
 SHIFT = np.array([0.4, -0.3, 3.0])
+TOO_MANY = {
+    "landmark_points": np.zeros((MAX_LANDMARKS + 1, 3), np.int32),
+    "landmark_vectors": np.zeros((MAX_LANDMARKS + 1, DESCRIPTOR_SIZE), np.int8),
+}
 
 
 @pytest.fixture(scope="module")
@@ -138,13 +142,7 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
         ({"viewpoints": np.full((MAX_VIEWPOINTS + 1, 3), 100, np.int32)}, "at most 300"),
         ({"landmark_points": np.zeros((1, 3), np.int32)}, "landmark_vectors"),
         ({"landmark_vectors": np.zeros((1, DESCRIPTOR_SIZE), np.int8)}, "landmark_points"),
-        (
-            {
-                "landmark_points": np.zeros((MAX_LANDMARKS + 1, 3), np.int32),
-                "landmark_vectors": np.zeros((MAX_LANDMARKS + 1, DESCRIPTOR_SIZE), np.int8),
-            },
-            "at most 20,000",
-        ),
+        (TOO_MANY, "at most 20,000"),
     ],
 )
 def test_absurd_viewpoints_and_landmarks_are_refused(forged, says, room, tmp_path):

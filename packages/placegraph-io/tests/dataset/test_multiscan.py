@@ -66,7 +66,7 @@ def test_points_and_colours(unit, sure, turns, recorded, tmp_path):
 
 def test_a_pipe_is_no_stream_of_depth(tmp_path):
     os.mkfifo(tmp_path / "a.depth.zlib")
-    with pytest.raises(InputError, match="not a plain file"):
+    with pytest.raises(InputError, match="not a regular file"):
         DeflateStream(tmp_path / "a.depth.zlib", 4).read(0)
 
 

@@ -85,7 +85,7 @@ def test_files_that_are_no_bag(container, bag, tmp_path):
         (tmp_path / "half.bag").write_bytes(data[: len(data) // 2])
         fails(tmp_path / "half.bag", "rosbag reindex")
     os.mkfifo(tmp_path / f"pipe{file.suffix}")  # reading it would wait for a writer
-    fails(tmp_path / f"pipe{file.suffix}", "not a plain file")
+    fails(tmp_path / f"pipe{file.suffix}", "not a regular file")
 
 
 def test_a_folder_that_is_not_whole(bag):
