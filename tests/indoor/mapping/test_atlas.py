@@ -99,9 +99,6 @@ def ball():
     return Mesh.plain(points, rows, (np.arange(len(rows)) % 8 > 3).astype(int))
 
 
-CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
-
-
 @pytest.fixture
 def colour_of():
     return everywhere(field)

@@ -18,7 +18,6 @@ UNIT = 0.37  # metres in a unit of the model
 NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
            "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "FOV": 7,
            "SIMPLE_RADIAL_FISHEYE": 8, "THIN_PRISM_FISHEYE": 10}  # fmt: skip
-EVEN = Camera(96, 72, 80.0, 80.0, 49.5, 35.0)
 
 
 class Model:

@@ -82,10 +82,6 @@ def at(city, rows, position):
     return sample.look_around(city, np.array(rows, np.int32), np.asarray(position, np.float64)).at
 
 
-def wind(bearing):
-    return np.array([np.sin(bearing), np.cos(bearing)])
-
-
 def points_to(delta, bearing):
     return np.abs(angle_between(np.arctan2(*delta), bearing)) <= np.pi / 4 + 1e-6
 
