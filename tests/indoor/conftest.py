@@ -6,12 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from tests.indoor.mapping.parts import cuboid
 
 from placegraph.core.geometry import Camera
 from placegraph.core.threads import limit_threads
 from placegraph.indoor.build import build_scene
-from placegraph.io.capture.capture import open_capture
+from placegraph.indoor.likelihood.observe import observe_frame, views
+from placegraph.indoor.likelihood.score import model_of
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.tum import read_tum
 from placegraph.io.mesh.model import Model, ModelObject, Texture
 from placegraph_lab.worlds.flat.flat import Flat
@@ -50,6 +54,46 @@ L lamp:
 p picture:
 """
 SMALL = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
+
+
+def view_frames(scene, frames, options, encoder=None, stride=10.0):
+    """Views of frames, against what is seen of the scene on average."""
+    background = scene.visibility(options).background
+    observed = [observe_frame(frame, encoder, options) for frame in frames]
+    return views(observed, stride, model_of(options.likelihood), background)
+
+
+def rebuild_frame(frame, **change):
+    """The frame in memory, with other values of some fields."""
+    fields = {
+        "rgb": frame.rgb(), "camera": frame.camera, "depth": frame.depth(), "labels": frame.labels(),
+        "depth_camera": frame.depth_camera, "label_camera": frame.label_camera,
+        "label_kind": frame.label_kind or "labels", "gravity": frame.gravity,
+        "odometry": frame.odometry, "stamp": frame.stamp, "index": frame.index,
+    }  # fmt: skip
+    return Frame.from_arrays(**fields | change)
+
+
+def rebuild(capture, **change):
+    """The capture in memory; `change` maps fields to functions of a frame."""
+    return Capture.from_frames(
+        [rebuild_frame(f, **{k: make(f) for k, make in change.items()}) for f in capture]
+    )
+
+
+def measure_error(pose, truth):
+    """Distance [m] and turn [deg] between two poses (4, 4)."""
+    delta = np.linalg.inv(truth) @ pose
+    turn = np.arccos(np.clip((np.trace(delta[:3, :3]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(turn))
+
+
+def damage(data, whole):
+    """Bytes with up to three of them changed, perhaps cut, as Hypothesis draws it."""
+    damaged = bytearray(whole)
+    for _ in range(data.draw(st.integers(0, 3))):
+        damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    return bytes(damaged[: data.draw(st.integers(0, len(whole)) | st.just(len(whole)))])
 
 
 def _world(folder, drawing, seed):
@@ -103,6 +147,14 @@ def walk(room_world):
 @pytest.fixture(scope="session")
 def flat_walk(flat_world):
     return _render(flat_world, "walk", 2, through="12")
+
+
+@pytest.fixture(scope="session")
+def house(shared, tmp_path_factory):
+    """The shared house as a scene map, its file, and what it was built of."""
+    source = shared / "data/house/map/house.glb"
+    path = tmp_path_factory.mktemp("house") / "house.scene"
+    return SimpleNamespace(scene=build_scene(source, path), path=path, source=source)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from PIL import Image
+from tests.indoor.conftest import damage
 
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
@@ -41,12 +43,7 @@ def hall(boxes):
     n = 16
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     corner = (i[:-1, :-1] * n + j[:-1, :-1]).ravel()
-    quads = np.concatenate(
-        [
-            np.stack([corner, corner + n, corner + n + 1], 1),
-            np.stack([corner, corner + n + 1, corner + 1], 1),
-        ]
-    )
+    quads = (corner[:, None] + [[0, n, n + 1, 0, n + 1, 1]]).reshape(-1, 3)
     flat = np.stack([i, j, 0 * i], axis=2).reshape(-1, 3) / (n - 1)
     sheets = [flat * (5, 5, 1), flat[:, [0, 2, 1]] * (5, 1, 2.5), flat[:, [2, 0, 1]] * (1, 5, 2.5)]
     box = boxes({"": ((2, 2, 0), (3, 3, 1))})
@@ -200,16 +197,11 @@ def test_other_endings(tmp_path):
         build_scene(tmp_path / "no.glb", None)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
 @given(data=st.data())
 def test_a_file_cut_or_damaged_anywhere(data, ply):
     path = ply()
-    whole = path.read_bytes()
-    damaged = bytearray(whole)
-    for _ in range(data.draw(st.integers(0, 3))):
-        damaged[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-    cut = data.draw(st.integers(0, len(whole)) | st.just(len(whole)))
-    path.write_bytes(damaged[:cut])
+    path.write_bytes(damage(data, path.read_bytes()))
     try:
         build_scene(path, None, floor=0.0)
     except PlacegraphError as error:
@@ -284,25 +276,18 @@ def copied(walk, tmp_path):
     return folder
 
 
-def test_a_capture_without_depth(copied):
+def test_depth_that_says_nothing(copied):
+    for file in (copied / "depth").iterdir():
+        Image.fromarray(np.zeros_like(np.asarray(Image.open(file)))).save(file)
+    with pytest.raises(InputError, match=r"walk: .*no depth to fuse \(3 frames without depth\)"):
+        build_scene(copied, None, floor=0.0)
     for file in (copied / "depth").iterdir():
         file.unlink()
     with pytest.raises(InputError, match="walk has no depth images"):
         build_scene(copied, None)
 
 
-def test_depth_that_says_nothing(copied):
-    from PIL import Image
-
-    for file in (copied / "depth").iterdir():
-        Image.fromarray(np.zeros_like(np.asarray(Image.open(file)))).save(file)
-    with pytest.raises(InputError, match=r"walk: .*no depth to fuse \(3 frames without depth\)"):
-        build_scene(copied, None, floor=0.0)
-
-
 def test_frames_that_all_see_a_wall(copied):
-    from PIL import Image
-
     for file in (copied / "depth").iterdir():
         Image.fromarray(np.zeros_like(np.asarray(Image.open(file))) + 2000).save(file)
     rows = (copied / "odometry.tum").read_text().splitlines()

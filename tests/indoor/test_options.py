@@ -9,59 +9,56 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.indoor.options import (
     ONE_PASS,
+    DepthNoise,
     FilterOptions,
     Likelihood,
     MotionNoise,
     Pass,
     PoseSearchOptions,
+    RefineOptions,
 )
+
+WRONG = {
+    FilterOptions(): [
+        {"start": "random"}, {"heights": ()}, {"heights": (1.5, math.nan)}, {"spacing": 0.0},
+        {"spacing": math.inf}, {"per_cell": 0}, {"per_cell": 1.5}, {"passes": ()}, {"modes": 0},
+        {"modes": 2.5}, {"kld_error": math.nan}, {"kld_confidence": 1.0}, {"injection": 1.0},
+        {"injection": -0.1}, {"min_particles": 0}, {"answer": "best"}, {"every": -1.0},
+        {"every_metre": math.nan},
+    ],
+    Likelihood(): [
+        {"kind": "laplace"}, {"wrong": 0.0}, {"wrong": 1.0}, {"sharpness": -1.0},
+        {"object_patches": 0.0}, {"depth_floor": 0.0}, {"depth_slope": -0.1},
+        {"depth_gain": math.nan}, {"depth_clip": math.nan}, {"colour_weight": -1.0}, {"sigma": -1.0},
+    ],
+    Pass(20.0, 0.4, 0.1, 100): [
+        {"stride": 0.0}, {"particles": 0}, {"particles": 99.5}, {"box": -0.4}, {"turn": math.nan},
+    ],
+    MotionNoise(): [{"translation": -1.0}, {"rotation": math.nan}],
+    RefineOptions(): [
+        {"views": 0}, {"views": 2.5}, {"views": 1000}, {"readings": -1}, {"least": 0}, {"frames": 0},
+        {"frames": 1.5}, {"inlier": 0.0}, {"inlier": math.nan}, {"tilt": 0.0}, {"tilt": -1.0},
+        {"tilt": 1e-200}, {"spread": math.inf}, {"spread": 4.0}, {"images": "sometimes"},
+        {"images": [1]}, {"images": 1}, {"depth": False, "images": False}, {"depth": "no"},
+        {"reach": (-0.1, 0.1)}, {"reach": (0.1, -0.1)}, {"reach": 0.1}, {"reach": (0.1,)},
+        {"reach": (0.1, 0.1, 0.1)}, {"reach": (math.inf, 0.1)}, {"reach": (math.nan, 0.1)},
+        {"reach": (0.1, 4.0)}, {"noise": None}, {"motion": DepthNoise()}, {"joint": 1}, {"check": None},
+    ],
+    DepthNoise(): [
+        {"floor": -0.01}, {"slope": math.nan}, {"surface": math.inf}, {"surface": 0.0},
+        {"surface": 1e-200}, {"facing": (0.8, 0.5)}, {"facing": (0.5, 0.5)}, {"facing": (-2.0, 0.5)},
+        {"facing": (0.5, 1.5)}, {"facing": (0.1,)}, {"facing": 0.5}, {"facing": (math.nan, 0.9)},
+        {"facing": (0, 0.5, 1)},
+    ],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("made", "says"),
-    [
-        (lambda: FilterOptions(semantic=False, depth=False, colour=False), "all off"),
-        (lambda: FilterOptions(start="random"), "start"),
-        (lambda: FilterOptions(heights=()), "heights"),
-        (lambda: FilterOptions(heights=(1.5, math.nan)), "heights"),
-        (lambda: FilterOptions(spacing=0.0), "spacing"),
-        (lambda: FilterOptions(spacing=math.inf), "spacing"),
-        (lambda: FilterOptions(per_cell=0), "per_cell"),
-        (lambda: FilterOptions(per_cell=1.5), "per_cell"),
-        (lambda: FilterOptions(passes=()), "passes"),
-        (lambda: PoseSearchOptions(modes=0), "modes"),
-        (lambda: FilterOptions(modes=2.5), "modes"),
-        (lambda: FilterOptions(kld_error=math.nan), "kld_error"),
-        (lambda: FilterOptions(kld_confidence=1.0), "kld_confidence"),
-        (lambda: FilterOptions(injection=1.0), "injection"),
-        (lambda: FilterOptions(injection=-0.1), "injection"),
-        (lambda: FilterOptions(min_particles=0), "min_particles"),
-        (lambda: FilterOptions(answer="best"), "answer"),
-        (lambda: FilterOptions(every=-1.0), "every"),
-        (lambda: FilterOptions(every_metre=math.nan), "every_metre"),
-        (lambda: Likelihood(kind="laplace"), "kind"),
-        (lambda: Likelihood(wrong=0.0), "wrong"),
-        (lambda: Likelihood(wrong=1.0), "wrong"),
-        (lambda: Likelihood(sharpness=-1.0), "sharpness"),
-        (lambda: Likelihood(object_patches=0.0), "object_patches"),
-        (lambda: Likelihood(depth_floor=0.0), "depth_floor"),
-        (lambda: Likelihood(sigma=-1.0), "sigma"),
-        (lambda: Likelihood(depth_clip=math.nan), "depth_clip"),
-        (lambda: Pass(0.0, 0.4, 0.1, 100), "stride"),
-        (lambda: Pass(20.0, 0.4, 0.1, 0), "particles"),
-        (lambda: Pass(20.0, 0.4, 0.1, 99.5), "particles"),
-        (lambda: Pass(20.0, -0.4, 0.1, 100), "box"),
-        (lambda: Pass(20.0, 0.4, math.nan, 100), "turn"),
-        (lambda: MotionNoise(translation=-1.0), "translation"),
-        (lambda: MotionNoise(rotation=math.nan), "rotation"),
-        (lambda: Likelihood(depth_slope=-0.1), "depth_slope"),
-        (lambda: Likelihood(depth_gain=math.nan), "depth_gain"),
-        (lambda: Likelihood(colour_weight=-1.0), "colour_weight"),
-    ],
+    ("options", "change"), [(known, change) for known, rows in WRONG.items() for change in rows]
 )
-def test_numbers_that_make_no_sense(made, says):
-    with pytest.raises(OptionError, match=says):
-        made()
+def test_values_out_of_range(options, change):
+    with pytest.raises(OptionError, match=next(iter(change)) + r"(?s:.*)\.$"):
+        replace(options, **change)
 
 
 @pytest.mark.parametrize("heights", [[1.5, 1.7], np.array([1.5, 1.7])], ids=["list", "array"])
@@ -90,27 +87,15 @@ def test_only_some_terms():
 def test_the_papers_numbers():
     """Sec. 3.1-3.5 and 4.1: grid 0.2 m, strides 20, 8, 4, sigma of Eq. 1 and of Eq. 2."""
     paper = FilterOptions.paper()
-    assert paper.start == "uniform"
-    assert paper.spacing == 0.2
-    assert paper.per_cell == 3
+    assert (paper.start, paper.spacing, paper.per_cell) == ("uniform", 0.2, 3)
     assert paper.heights == (1.5, 1.6, 1.7, 1.8)
-    assert [p.stride for p in paper.passes] == [20, 8, 4]
-    assert paper.likelihood.kind == "gaussian"
-    assert paper.likelihood.sigma == 0.2
-    assert paper.likelihood.depth_clip == 0
-    assert [p.box for p in paper.passes] == [0, 1.6, 0.8]
-    assert [p.particles for p in paper.passes[1:]] == [2500, 2500]
-    assert paper.min_particles == 2500
+    assert paper.likelihood == Likelihood(kind="gaussian", sigma=0.2, depth_clip=0)
+    assert [(p.stride, p.box) for p in paper.passes] == [(20, 0), (8, 1.6), (4, 0.8)]
+    assert [p.particles for p in paper.passes[1:]] == [paper.min_particles] * 2 == [2500] * 2
     assert (paper.modes, paper.injection, paper.answer) == (1, 0, "mle")
-    assert paper.motion == MotionNoise(0.05, 0.0, 0.05, 0.0)
-    assert paper.kld
-
-
-def test_the_coarse_variant_is_the_first_pass_alone():
-    """App. E."""
-    coarse = FilterOptions.coarse()
-    assert [p.stride for p in coarse.passes] == [20]
-    assert replace(coarse, passes=FilterOptions.paper().passes) == FilterOptions.paper()
+    assert (paper.motion, paper.kld) == (MotionNoise(0.05, 0.0, 0.05, 0.0), True)
+    # App. E
+    assert FilterOptions.coarse() == replace(paper, passes=paper.passes[:1])
 
 
 def test_what_the_published_code_does_otherwise():
@@ -128,3 +113,15 @@ def test_presets_by_name():
         assert FilterOptions.preset(name) == getattr(FilterOptions, name)()
     with pytest.raises(OptionError, match="default, paper, published, coarse"):
         FilterOptions.preset("papers")
+
+
+def test_the_papers_refinement_is_six_views_of_every_frame():
+    paper = RefineOptions.paper()
+    assert (paper.views, paper.images, paper.depth) == (6, True, False)
+    assert math.degrees(paper.spread) == pytest.approx(45.0)
+    assert (paper.joint, paper.check) == (False, False)
+    assert RefineOptions.preset("default") == RefineOptions()
+    assert RefineOptions.preset("paper") == RefineOptions.preset("coarse") == paper
+    assert RefineOptions.preset("published") is None
+    with pytest.raises(OptionError, match="'papers'"):
+        RefineOptions.preset("papers")

@@ -53,10 +53,8 @@ def test_all_agrees():
 def test_fewer_cues_can_be_enough(cue):
     agreed = replace(GOOD, **cue)
     assert decide_fit(agreed, modes(1.0), TOLD)[0] is Status.OK
-    worst = {
-        name: 0.0 for name in ("semantic", "depth", "colour")
-        if not math.isnan(getattr(agreed, name))
-    }  # fmt: skip
+    names = ("semantic", "depth", "colour")
+    worst = {name: 0.0 for name in names if not math.isnan(getattr(agreed, name))}
     assert decide_fit(replace(agreed, **worst), modes(1.0), 0.0)[0] is not Status.OK
 
 
@@ -122,7 +120,10 @@ maybe = st.one_of(st.just(math.nan), shares)
     shares,
 )  # fmt: skip
 def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread, what, more):
-    before = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
+    before, reason = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)
+    assert reason.split(".")[0]
+    assert reason.endswith(".")
+    assert "nan" not in reason
     if what == "probability":
         probability += more * (1 - probability)
     elif what == "told":
@@ -134,22 +135,6 @@ def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread
         agreed = replace(agreed, **{what: value + more * (1 - value)})
     after = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
     assert ORDER.index(after) >= ORDER.index(before)
-
-
-@given(
-    st.builds(
-        Agreement, shares, maybe, maybe, maybe, told_weights, st.just(np.zeros(8))
-    ),
-    st.lists(st.floats(0.001, 1), min_size=1, max_size=6), st.floats(0, 100), st.floats(0.01, 2),
-)  # fmt: skip
-def test_every_verdict_is_one_sentence(agreed, weights, told, spread):
-    weights = sorted(weights, reverse=True)
-    found = modes(*(w / sum(weights) for w in weights), spread=spread)
-    answer, reason = decide_fit(agreed, found, told)
-    assert answer in Status
-    assert reason.endswith(".")
-    assert "nan" not in reason
-    assert reason.split(".")[0]
 
 
 @pytest.mark.parametrize(
@@ -183,20 +168,17 @@ def test_tones_tell_a_place_whose_depth_has_changed():
 
 
 def test_only_one_file_sets_a_status():
+    """Other indoor files compare statuses, and read no public numbers to decide."""
     for path in INDOOR.rglob("*.py"):
-        text = path.read_text()
-        if path == INDOOR / "status.py" or not re.search(r"Status\.|\[\"", text):
+        if path == INDOOR / "status.py" or "Status." not in (text := path.read_text()):
             continue
-        tree = ast.parse(text)
-        compared = {
-            id(part)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Compare)
-            for side in (node.left, *node.comparators)
-            for part in ast.walk(side)
-        }
-        for node in ast.walk(tree):
+        nodes = list(ast.walk(ast.parse(text)))
+        compares = [node for node in nodes if isinstance(node, ast.Compare)]
+        compared = {id(part) for node in compares for part in ast.walk(node)}
+        for node in nodes:
             if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "Status":
                 assert id(node) in compared, f"{path.name}:{node.lineno} sets {node.attr}"
-            if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
-                assert node.slice.value not in {"trust", "rival", "undecided", "fits"}, path
+    keys = re.compile(r"\[\"(trust|rival|undecided|fits)\"\]")
+    assert [
+        p for p in INDOOR.rglob("*.py") if p.name != "status.py" and keys.search(p.read_text())
+    ] == []

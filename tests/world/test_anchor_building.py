@@ -68,9 +68,9 @@ def extract(path, corners, entrances=(), tags=()):
         tag = '<tag k="entrance" v="main"/>' if k >= len(corners) else ""
         nodes += f'<node id="{k + 1}" lon="{lon:.9f}" lat="{lat:.9f}">{tag}</node>'
     refs = "".join(f'<nd ref="{k % len(corners) + 1}"/>' for k in range(len(corners) + 1))
-    said = {"building": "yes", "name": "Stadtbibliothek", **dict(tags)}
-    said = "".join(f'<tag k="{k}" v="{v}"/>' for k, v in said.items())
-    path.write_text(f'<osm version="0.6">{nodes}<way id="7">{refs}{said}</way></osm>')
+    known = {"building": "yes", "name": "Stadtbibliothek", **dict(tags)}
+    tags = "".join(f'<tag k="{k}" v="{v}"/>' for k, v in known.items())
+    path.write_text(f'<osm version="0.6">{nodes}<way id="7">{refs}{tags}</way></osm>')
     return path
 
 
@@ -132,14 +132,14 @@ def test_a_flat_of_a_row_may_stand_between_its_ends(scenes, tmp_path):
     found = fit_building(scene, file, "Stadtbibliothek").anchors
     middle = scene.bounds.mean(axis=0) * (1, 1, 0)
     true, rows = TRUE.shift_origin(-middle), np.ix_([0, 1], [0, 1])
-    held = 0.0
+    covered = 0.0
     for anchor in found:
         here = anchor.shift_origin(-middle)
         away = true.to_map((here.longitude, here.latitude, 0.0))[:2]
         turned = true.enu_from_map[:2, :2] @ away
         if turned @ np.linalg.solve(here.covariance[rows], turned) < 9:
-            held += anchor.probability
-    assert held > 0.5
+            covered += anchor.probability
+    assert covered > 0.5
     prior = replace(TRUE, covariance=np.diag([4.0, 4.0, 4.0, 0.1]), method="gps")
     best = fit_building(scene, file, "Stadtbibliothek", prior=prior).anchors[0]
     assert off(best, OUTLINES[SQUARE]) < 1.0

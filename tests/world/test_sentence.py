@@ -1,6 +1,7 @@
 """What of a sentence is outside, and what inside."""
 
 import dataclasses
+from functools import partial
 
 import pytest
 
@@ -11,20 +12,9 @@ from placegraph.world.sentence import UPPER_LEVELS, compare_floors, parse_senten
 THINGS = ("sofa", "window", "desk", "bookcase", "bed", "sink", "kitchen", "bedroom")
 
 
-@pytest.mark.parametrize(
-    ("text", "outside", "inside"),
-    [
-        ("I am in the library on Lange Straße, by the window", True, ["near: the window"]),
-        ("I am next to the sofa", False, ["near: the sofa"]),
-        ("A bakery is north of me. A church is east of the bakery.", True, []),
-        ("I am in the kitchen of Hotel Hansa", True, ["room: the kitchen of Hotel Hansa"]),
-        ("In the bedroom at Lange Straße 7, next to the bed", True, ["room: the bedroom", "holds: the bed"]),
-    ],
-)  # fmt: skip
-def test_split(world, text, outside, inside):
-    told = parse_sentence(text, {"west": world.towns["west"]}, THINGS)
-    assert bool(told.outside) is outside
-    assert told.to_dict()["inside"] == inside
+@pytest.fixture
+def parse(world):
+    return partial(parse_sentence, towns={"west": world.towns["west"]}, objects=THINGS)
 
 
 @pytest.mark.parametrize(
@@ -37,13 +27,18 @@ def test_split(world, text, outside, inside):
         ("A bakery is north of me. A church is east of the bakery.", False),
     ],
 )
-def test_who_may_be_indoors(world, text, indoors):
-    assert parse_sentence(text, {"west": world.towns["west"]}, THINGS).indoors is indoors
+def test_who_may_be_indoors(parse, text, indoors):
+    assert parse(text).indoors is indoors
 
 
 @pytest.mark.parametrize(
     ("text", "outside", "inside"),
     [
+        ("I am in the library on Lange Straße, by the window", True, ["near: the window"]),
+        ("I am next to the sofa", False, ["near: the sofa"]),
+        ("A bakery is north of me. A church is east of the bakery.", True, []),
+        ("I am in the kitchen of Hotel Hansa", True, ["room: the kitchen of Hotel Hansa"]),
+        ("In the bedroom at Lange Straße 7, next to the bed", True, ["room: the bedroom", "holds: the bed"]),
         ("Ich bin in der Bibliothek in der Langen Straße, am Fenster", True, ["near: window"]),
         ("Ich sitze neben dem Sofa. Ein Bett ist links.", False, ["near: sofa", "holds: bed"]),
         ("Im Schlafzimmer steht ein Bett.", False, ["room: bedroom", "holds: bed"]),
@@ -55,23 +50,19 @@ def test_who_may_be_indoors(world, text, indoors):
         ("Ich bin neben dem Bett. I am in the bedroom.", False, ["near: bed", "room: bedroom"]),
     ],
 )  # fmt: skip
-def test_rooms_are_understood_in_other_languages(world, text, outside, inside):
-    told = parse_sentence(text, {"west": world.towns["west"]}, THINGS)
-    assert bool(told.outside) is outside
-    assert told.to_dict()["inside"] == inside
-    assert not [i for i in told.ignored if "unknown" in i.reason]
+def test_outside_and_inside_in_many_languages(parse, text, outside, inside):
+    parsed = parse(text)
+    assert bool(parsed.outside) is outside
+    assert parsed.to_dict()["inside"] == inside
+    assert not [i for i in parsed.ignored if "unknown" in i.reason]
 
 
-def test_a_name_that_is_heard_is_not_called_ignored(world):
+def test_names_and_addresses(parse):
     text = "Ich bin in der Küche der Bücherhalle"
     for names, ignored in (((), True), (("Bücherhalle",), False)):
-        told = parse_sentence(text, {"west": world.towns["west"]}, THINGS, names=names)
-        assert bool(told.ignored) == ignored
-
-
-def test_addresses_are_known_number_last(world):
-    told = parse_sentence("I am at Lange Straße 7", {"west": world.towns["west"]}, THINGS)
-    assert told.outside["west"].mentions[2].name == "7 Lange Straße"
+        assert bool(parse(text, names=names).ignored) == ignored
+    parsed = parse("I am at Lange Straße 7")
+    assert parsed.outside["west"].mentions[2].name == "7 Lange Straße"
 
 
 @pytest.mark.parametrize(

@@ -46,10 +46,8 @@ def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
         found = collect_evidence(world, query, match_outdoors(world, query))
         return found.scenes["reading"].building_match.score.weights
 
-    (_, right), (_, wrong) = (
-        heard("I am in the library on Lange Straße"),
-        heard(f"I am in the library on {street}"),
-    )
+    _, right = heard("I am in the library on Lange Straße")
+    _, wrong = heard(f"I am in the library on {street}")
     (elsewhere,) = heard("I am in the hotel")
     assert right > 0.5
     assert wrong < 0.5 * elsewhere < 0

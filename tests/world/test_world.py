@@ -66,9 +66,6 @@ def test_a_link_to_itself_is_refused_by_name(tmp_path):
         pg.open_world(tmp_path)
 
 
-pytestmark = pytest.mark.all
-
-
 @pytest.fixture(scope="module")
 def town(demo_world, tmp_path_factory):
     """The world that `placegraph demo` leaves."""
@@ -86,6 +83,7 @@ def frames(demo_world):
     return pg.open_capture(demo_world / "window")
 
 
+@pytest.mark.all
 def test_in_the_library_on_its_street_by_the_window(town, frames):
     found = town.locate(WINDOW, frames)
     best = found.best
@@ -94,6 +92,7 @@ def test_in_the_library_on_its_street_by_the_window(town, frames):
     assert any("window" in e.statement and e.verdict == "for" for e in best.evidence)
 
 
+@pytest.mark.all
 def test_identical_flats_are_told_apart_by_the_sentence(town, frames):
     alone = town.locate(None, frames)
     assert alone.status is Status.AMBIGUOUS
@@ -102,6 +101,7 @@ def test_identical_flats_are_told_apart_by_the_sentence(town, frames):
     assert (told.status, told.best.scene) == (Status.OK, FLAT)
 
 
+@pytest.mark.all
 def test_a_sentence_that_fits_two_towns_is_told_apart_by_the_frames(town, frames):
     alone = town.locate(WINDOW)
     assert alone.status is Status.AMBIGUOUS
@@ -111,12 +111,14 @@ def test_a_sentence_that_fits_two_towns_is_told_apart_by_the_frames(town, frames
     assert town.locate(WINDOW, frames).best.longitude == pytest.approx(9.9887, abs=0.001)
 
 
+@pytest.mark.all
 def test_of_two_libraries_in_town_the_street_is_believed(town):
     told = town.locate("I am in the library on Brückenstraße")
     assert told.best.building == "Stadtbibliothek"
     assert sum(m.probability for m in told.modes if m.building == "Stadtbibliothek") > 0.8
 
 
+@pytest.mark.all
 @pytest.mark.parametrize(
     "text",
     [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.indoor.conftest import rebuild_frame, view_frames
 
 from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
@@ -18,12 +19,9 @@ from placegraph.indoor.likelihood.observe import (
     describe_suspected_unit,
     observe_frame,
     suspect_unit_factor,
-    views,
 )
-from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.io.capture.capture import Capture, open_capture
-from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = PoseSearchOptions().only(depth=True)
@@ -31,28 +29,14 @@ KNOWN = sorted({*FACTORS, *(1 / f for f in FACTORS)})
 
 
 def scaled(capture, factor):
-    """Frames in memory whose depth is `factor` times too long."""
-    return [
-        Frame.from_arrays(
-            f.rgb(), f.camera, depth=f.depth() * np.float32(factor), depth_camera=f.depth_camera,
-            odometry=f.odometry, gravity=f.gravity, stamp=f.stamp, index=f.index,
-        )
-        for f in capture
-    ]  # fmt: skip
+    """Frames in memory without labels, whose depth is `factor` times too long."""
+    bare = {"labels": None, "label_camera": None, "label_kind": "labels"}
+    return [rebuild_frame(f, depth=f.depth() * np.float32(factor), **bare) for f in capture]
 
 
 def suspected(scene, frames):
-    return suspect_unit_factor(_views(scene, frames), scene.visibility(OPTIONS).background)
-
-
-def _views(scene, frames):
-    background = scene.visibility(OPTIONS).background
-    return views(
-        [observe_frame(f, None, OPTIONS) for f in frames],
-        FINE,
-        model_of(OPTIONS.likelihood),
-        background,
-    )
+    seen = view_frames(scene, frames, OPTIONS, stride=FINE)
+    return suspect_unit_factor(seen, scene.visibility(OPTIONS).background)
 
 
 def test_metres_are_metres(room, flat, walk, flat_walk):
@@ -81,7 +65,8 @@ def test_a_scale_a_little_off_is_no_other_unit(flat, flat_walk, factor):
 
 def test_no_depth_no_suspicion(room, walk):
     background = room.visibility(OPTIONS).background
-    blind = [v._replace(depth=np.zeros_like(v.depth)) for v in _views(room, walk[:2])]
+    seen = view_frames(room, walk[:2], OPTIONS, stride=FINE)
+    blind = [v._replace(depth=np.zeros_like(v.depth)) for v in seen]
     assert suspect_unit_factor(blind, background) is None
     few = [v._replace(depth=np.where(np.arange(len(v.depth)) < 9, v.depth, 0)) for v in blind]
     assert suspect_unit_factor(few, background) is None
@@ -134,11 +119,12 @@ def test_one_frame_of_many_may_be_absurd(walk):
 
 def test_too_few_readings_say_nothing(walk):
     (frame,) = scaled(walk[:1], 1000.0)
-    told = observe_frame(frame, None, OPTIONS)
+    observation = observe_frame(frame, None, OPTIONS)
     with pytest.raises(OptionError, match="metres"):
-        check_unit(5.0, [told])
-    few = np.where(np.arange(told.depth.size).reshape(told.depth.shape) % 400, np.nan, told.depth)
-    check_unit(5.0, [replace(told, depth=few.astype(np.float32))])
+        check_unit(5.0, [observation])
+    few = np.full_like(observation.depth, np.nan)
+    few.flat[::400] = observation.depth.flat[::400]
+    check_unit(5.0, [replace(observation, depth=few)])
 
 
 @pytest.mark.parametrize(("scale", "says"), [(5000, "too short"), (200, "too long")])

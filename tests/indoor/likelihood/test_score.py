@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import view_frames
+from tests.indoor.likelihood.conftest import draw_view
 
-from placegraph.core.geometry import Camera, level_from_camera, rotation_z
+from placegraph.core.geometry import rotation_z
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.observe import View, observe_frame, views
+from placegraph.indoor.likelihood.observe import View
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.likelihood.score_kernels import (
     COLOUR,
@@ -58,7 +60,7 @@ def slow_scores(caster, surface, pose, view, model):
 def slow_semantic(hits, surface, view, used, model):
     """Per patch: the mean ratio over its rays, whatever objects they hit; misses are column N."""
     nothing = view.semantic.shape[1] - 1
-    said = []
+    terms = []
     for patch, weight in enumerate(view.weight):
         rows = np.flatnonzero(used & (view.patch == patch))
         if not rows.size or weight == 0:
@@ -68,10 +70,10 @@ def slow_semantic(hits, surface, view, used, model):
             for t in hits.triangle[rows]
         ]
         mean = float(np.mean(ratios))
-        said.append(mean if model.gaussian else weight * math.log(mean))
+        terms.append(mean if model.gaussian else weight * math.log(mean))
     if model.gaussian:
-        return float(np.mean(said)) if said else 0.0
-    return sum(said)
+        return float(np.mean(terms)) if terms else 0.0
+    return sum(terms)
 
 
 def slow_depth(hits, view, used, model):
@@ -109,11 +111,11 @@ def slow_tone(hits, surface, view, used, model):
     there = ~np.isnan(shown[:, 0])
     if model.gaussian or there.sum() < 16:
         return 0.0
-    told = 0.0
+    total = 0.0
     for q, r in zip(view.colour[there].T.astype(float), shown[there].T, strict=True):
         if q.var() > 1e-4 and r.var() > 1e-4:
-            told -= math.log(1 - np.clip(np.corrcoef(q, r)[0, 1], 0, 0.99) ** 2) / 6
-    return model.tone_weight * there.sum() / used.sum() * told
+            total -= math.log(1 - np.clip(np.corrcoef(q, r)[0, 1], 0, 0.99) ** 2) / 6
+    return model.tone_weight * there.sum() / used.sum() * total
 
 
 def slow_colour(hits, surface, view, used, model):
@@ -156,42 +158,15 @@ def poses_in(bounds, rng, count):
     return np.column_stack([rng.uniform(low, high, (count, 3)), rng.uniform(-4, 4, count)])
 
 
-def camera_view(rng, objects, model, *, stride=8, terms=(True, True, True)):
-    """A view of chance: patches, depths and colours of no scene at all."""
-    camera = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
-    columns, rows = 160 // stride, 90 // stride
-    across, down = -(-columns // 4), -(-rows // 4)
-    y, x = np.mgrid[: 4 * down, : 4 * across]
-    y, x = (a.reshape(down, 4, across, 4).swapaxes(1, 2).ravel() for a in (y, x))
-    inside = (x < columns) & (y < rows)
-    uv = np.column_stack([(x + 0.5) * 160 / columns, (y + 0.5) * 90 / rows])
-    directions = camera.directions(uv) @ level_from_camera((0.1, 1, 0.2)).T
-    grid = 6
-    patch = (y * grid // (4 * down)) * grid + x * grid // (4 * across)
-    depth = rng.uniform(0.5, 5, len(x)) * (rng.random(len(x)) < 0.8)
-    return View(
-        directions=directions.astype(np.float32),
-        patch=np.where(inside, patch, -1).astype(np.int32),
-        semantic=rng.uniform(0.2, 2.0, (grid * grid + 1, objects + 1)).astype(np.float32),
-        weight=(rng.random(grid * grid + 1) * (rng.random(grid * grid + 1) < 0.7)).astype("f4"),
-        depth=depth.astype(np.float32),
-        background_depth=(rng.normal(0, 0.5, len(x)) * (not model.gaussian)).astype(np.float32),
-        colour=(rng.random((len(x), 3)) * (3, 1, 1) - (0, 0.5, 0.5)).astype(np.float32),
-        footprint=1 / 100 * 160 / columns,
-        terms=np.array(terms),
-    )
+def camera_view(rng, objects, model, **options):
+    return draw_view(rng, objects, gaussian=model.gaussian, **options)
 
 
 def seen_by_itself(caster, surface, pose, view):
     """The view that a perfect camera at this pose has of the map."""
     hits = cast(caster, pose, view)
     hit = hits.triangle >= 0
-    colour = np.zeros_like(view.colour)
-    for r in np.flatnonzero(hit):
-        footprint = np.float32(hits.distance[r] * view.footprint)
-        colour[r] = opponent_colour(
-            *sample_colour(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint)
-        )
+    colour = np.nan_to_num(colours_shown(hits, surface, view, hit)).astype(np.float32)
     return view._replace(depth=np.where(hit, hits.distance, 0).astype(np.float32), colour=colour)
 
 
@@ -236,11 +211,7 @@ def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     likelihood = Likelihood(kind="gaussian" if model.gaussian else "calibrated")
     options = PoseSearchOptions(likelihood=likelihood)
     encoder = InstancesEncoder(room) if kind == "instances" else None
-    frame = walk[4]
-    around = room.visibility(options).background
-    (view,) = views(
-        [observe_frame(frame, encoder, options)], 10.0, model_of(options.likelihood), around
-    )
+    (view,) = view_frames(room, walk[4:5], options, encoder)
     at = truth(walk)[4]
     yaw = math.atan2(at[1, 2], at[0, 2])
     poses = np.array([*at[:3, 3], yaw]) + rng.normal(size=(40, 4)) * (0.1, 0.1, 0.05, 0.05)
@@ -285,16 +256,6 @@ def test_only_the_terms_asked_for(model, terms, room, rng):
     asked = np.array([*terms, terms[DEPTH] and terms[COLOUR]])
     np.testing.assert_allclose(got[:, asked], whole[:, asked], rtol=1e-5, atol=1e-5)
     assert not got[:, ~asked].any()
-
-
-def test_the_papers_scores_lie_between_0_and_2(room, rng):
-    for _ in range(5):
-        view = camera_view(rng, len(room), PAPER)
-        poses = poses_in(room.bounds + np.array([[-5], [5]]), rng, 100)
-        scores = score_poses(room.caster.tracer, room.surface, poses, view, PAPER)
-        assert scores.min() >= 0
-        assert scores.max() <= 2
-        assert not scores[:, TONE].any()
 
 
 def test_a_perfect_camera_scores_2(room, rng):
@@ -345,7 +306,7 @@ def test_frames_without_readings_or_patches_score_nothing(model, room, rng):
 
 
 @MODELS
-def test_grey_images_tell_nothing_of_colour(model, room, rng):
+def test_grey_images_tell_noobject_of_colour(model, room, rng):
     view = camera_view(rng, len(room), model)
     view = view._replace(colour=np.full((len(view.patch), 3), 0.5, np.float32))
     poses = poses_in(room.bounds, rng, 9)
@@ -390,7 +351,7 @@ def test_tones_tell_rooms_apart_whose_steps_are_alike(boxes):
 
 
 @MODELS
-@pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 130])
+@pytest.mark.parametrize("count", [0, 1, 64, 65])
 def test_poses_are_scored_one_by_one(model, count, room, rng):
     view = camera_view(rng, len(room), model, stride=16)
     poses = poses_in(room.bounds, rng, count)
@@ -399,40 +360,6 @@ def test_poses_are_scored_one_by_one(model, count, room, rng):
     for k in range(0, count, 13):
         alone = score_poses(room.caster.tracer, room.surface, poses[k : k + 1], view, model)
         np.testing.assert_array_equal(alone[0], together[k])
-
-
-def test_whole_turns_change_nothing(room, rng):
-    view = camera_view(rng, len(room), CALIBRATED)
-    poses = poses_in(room.bounds, rng, 10)
-    turned = poses + np.array([0, 0, 0, 2 * np.pi])
-    a, b = (
-        score_poses(room.caster.tracer, room.surface, p, view, CALIBRATED) for p in (poses, turned)
-    )
-    agree(a, b, 0.9)
-
-
-def test_moving_map_and_camera_together_changes_nothing(rng, boxes):
-    drawn = boxes(
-        {
-            "room": ((0, 0, 0), (5, 4, 3)),
-            "shelf": ((1, 1, 0), (2, 1.5, 2)),
-            "desk": ((3.5, 2, 0), (4, 4, 1)),
-        }
-    )
-    vertices, triangles = drawn.vertices, drawn.triangles
-    colours = rng.integers(0, 256, (24, 3))
-    quarter = rotation_z(np.pi / 2)
-    shift = np.array([40.0, -7.0, 2.0])
-    view = camera_view(rng, 3, CALIBRATED)
-    poses = poses_in(((0.3, 0.3, 1), (4.7, 3.7, 2.5)), rng, 30)
-    moved = np.column_stack([poses[:, :3] @ quarter.T + shift, poses[:, 3] + np.pi / 2])
-    got = []
-    for points, at in ((vertices, poses), (vertices @ quarter.T + shift, moved)):
-        mesh = Mesh.plain(points, triangles, drawn.object_of, colours)
-        tracer = RayCaster(mesh.vertices, mesh.triangles).tracer
-        got.append(score_poses(tracer, Surface.of(mesh), at, view, CALIBRATED))
-    agree(*got, 0.9)
-    assert np.ptp(got[0]) > 5
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.05, 0.3, 1.0])

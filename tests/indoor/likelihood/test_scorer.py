@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import view_frames
 
 from placegraph.core.geometry import compose
-from placegraph.indoor.likelihood.observe import observe_frame, views
-from placegraph.indoor.likelihood.score import Scorer, model_of
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import PoseSearchOptions
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -14,13 +14,7 @@ OPTIONS = PoseSearchOptions()
 
 @pytest.fixture(scope="module")
 def seen(room, walk):
-    around_ = room.visibility(OPTIONS).background
-    return views(
-        [observe_frame(f, None, OPTIONS) for f in walk[:3]],
-        20.0,
-        model_of(OPTIONS.likelihood),
-        around_,
-    )
+    return view_frames(room, walk[:3], OPTIONS, stride=20.0)
 
 
 def test_scores_are_counted(room, seen):

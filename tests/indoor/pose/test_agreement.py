@@ -6,14 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import view_frames
 
-from placegraph.core.geometry import Camera, between, compose, split_pose
+from placegraph.core.geometry import (
+    Camera,
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+)
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bind_encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
-from placegraph.indoor.likelihood.observe import observe_frame, views
-from placegraph.indoor.likelihood.score import Scorer, model_of
-from placegraph.indoor.likelihood.score_kernels import cast_view
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.agreement import Agreement, agreement, explain
 from placegraph.indoor.pose.window import level_poses
@@ -36,25 +42,21 @@ EASTWARD, WESTWARD = np.array([0, 0, 1.2, 0.0]), np.array([0, 0, 1.2, math.pi])
 
 @pytest.fixture(scope="module")
 def hall(boxes):
-    return scene_of_model(boxes(HALL))
+    return scene_of_model(boxes(HALL), detail="full")
 
 
 def rendered(scene, pose, kind, **change):
     """A frame of boxes as a camera at a pose (4,) sees them, without noise."""
-    v, u = np.mgrid[:48, :80] + 0.5
-    rays = np.stack([np.ones(u.size), (40 - u.ravel()) / 60, (24 - v.ravel()) / 60], axis=1)
-    triangle, depth = cast_view(scene.caster.tracer, pose, rays.astype(np.float32))
-    objects = np.where(triangle >= 0, scene.mesh.object_of[triangle], -1).reshape(48, 80)
+    drawn = scene.render(pose_matrix(pose, level_from_camera((0, 1, 0))), CAMERA, samples=1)
     labels = [label.strip() for label in scene.graph.labels]
-    names = {i + 1: label for i, label in enumerate(dict.fromkeys(labels))}
+    names = dict(enumerate(dict.fromkeys(labels), 1))
     number = {name: i for i, name in names.items()}
     of_object = np.array([number[label] for label in labels] + [-1])
-    ids = of_object[objects] if kind == "labels" else objects
-    depth = np.where(triangle >= 0, depth, 0).reshape(48, 80)
-    return Frame.from_arrays(
-        np.zeros((48, 80, 3), np.uint8), CAMERA, depth=change.get("depth", depth),
-        labels=change.get("labels", ids), label_kind=kind, label_names=names, gravity=(0, 1, 0),
-    )  # fmt: skip
+    fields = {
+        "depth": np.nan_to_num(drawn.depth), "label_kind": kind, "label_names": names,
+        "labels": of_object[drawn.objects] if kind == "labels" else drawn.objects,
+    }  # fmt: skip
+    return Frame.from_arrays(drawn.colour, CAMERA, gravity=(0, 1, 0), **fields | change)
 
 
 def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
@@ -63,10 +65,7 @@ def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
     grid = (6, 10)
     labels = kind == "labels"
     encoder = bind_encoder(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
-    around = scene.visibility(options).background
-    seen = views(
-        [observe_frame(frame, encoder, options)], 4.0, model_of(options.likelihood), around
-    )
+    seen = view_frames(scene, [frame], options, encoder, 4.0)
     return agreement(Scorer(scene, options.likelihood), pose, seen, np.zeros((1, 4)))
 
 
@@ -146,7 +145,7 @@ def test_something_in_the_way_speaks_against_what_is_behind(hall):
     assert got.weights[EAST_WALL] > 0
 
 
-def test_a_camera_that_sees_nothing_of_the_map(hall):
+def test_a_camera_that_sees_noobject_of_the_map(hall):
     frame = rendered(hall, EASTWARD, "instances")
     off = np.array([300.0, 0, 1.2, 0.0])
     got = judged(hall, frame, off, "instances")
@@ -162,14 +161,7 @@ def test_a_camera_that_sees_nothing_of_the_map(hall):
 @pytest.fixture(scope="module")
 def walked(room, walk, truth):
     """Scorer, true pose of the last frame, views of ten frames and steps to them."""
-    encoder = InstancesEncoder(room)
-    around = room.visibility(OPTIONS).background
-    seen = views(
-        [observe_frame(f, encoder, OPTIONS) for f in walk],
-        10.0,
-        model_of(OPTIONS.likelihood),
-        around,
-    )
+    seen = view_frames(room, walk, OPTIONS, InstancesEncoder(room))
     poses = level_poses(walk.odometry, walk.gravity)
     pose, _ = split_pose(truth(walk)[-1])
     return Scorer(room, OPTIONS.likelihood), pose, seen, between(poses[-1], poses)
@@ -211,20 +203,14 @@ def test_colours_are_told_per_sample_of_the_image(walked):
 
 def test_eq_2_can_be_explained_too(room, walk, truth):
     options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
-    around = room.visibility(options).background
-    seen = views(
-        [observe_frame(walk[-1], InstancesEncoder(room), options)],
-        10.0,
-        model_of(options.likelihood),
-        around,
-    )
+    seen = view_frames(room, walk[-1:], options, InstancesEncoder(room))
     pose, _ = split_pose(truth(walk)[-1])
     got = agreement(Scorer(room, options.likelihood), pose, seen, np.zeros((1, 4)))
     assert got.semantic > 0.8
     assert got.depth > 0.85
 
 
-def told(hall, **change):
+def explain_with(hall, **change):
     fields = {
         "covered": 1.0, "semantic": math.nan, "depth": math.nan, "colour": math.nan,
         "weights": np.zeros(5), "counts": np.zeros(5),
@@ -232,9 +218,9 @@ def told(hall, **change):
     return explain(hall, Agreement(**fields | change))
 
 
-def test_objects_in_the_order_of_what_they_told(hall):
+def test_objects_in_the_order_of_what_they_explain_with(hall):
     weights, patches = np.array([2.0, -9.0, 0.3, 5.0, 7.0]), np.array([4.0, 3, 2, 1, 0])
-    got = told(hall, weights=weights, counts=patches)
+    got = explain_with(hall, weights=weights, counts=patches)
     assert [e.objects[0].id for e in got] == [hall.graph.ids[i] for i in (1, 3, 0, 2)]
     assert [e.verdict for e in got] == ["against", "for", "for", "silent"]
     assert [e.weight for e in got] == [-9.0, 5.0, 2.0, 0.3]
@@ -252,11 +238,11 @@ def test_only_the_twelve_that_told_most_are_named(room):
 
 
 def test_depth_colour_and_coverage_in_words(hall):
-    (depth,) = told(hall, depth=0.83)
+    (depth,) = explain_with(hall, depth=0.83)
     assert (depth.statement, depth.verdict) == ("depth", "for")
     assert depth.note.startswith("83% of the readings")
-    assert told(hall, depth=0.2)[0].verdict == "against"
-    assert told(hall, colour=0.4)[0].verdict == "for"
-    assert told(hall, colour=0.0)[0].verdict == "silent"
-    assert told(hall, covered=0.5)[0].note == "50% of the view lies outside the map"
-    assert told(hall, covered=0.8) == ()
+    assert explain_with(hall, depth=0.2)[0].verdict == "against"
+    assert explain_with(hall, colour=0.4)[0].verdict == "for"
+    assert explain_with(hall, colour=0.0)[0].verdict == "silent"
+    assert explain_with(hall, covered=0.5)[0].note == "50% of the view lies outside the map"
+    assert explain_with(hall, covered=0.8) == ()

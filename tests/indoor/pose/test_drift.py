@@ -1,5 +1,7 @@
 """Frames and odometry agree on a course: rigid where odometry is good, bent where it drifts."""
 
+from itertools import accumulate
+
 import numpy as np
 import pytest
 
@@ -18,12 +20,12 @@ KNOWN = np.array([0.02, 0.02, 0.02, 0.006])
 """How well a frame knows its own pose [m, rad]."""
 
 
+def chained(steps, start=(0.0, 0.0, 0.0, 0.0)):
+    return np.array(list(accumulate(steps, compose, initial=np.array(start))))
+
+
 def walk(count=12):
-    steps = np.tile([0.15, 0.02, 0.0, 0.08], (count - 1, 1))
-    poses = [np.array([1.0, 2.0, 1.5, 3.0])]
-    for step in steps:
-        poses.append(compose(poses[-1], step))
-    return np.array(poses)
+    return chained(np.tile([0.15, 0.02, 0.0, 0.08], (count - 1, 1)), (1.0, 2.0, 1.5, 3.0))
 
 
 def drifting(truth, degrees, rng, systematic):
@@ -31,23 +33,20 @@ def drifting(truth, degrees, rng, systematic):
     errors = np.ones(len(steps)) if systematic else rng.normal(size=len(steps))
     steps[:, 3] += np.deg2rad(degrees) * errors
     steps[:, :3] *= 1.0 + 0.02 * degrees
-    poses = [np.zeros(4)]
-    for step in steps:
-        poses.append(compose(poses[-1], step))
-    return Chain.of(np.array(poses), NOISE)
+    return Chain.of(chained(steps), NOISE)
 
 
 def seen(truth, rng, rows=slice(None)):
     """What frames say of their poses, each with its own error."""
-    told = QuadraticFactors.zeros(truth + rng.normal(size=truth.shape) * KNOWN)
-    told.information[rows] = np.diag(1.0 / KNOWN**2)
-    return told
+    factors = QuadraticFactors.zeros(truth + rng.normal(size=truth.shape) * KNOWN)
+    factors.information[rows] = np.diag(1.0 / KNOWN**2)
+    return factors
 
 
-def settled(chain, told, start, steps=12):
+def settled(chain, factors, start, steps=12):
     course = Trajectory.start(chain, start, np.array([0.1, 0.1, 0.1, 0.05]))
     for _ in range(steps):
-        course = solve_trajectory(chain, course, told)
+        course = solve_trajectory(chain, course, factors)
     return course
 
 
@@ -95,19 +94,17 @@ def test_a_frame_that_says_nothing_follows_its_neighbours(rng):
 
 def test_bends_cost(rng):
     truth = walk()
-    told = seen(truth, rng)
-    good = settled(Chain.of(between(truth[:1], truth), NOISE), told, truth[-1])
+    factors = seen(truth, rng)
+    good = settled(Chain.of(between(truth[:1], truth), NOISE), factors, truth[-1])
     chain = drifting(truth, 2.0, rng, systematic=True)
-    assert (
-        settled(chain, told, truth[-1]).cost(chain)
-        > good.cost(Chain.of(between(truth[:1], truth), NOISE)) + 5.0
-    )
+    bent = settled(chain, factors, truth[-1])
+    assert bent.cost(chain) > good.cost(Chain.of(between(truth[:1], truth), NOISE)) + 5.0
 
 
 def test_a_single_frame_goes_where_it_is_seen(rng):
     truth = walk(1)
-    told = seen(truth, rng)
+    factors = seen(truth, rng)
     chain = Chain.of(np.zeros((1, 4)), NOISE)
-    course = settled(chain, told, truth[0] + 0.05)
-    np.testing.assert_allclose(course.poses, told.at, atol=1e-3)
+    course = settled(chain, factors, truth[0] + 0.05)
+    np.testing.assert_allclose(course.poses, factors.at, atol=1e-3)
     assert course.cost(chain) == 0.0

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.indoor.conftest import view_frames
 
 from placegraph.core.geometry import compose, split_pose, wrap_angle
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.observe import observe_frame, views
-from placegraph.indoor.likelihood.score import Scorer, model_of
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
 from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.local_fit import (
@@ -17,7 +17,6 @@ from placegraph.indoor.pose.local_fit import (
     WIDENED,
     FitLevel,
     fit_modes,
-    fit_pose,
     probabilities,
 )
 from placegraph.indoor.pose.particle_filter import Particles, heaviest_modes
@@ -150,20 +149,6 @@ def test_no_rounds_only_score(rng):
     np.testing.assert_allclose(fit.pose, PEAK + 0.01)
 
 
-def test_the_same_seed():
-    hills = Hills((PEAK, 10.0, NARROW))
-    fits = [
-        fit_modes(hills, PEAK[None] + SPREAD, [level()], np.random.default_rng(4)) for _ in range(2)
-    ]
-    np.testing.assert_array_equal(*(f[0].pose for f in fits))
-
-
-def test_refining_one_pose(rng):
-    hills = Hills((PEAK, 10.0, NARROW))
-    fit = fit_pose(hills, PEAK + NARROW, 2 * NARROW, level(rounds=3), rng)
-    assert np.abs(error_of(fit) / NARROW).max() < 1
-
-
 def test_probabilities_by_hand():
     got = probabilities(np.array([0.0, -np.log(4.0) * 3]), 3.0)
     np.testing.assert_allclose(got, [0.8, 0.2])
@@ -220,13 +205,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
 
 def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     options = PoseSearchOptions()
-    around = room.visibility(options).background
-    seen = views(
-        [observe_frame(f, InstancesEncoder(room), options) for f in walk],
-        10.0,
-        model_of(options.likelihood),
-        around,
-    )
+    seen = view_frames(room, walk, options, InstancesEncoder(room))
     chain = Chain.of(level_poses(walk.odometry, walk.gravity), options.motion)
     rig = FitLevel(chain, np.arange(len(seen)), seen, 5, 4, 60.0)
     true = split_pose(truth(walk)[-1])[0]

@@ -8,26 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp, kstest
+from tests.indoor.conftest import view_frames
 from tests.indoor.pose import paper_filter as theirs
 
 from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap_angle
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.observe import observe_frame, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.particle_filter import (
     ParticleFilter,
     Particles,
-    _later,
     everywhere,
-    heaviest_modes,
     kld_bound,
     kld_count,
     propagate,
     resample,
 )
-from placegraph.indoor.pose.window import Chain, PoseQuery, Window
+from placegraph.indoor.pose.window import PoseQuery, Window
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 
@@ -164,9 +162,7 @@ def test_equation_1(rng):
 def test_scores_of_semantics_depth_and_colour(stride, scene, world, images, frames, rng):
     """Sec. 3.3 and 3.4, at the strides of the passes and at full resolution."""
     model = model_of(PAPER.likelihood)
-    observations = [observe_frame(frame, Told(images), PAPER) for frame in frames]
-    background = scene.visibility(PAPER).background
-    seen = views(observations, float(stride), model, background)
+    seen = view_frames(scene, frames, PAPER, Told(images), float(stride))
     poses = np.concatenate([TRUE, scattered(rng, 24 if stride > 1 else 2)])
     ours = [Scorer(scene, PAPER.likelihood).terms(poses, view) for view in seen]
     for scores, view, image in zip(ours, seen, images, strict=True):
@@ -217,32 +213,6 @@ def test_an_estimate_is_carried_back(rng):
         for step in STEPS[1:]:
             there = theirs.plus(there, step)
         np.testing.assert_allclose(there[0, :3], pose[:3], atol=1e-9)
-
-
-@pytest.mark.parametrize("number", [1, 2])
-def test_the_boxes_of_later_passes(number, rng):
-    """Sec. 3.5: so many poses, even in a box around the MLE, which is one of ours itself."""
-    spec, mle = PAPER.passes[number], TRUE[0]
-    ours = _later(spec, mle[None], np.ones(1), rng)
-    other = theirs.boxed(mle, number, theirs.FEWEST, rng)
-    assert len(ours) == len(other)
-    np.testing.assert_array_equal(ours[0], mle)
-    for axis in range(4):
-        reach = theirs.TURNS[number] if axis == 3 else theirs.BOXES[number] / 2
-        away = ours[1:, axis] - mle[axis]
-        assert kstest(away, "uniform", (-reach, 2 * reach)).pvalue > 0.001
-        assert ks_2samp(ours[:, axis], other[:, axis]).pvalue > 0.001
-
-
-def test_the_mle(rng):
-    """Sec. 3.5: the heaviest particle carries over to the next pass, and is the answer of the last."""
-    poses = scattered(rng, 500)
-    particles, _ = Particles.even(poses).reweighted(-rng.exponential(1.0, 500))
-    expected = theirs.heaviest(poses, particles.weights)
-    (fit,) = heaviest_modes(Chain.of(np.zeros((1, 4)), PAPER.motion), particles, PAPER.modes)
-    np.testing.assert_array_equal(fit.pose, expected)
-    filter_ = ParticleFilter(None, PAPER, rng, particles, 500)
-    np.testing.assert_array_equal(filter_.modes(), expected[None])
 
 
 @pytest.mark.all

@@ -124,20 +124,25 @@ def test_columns_that_contradict_each_other(tmp_path, name, values):
 
 
 @given(st.integers(0, 3000))
-def test_truncated_files(tmp_path_factory, at):
-    path = tmp_path_factory.mktemp("run") / "a.run"
-    write_run(path, made())
-    whole = path.read_bytes()
-    path.write_bytes(whole[: min(at, len(whole) - 1)])
+def test_truncated_files(tmp_path_factory, run_bytes, at):
+    path = tmp_path_factory.getbasetemp() / "a.run"
+    path.write_bytes(run_bytes[: min(at, len(run_bytes) - 1)])
     with pytest.raises((InputError, MapError), match=r"a\.run"):
         read_run(path)
 
 
+@pytest.fixture(scope="module")
+def run_bytes(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "a.run"
+    write_run(path, made())
+    return path.read_bytes()
+
+
 def test_numbers_too_large_for_a_float(tmp_path):
     write_run(tmp_path / "a.run", made())
-    held = read_map(tmp_path / "a.run", KIND, VERSION)
+    file = read_map(tmp_path / "a.run", KIND, VERSION)
     write_map(
-        tmp_path / "a.run", KIND, VERSION, held.meta | {"strides": [10**400] * 2}, held.arrays
+        tmp_path / "a.run", KIND, VERSION, file.meta | {"strides": [10**400] * 2}, file.arrays
     )
     with pytest.raises(MapError, match="contradict"):
         read_run(tmp_path / "a.run")

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.indoor.conftest import _model
+from tests.indoor.conftest import _model, measure_error
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
@@ -78,11 +78,11 @@ def _moved(poses, shift=(0.0, 0.0, 0.0), turn_deg=(0.0, 0.0, 0.0)):
     return out
 
 
-def _off(pose, truth):
-    """Distance [m] and turn [deg] between two poses (4, 4)."""
-    delta = np.linalg.inv(truth) @ pose
-    turn = np.arccos(np.clip((np.trace(delta[:3, :3]) - 1) / 2, -1, 1))
-    return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(turn))
+def _check_near(poses, truth, metres, degrees=180.0):
+    """Check that poses (T, 4, 4) or (4, 4) are within a distance [m] and a turn [deg] of the truth."""
+    pairs = zip(np.reshape(poses, (-1, 4, 4)), np.reshape(truth, (-1, 4, 4)), strict=True)
+    errors = np.array([measure_error(pose, true) for pose, true in pairs])
+    assert (errors < (metres, degrees)).all(), errors
 
 
 def _white(scene):
@@ -95,8 +95,8 @@ def _white(scene):
 def kit():
     """Functions that make maps, poses, exact captures and problems: see those above."""
     return SimpleNamespace(
-        boxes=_boxes, standing=_standing, frames=_frames, problem=_problem, moved=_moved, off=_off,
-        white=_white, camera=CAMERA,
+        boxes=_boxes, standing=_standing, frames=_frames, problem=_problem, moved=_moved, off=measure_error,
+        white=_white, check_near=_check_near, camera=CAMERA,
     )  # fmt: skip
 
 
@@ -129,25 +129,6 @@ def exact(room, walk, truth):
 def located(room, walk):
     """The drawn room's first five frames, localized."""
     return room.localize(walk, frames=slice(0, 5))
-
-
-@pytest.fixture(scope="session")
-def in_memory():
-    """Rebuild a capture in memory: `in_memory(capture, rgb=function of the frame, ...)`."""
-
-    def rebuilt(capture, **change):
-        frames = []
-        for f in capture:
-            fields = {
-                "rgb": f.rgb(), "camera": f.camera, "depth": f.depth(), "labels": f.labels(),
-                "depth_camera": f.depth_camera, "label_camera": f.label_camera,
-                "label_kind": f.label_kind or "labels", "gravity": f.gravity,
-                "odometry": f.odometry, "stamp": f.stamp, "index": f.index,
-            }  # fmt: skip
-            frames.append(Frame.from_arrays(**fields | {k: made(f) for k, made in change.items()}))
-        return Capture.from_frames(frames)
-
-    return rebuilt
 
 
 @pytest.fixture

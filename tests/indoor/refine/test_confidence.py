@@ -27,7 +27,6 @@ from placegraph.indoor.refine.refinement import (
     confirm_fit,
     depth_evidence,
     image_evidence,
-    measure_move,
     standard_errors,
 )
 from placegraph.indoor.refine.refiner import FittedTrajectory
@@ -142,7 +141,6 @@ def test_blank_and_missing_images_say_nothing(room, walk, exact, kit, image):
     assert found.gain(1).sum() == 0.0
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
 SOME = SimpleNamespace(poses=None, lags=None)  # a solution: its numbers are not looked at
 
 
@@ -275,14 +273,6 @@ def test_images_alone_must_convince_more(refiner, exact, kit):
         found = confirm_fit(refiner(depth=False, colour=colour), off, few)
         assert not found.accepted
         assert says in found.reason
-
-
-@pytest.mark.parametrize("degrees", [0.0, 1.0, 90.0, 179.0])
-def test_moved(kit, degrees):
-    pose = kit.standing(1.0, 2.0, 30.0)
-    shift, turn = measure_move(pose, kit.moved(pose, (0.3, 0.0, -0.4), (0, degrees, 0)))
-    assert shift == pytest.approx(0.5)
-    assert np.degrees(turn) == pytest.approx(degrees, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import rotation_from_vector
 from placegraph.indoor.refine.correspondences import Kernel, Surfaces, sample_readings
 from placegraph.indoor.refine.refine_kernels import (
-    add_row,
     correlations,
     depth_system,
     pixel_system,
@@ -35,19 +34,6 @@ def derivatives(errors):
 
 def parts(pose):
     return np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
-
-
-@given(st.lists(st.tuples(SMALL, st.floats(0.1, 5.0)), min_size=1, max_size=5), st.integers(0, 99))
-def test_rows_add_up_to_normal_equations(rows, seed):
-    rng = np.random.default_rng(seed)
-    h, g = np.zeros((6, 6)), np.zeros(6)
-    j = rng.normal(size=(len(rows), 6))
-    errors, weights = np.array(rows).T
-    for row, error, weight in zip(j, errors, weights, strict=True):
-        add_row(h, g, row, error, weight)
-    np.testing.assert_allclose(g, j.T @ (weights * errors), atol=1e-12)
-    np.testing.assert_allclose(np.triu(h), np.triu(j.T @ (weights[:, None] * j)), atol=1e-12)
-    assert not np.tril(h, -1).any()
 
 
 @pytest.fixture(scope="module")

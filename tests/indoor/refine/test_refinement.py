@@ -9,7 +9,6 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
@@ -17,7 +16,6 @@ from placegraph.indoor.refine import refinement as judge
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import FitCheck, _apply_check
 from placegraph.indoor.status import Diagnostics
-from placegraph.io.capture.capture import open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -38,60 +36,49 @@ def test_refined_is_nearer_the_truth(refined, coarse, exact, kit):
     truth = exact.poses[-1]
     assert refined.status is Status.OK
     assert refined.refinement.accepted, refined.refinement.reason
-    after, before = (kit.off(e.best.map_from_camera, truth) for e in (refined, coarse))
-    assert after[0] < before[0]
-    assert after[0] < 0.01
-    assert after[1] < 0.3
+    after, before = (kit.off(e.best.map_from_camera, truth)[0] for e in (refined, coarse))
+    assert after < before
+    kit.check_near(refined.best.map_from_camera, truth, 0.01, 0.3)
+    kit.check_near(refined.trajectory, exact.poses, 0.02)
     # the same seed, refined or not: the filter's own answer stands in `coarse`
-    told = refined.refinement
-    np.testing.assert_array_equal(told.coarse.map_from_camera, coarse.best.map_from_camera)
-    np.testing.assert_array_equal(told.coarse_trajectory, coarse.trajectory)
-    np.testing.assert_array_equal(told.coarse.covariance, coarse.best.covariance)
+    refinement = refined.refinement
+    np.testing.assert_array_equal(refinement.coarse.map_from_camera, coarse.best.map_from_camera)
+    np.testing.assert_array_equal(refinement.coarse_trajectory, coarse.trajectory)
+    np.testing.assert_array_equal(refinement.coarse.covariance, coarse.best.covariance)
     assert coarse.refinement is None
     assert (refined.status, refined.reason) == (coarse.status, coarse.reason)
 
 
-def test_pose_trajectory_and_scene_say_the_same(refined, kit, exact):
-    best = refined.best
-    np.testing.assert_array_equal(refined.trajectory[-1], best.map_from_camera)
-    assert refined.trajectory.shape == (10, 4, 4)
-    np.testing.assert_allclose(best.scene_from_camera, best.map_from_camera)
-    np.testing.assert_allclose(best.pose[:3], best.map_from_camera[:3, 3])
-    for pose, truth in zip(refined.trajectory, exact.poses, strict=True):
-        assert kit.off(pose, truth)[0] < 0.02
-    covariance = best.covariance
-    assert covariance.shape == (6, 6)
+def test_refinement_in_numbers(refined, exact):
+    covariance = refined.best.covariance
     assert np.linalg.eigvalsh(covariance).min() > 0
-    error = best.map_from_camera[:3, 3] - exact.poses[-1][:3, 3]
+    error = refined.best.map_from_camera[:3, 3] - exact.poses[-1][:3, 3]
     assert error @ np.linalg.solve(covariance[:3, :3], error) < 25.0
-    stats, told = refined.refinement.stats, refined.to_dict()["refinement"]
+    stats, answer = refined.refinement.stats, refined.to_dict()["refinement"]
     assert {"inliers", "shift_m", "turn_deg", "motion", "held_back", "seconds"} <= set(stats)
     assert stats["matcher"] == "guided"
-    assert all(v >= 0 for v in stats["seconds"].values())
     assert "candidate" not in stats
-    assert told["accepted"] is True
-    assert told["coarse"]["map_from_camera"]
+    assert answer["accepted"] is True
+    assert answer["coarse"]["map_from_camera"]
 
 
 def test_a_flat_of_five_rooms(flat, flat_walk, truth, kit):
     estimate = flat.localize(flat_walk, frames=FIVE)
     right = truth(flat_walk)[4]
+    assert estimate.status is Status.OK, estimate.reason
     assert estimate.refinement.accepted, estimate.refinement.reason
-    metres, degrees = kit.off(estimate.best.map_from_camera, right)
-    assert metres < 0.02
-    assert degrees < 0.5
-    assert metres < kit.off(estimate.refinement.coarse.map_from_camera, right)[0]
+    kit.check_near(estimate.best.map_from_camera, right, 0.02, 0.5)
+    before = kit.off(estimate.refinement.coarse.map_from_camera, right)[0]
+    assert kit.off(estimate.best.map_from_camera, right)[0] < before
 
 
 def test_images_alone(room, walk, exact, kit):
     estimate = room.localize(walk, options=WITHOUT_DEPTH)
-    told = estimate.refinement
-    after = kit.off(estimate.best.map_from_camera, exact.poses[-1])
-    before = kit.off(told.coarse.map_from_camera, exact.poses[-1])
-    assert after[0] < before[0] + 0.02
-    assert after[0] < 0.15
-    assert "depth" not in told.stats["held_back"]
-    assert told.stats["matches"] > 100
+    refinement, truth = estimate.refinement, exact.poses[-1]
+    before = kit.off(refinement.coarse.map_from_camera, truth)[0]
+    kit.check_near(estimate.best.map_from_camera, truth, min(before + 0.02, 0.15))
+    assert "depth" not in refinement.stats["held_back"]
+    assert refinement.stats["matches"] > 100
 
 
 @pytest.mark.parametrize(
@@ -114,16 +101,6 @@ def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, a
     assert _apply_check(before, refiner, judgement).status is after
 
 
-def test_the_same_seed_the_same_answer(refined, room_world, room, walk):
-    path = room_world.folder / "flat.scene"
-    before = path.read_bytes()
-    again = room.localize(walk)
-    assert path.read_bytes() == before  # the map is not written
-    np.testing.assert_array_equal(refined.trajectory, again.trajectory)
-    np.testing.assert_array_equal(refined.best.covariance, again.best.covariance)
-    assert refined.refinement.reason == again.refinement.reason
-
-
 def test_what_is_lost_is_not_refined(flat, walk):
     lost = flat.localize(walk, frames=FIVE)
     assert lost.status is Status.LOST
@@ -143,11 +120,11 @@ def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, ki
 def test_a_refusal_leaves_the_coarse_pose(room, walk, monkeypatch):
     monkeypatch.setattr(judge, "FARTHEST", (0.0, 0.0))
     estimate = room.localize(walk, frames=FIVE)
-    told = estimate.refinement
-    assert not told.accepted
-    np.testing.assert_array_equal(estimate.best.map_from_camera, told.coarse.map_from_camera)
-    np.testing.assert_array_equal(estimate.trajectory, told.coarse_trajectory)
-    assert np.shape(told.stats["candidate"]) == (4, 4)
+    refinement = estimate.refinement
+    assert not refinement.accepted
+    np.testing.assert_array_equal(estimate.best.map_from_camera, refinement.coarse.map_from_camera)
+    np.testing.assert_array_equal(estimate.trajectory, refinement.coarse_trajectory)
+    assert np.shape(refinement.stats["candidate"]) == (4, 4)
 
 
 def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch):
@@ -171,9 +148,7 @@ def test_from_two_decimetres_and_ten_degrees(room, walk, exact, kit, shift, degr
     estimate = room.refine(walk, start)
     assert estimate.refinement.accepted, estimate.refinement.reason
     assert estimate.status is Status.OK
-    metres, turn = kit.off(estimate.best.map_from_camera, exact.poses[-1])
-    assert metres < 0.03
-    assert turn < 0.5
+    kit.check_near(estimate.best.map_from_camera, exact.poses[-1], 0.03, 0.5)
     np.testing.assert_allclose(estimate.refinement.coarse.map_from_camera, start, atol=1e-12)
     np.testing.assert_array_equal(start, before)
     np.testing.assert_array_equal(estimate.frames, np.arange(10))
@@ -217,19 +192,10 @@ def test_the_papers_recipe_runs(flat, flat_walk, truth, kit):
     assert kit.off(estimate.trajectory[-1], estimate.best.map_from_camera)[0] < 1e-6
 
 
-@pytest.mark.parametrize(
-    "pose",
-    [
-        np.eye(3), np.full((4, 4), np.nan), np.diag([2.0, 2.0, 2.0, 1.0]),
-        np.diag([1.0, 1.0, -1.0, 1.0]), "here", None,
-    ],
-)  # fmt: skip
-def test_what_is_no_pose(room, walk, pose):
-    with pytest.raises(OptionError, match="map_from_camera"):
-        room.refine(walk, pose)
-
-
 def test_what_cannot_be_asked_is_refused_before_any_work(room, walk, exact):
+    for pose in (np.eye(3), np.full((4, 4), np.nan), "here"):
+        with pytest.raises(OptionError, match="map_from_camera"):
+            room.refine(walk, pose)
     with pytest.raises(OptionError, match="none of the capture's"):
         room.refine(walk, exact.poses[-1], frames=[])
     with pytest.raises(OptionError, match="refine=False"):
@@ -259,16 +225,3 @@ def test_without_poselib_depth_refines_and_colours_alone_say_so(
     options = RefineOptions(images=True, views=1)
     with pytest.raises(MissingExtraError, match="PoseLib"):
         room.refine(walk, exact.poses[1], frames=slice(0, 2), matcher="sift", options=options)
-
-
-@pytest.mark.all
-def test_the_shared_house_to_centimetres(shared, tmp_path, truth, kit):
-    house = build_scene(shared / "data/house/map/house.glb", tmp_path / "house.scene")
-    capture = open_capture(shared / "data/house/seq00")
-    right = truth(capture)[9]
-    start = kit.moved(right, (0.15, -0.1, 0.0), (0, 0, 8.0))
-    estimate = house.refine(capture, start, frames=slice(5, 10))
-    assert estimate.refinement.accepted, estimate.refinement.reason
-    metres, degrees = kit.off(estimate.best.map_from_camera, right)
-    assert metres < 0.03
-    assert degrees < 0.5

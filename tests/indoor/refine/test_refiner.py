@@ -116,17 +116,3 @@ def test_frames_that_are_looked_at(refiner, count, asked):
         assert looked[-1] == count - 1
         assert len(looked) == min(count, asked or most)
         assert (np.diff(looked) > 0).all()
-
-
-def test_the_guided_matcher_comes_from_wide_to_narrow():
-    wide = matching_stages(None, near=False)
-    assert [s.matcher.radius for s in wide] == sorted(
-        (s.matcher.radius for s in wide), reverse=True
-    )
-    assert not any(s.turned for s in wide)
-    assert len(matching_stages(None, near=True)) < len(wide)
-    mine = Nowhere()
-    assert [s.matcher for s in matching_stages(mine, near=True)] == [mine] * len(
-        matching_stages(mine, near=True)
-    )
-    assert matching_stages(mine, near=True)[0].turned

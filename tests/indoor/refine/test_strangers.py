@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import rebuild
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
@@ -34,7 +35,7 @@ class Mine:
         return self.made(query.shape[1::-1], len(views))
 
 
-def told(estimate):
+def check_json(estimate):
     """The estimate, which can be written as strict JSON."""
     json.dumps(estimate.to_dict(), allow_nan=False)
     return estimate
@@ -77,7 +78,7 @@ def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, va
 @pytest.mark.parametrize(("options", "which"), [(BLIND, "query"), (BOTH, "rendered")])
 def test_points_that_are_no_numbers_end(room, walk, start, options, which):
     estimate = room.refine(walk, start, frames=FIVE, matcher=pairs(np.nan, which), options=options)
-    assert np.isfinite(told(estimate).trajectory).all()
+    assert np.isfinite(check_json(estimate).trajectory).all()
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,9 @@ def test_chance_is_not_believed(room, walk, start, count, low, high):
         both = rng.uniform(low, high, (2, views, count, 2)) * size
         return [Matches.of(q, r, np.ones(count)) for q, r in zip(*both, strict=True)]
 
-    estimate = told(room.refine(walk, start, frames=FIVE, matcher=Mine(scattered), options=BLIND))
+    estimate = check_json(
+        room.refine(walk, start, frames=FIVE, matcher=Mine(scattered), options=BLIND)
+    )
     assert not estimate.refinement.accepted, estimate.refinement.reason
     np.testing.assert_allclose(estimate.best.map_from_camera, start, atol=1e-9)
 
@@ -138,7 +141,7 @@ def test_the_same_pixels_everywhere_are_the_pose_that_was_given(room, walk, star
         at = np.random.default_rng(0).uniform(0, 1, (2000, 2)) * size
         return [Matches.of(at, at, np.ones(2000)) for _ in range(views)]
 
-    estimate = told(room.refine(walk, start, frames=FIVE, matcher=Mine(same), options=BLIND))
+    estimate = check_json(room.refine(walk, start, frames=FIVE, matcher=Mine(same), options=BLIND))
     assert not estimate.refinement.accepted
 
 
@@ -156,18 +159,18 @@ def handful(frame):
 
 
 @pytest.fixture(scope="module")
-def by_images(room, walk, in_memory, exact, kit):
+def by_images(room, walk, exact, kit):
     """Refinement of frames without depth."""
     start = kit.moved(exact.poses[4], (0.1, -0.08, 0.0))
-    return room.refine(in_memory(walk[:5], depth=lambda _: None), start)
+    return room.refine(rebuild(walk[:5], depth=lambda _: None), start)
 
 
 @pytest.mark.parametrize("depth", [few, handful])
 def test_a_few_pixels_of_depth_do_not_switch_images_off(
-    room, walk, start, in_memory, exact, kit, by_images, depth
+    room, walk, start, exact, kit, by_images, depth
 ):
-    some, none = room.refine(in_memory(walk[:5], depth=depth), start), by_images
-    stats = told(some).refinement.stats
+    some, none = room.refine(rebuild(walk[:5], depth=depth), start), by_images
+    stats = check_json(some).refinement.stats
     assert stats["matches"] > 100
     assert "depth_cost" not in stats
     assert some.refinement.accepted == none.refinement.accepted
@@ -182,7 +185,7 @@ def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch):
     for objection in ("", "the camera is a liar"):
         verdict = FitCheck(False, "Not refined: so it is.", nothing, {}, objection)
         monkeypatch.setattr(refinement, "confirm_fit", lambda *_, v=verdict: v)
-        after = told(room.localize(walk, frames=FIVE))
+        after = check_json(room.localize(walk, frames=FIVE))
         assert not after.refinement.accepted
         np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)
         if not objection:

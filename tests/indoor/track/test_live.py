@@ -7,6 +7,7 @@ from time import sleep
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import rebuild_frame
 
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera
@@ -21,8 +22,8 @@ from placegraph.io.capture.frame import Frame
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-class Held(Executor):
-    """Does nothing until it is told to."""
+class ManualExecutor(Executor):
+    """Runs jobs when it is asked to."""
 
     def __init__(self):
         self.jobs = []
@@ -42,6 +43,14 @@ class Held(Executor):
 
 def distance(pose, truth):
     return np.linalg.norm(pose.map_from_camera[:3, 3] - truth[:3, 3])
+
+
+def drive(live, frames):
+    """Pose after odometry and images of frames."""
+    for frame in frames:
+        live.move(frame.stamp, frame.odometry)
+        pose = live.step(frame)
+    return pose
 
 
 def blind(frame):
@@ -118,48 +127,48 @@ def test_a_late_image_counts_from_its_own_time(room, film, wheels):
 
 
 def test_the_newest_image_is_looked_at_and_the_pose_goes_on_meanwhile(room, film):
-    held = Held()
-    live = room.live(film.camera, background=held)
+    executor = ManualExecutor()
+    live = room.live(film.camera, background=executor)
     for frame in film[:4]:
         live.move(frame.stamp, frame.odometry)
         live.see(frame)
-        held.run_all()
+        executor.run_all()
     before = live.pose()
     assert before.status is Status.OK
     for frame in film[4:8]:
         live.move(frame.stamp, frame.odometry)
         live.see(frame)
     assert live.dropped == 3
-    assert len(held.jobs) == 1
+    assert len(executor.jobs) == 1
     assert live.pose().estimate is before.estimate
     np.testing.assert_allclose(live.pose().map_from_camera, before.map_from_odom @ film[7].odometry)
-    held.run_all()
+    executor.run_all()
     assert live.pose().estimate.frames[-1] == film[7].index
     assert live.pose().age == 0.0
 
 
 def test_a_lost_camera_is_looked_up_beside_images(room, film, elsewhere, truth):
-    held = Held()
-    live = room.live(film.camera, background=held)
+    executor = ManualExecutor()
+    live = room.live(film.camera, background=executor)
     for frame in film[:6]:
         live.see(frame)
-        held.run_all()
+        executor.run_all()
     assert live.pose().status is Status.OK
     bridge = film[5].odometry @ np.linalg.inv(elsewhere[0].odometry)
     stati = []
     for i, frame in enumerate(elsewhere[:6]):
         live.see(replace(frame, odometry=bridge @ frame.odometry, stamp=10.0 + i))
-        held.run()  # the image, beside what is being looked up
+        executor.run()  # the image, beside what is being looked up
         stati.append(live.pose().status)
         if i == 2:
             assert stati == [Status.LOST] * 3
-            assert len(held.jobs) == 1  # one question at a time
-            held.run_all()
+            assert len(executor.jobs) == 1  # one question at a time
+            executor.run_all()
             # of its first frame, two seconds ago, and carried on by odometry since
             assert live.pose().status is Status.AMBIGUOUS
             assert distance(live.pose(), truth(elsewhere)[i]) < 0.3
         if i == 4:
-            held.run_all()
+            executor.run_all()
             assert live.pose().status is Status.OK
     assert stati[3:] == [Status.AMBIGUOUS, Status.AMBIGUOUS, Status.OK]
     assert distance(live.pose(), truth(elsewhere)[5]) < 0.15
@@ -167,7 +176,10 @@ def test_a_lost_camera_is_looked_up_beside_images(room, film, elsewhere, truth):
 
 def test_frames_that_show_nothing_are_carried_on(room, film, truth):
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(depth=True))
-    known = found(live, film, 8)
+    lost = live.step(blind(film[0]))
+    assert (lost.status, lost.map_from_camera) == (Status.LOST, None)
+    assert "nothing to compare" in lost.reason
+    known = found(live, film[1:8], 7)
 
     class Torn:
         def rgb(self):
@@ -187,15 +199,6 @@ def test_frames_that_show_nothing_are_carried_on(room, film, truth):
     assert live.step(film[10]).age == 0.0
 
 
-def test_a_lost_camera_that_sees_nothing_says_so(room, film):
-    live = room.live(film.camera, background=False, options=PoseSearchOptions().only(depth=True))
-    pose = live.step(blind(film[0]))
-    assert pose.status is Status.LOST
-    assert "nothing to compare" in pose.reason
-    assert pose.map_from_camera is None
-    assert found(live, film[1:8], 7).scene == room.scenes[0]
-
-
 def test_images_with_and_without_depth(room, film, truth):
     live = room.live(
         film.camera, background=False, options=PoseSearchOptions().only(depth=True, colour=True)
@@ -209,12 +212,8 @@ def test_images_with_and_without_depth(room, film, truth):
 
 
 @pytest.mark.parametrize("back", [4.0, 1e9])
-def test_a_clock_that_was_set_back(back, room, film, truth):
-    live = room.live(film.camera, background=False)
-    for frame in film[:8]:
-        live.move(frame.stamp, frame.odometry)
-        live.see(frame)
-    assert live.pose().status is Status.OK
+def test_a_clock_that_was_set_back(back, live, film, truth):
+    assert drive(live, film[:8]).status is Status.OK
     pose = live.move(film[8].stamp - back, film[8].odometry)
     assert pose.status is Status.AMBIGUOUS
     assert "clock" in pose.reason
@@ -293,44 +292,39 @@ def test_to_lose_a_pose(live, film):
     live.lose()
     assert live.pose().status is Status.LOST
     assert live.pose().map_from_odom is None
-    for frame in film[6:10]:
-        pose = live.step(frame)
-    assert pose.status is Status.OK
+    assert drive(live, film[6:10]).status is Status.OK
 
 
 def test_what_is_refused(live, room, film):
     live.see(film[0])
     other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
-    with pytest.raises(OptionError, match="another camera"):
-        live.see(replace(film[1], camera=other))
-    with pytest.raises(OptionError, match="map_from_camera"):
-        live.place(np.zeros((4, 4)), np.eye(6))
-    with pytest.raises(OptionError, match="covariance"):
-        live.place(np.eye(4), np.full((6, 6), np.inf))
-    with pytest.raises(OptionError, match="no such room"):
-        live.place(np.eye(4), np.eye(6), "no such room")
-    with pytest.raises(OptionError, match="start='table'"):
-        room.live(options=FilterOptions.paper())
+    for ask, says in (
+        (lambda: live.see(replace(film[1], camera=other)), "another camera"),
+        (lambda: live.place(np.zeros((4, 4)), np.eye(6)), "map_from_camera"),
+        (lambda: live.place(np.eye(4), np.full((6, 6), np.inf)), "covariance"),
+        (lambda: live.place(np.eye(4), np.eye(6), "no such room"), "no such room"),
+        (lambda: room.live(options=FilterOptions.paper()), "start='table'"),
+    ):
+        with pytest.raises(OptionError, match=says):
+            ask()
     live.close()
     with pytest.raises(OptionError, match="closed"):
         live.see(film[2])
 
 
 def test_what_breaks_in_the_background_is_told(room, film, monkeypatch):
-    held = Held()
-    live = room.live(film.camera, background=held)
+    executor = ManualExecutor()
+    live = room.live(film.camera, background=executor)
     monkeypatch.setattr(live._follower, "follow", lambda _: 1 / 0)
     live.see(film[0])
-    held.run_all()
+    executor.run_all()
     with pytest.raises(ZeroDivisionError):
         live.pose()
 
 
 def test_threads(room, film, truth):
     with room.live(film.camera) as live:
-        for frame in film[:6]:
-            live.move(frame.stamp, frame.odometry)
-            pose = live.step(frame)
+        pose = drive(live, film[:6])
         assert pose.status is Status.OK
         assert distance(pose, truth(film)[5]) < 0.2
         assert live.dropped == 0
@@ -338,7 +332,7 @@ def test_threads(room, film, truth):
 
 
 def test_who_waits_is_told_that_it_was_closed(room, film):
-    live, told = room.live(film.camera, background=Held()), []
+    live, told = room.live(film.camera, background=ManualExecutor()), []
     live.see(film[0])
 
     def waits():
@@ -355,14 +349,13 @@ def test_who_waits_is_told_that_it_was_closed(room, film):
     assert told
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_odometry_that_falls_silent(told, live, film):
-    for frame in film[:6]:
-        live.move(frame.stamp, frame.odometry)
-        live.see(frame)
+@pytest.mark.parametrize("seen", [False, True])
+def test_odometry_that_falls_silent(seen, live, film):
+    drive(live, film[:6])
+    frame = film[5]
     assert live.pose(frame.stamp + JUMP).status is Status.OK
     later = frame.stamp + 3.0
-    if told:
+    if seen:
         live.see(replace(film[6], stamp=later))
     pose = live.pose(later)
     assert pose.status is Status.AMBIGUOUS
@@ -409,17 +402,7 @@ def test_of_several_places_none_is_the_pose(count, live, film, monkeypatch):
 
 
 def test_depth_in_another_unit_is_named(live, film):
-    class Thousandth:
-        def __init__(self, frame):
-            self.labels, self.rgb, self.depth = (
-                frame.labels,
-                frame.rgb,
-                lambda: frame.depth() / 1000,
-            )
-
-    frame = film[0]
-    known = (getattr(frame, n) for n in Frame.__slots__[:-1])
-    pose = live.step(Frame(*known, images=Thousandth(frame)))
+    pose = live.step(rebuild_frame(film[0], depth=film[0].depth() / 1000))
     assert pose.status is Status.LOST
     assert "metres" in pose.reason
 
@@ -441,37 +424,32 @@ def test_slow_frames_are_looked_up_with_those_before(room, film):
 def saved(room, film, tmp_path_factory):
     """File of a tracker that knew where it was at the sixth frame, and its pose."""
     live = room.live(film.camera, background=False)
-    for frame in film[:6]:
-        live.move(frame.stamp, frame.odometry)
-        pose = live.step(frame)
+    pose = drive(live, film[:6])
     path = tmp_path_factory.mktemp("saved") / "robot.track"
     live.save(path)
     return path, pose
 
 
-def test_odometry_goes_on(saved, room, film, truth):
+def test_a_saved_pose_and_odometry_that_goes_on(saved, room, film, truth):
     path, pose = saved
     live = LiveTracker.load(path, room, background=False)
     loaded = live.pose()
     assert loaded.status is Status.AMBIGUOUS
-    np.testing.assert_allclose(loaded.map_from_camera, pose.map_from_camera)
-    np.testing.assert_allclose(loaded.map_from_odom, pose.map_from_odom)
-    np.testing.assert_allclose(loaded.covariance, pose.covariance)
+    for name in ("map_from_camera", "map_from_odom", "covariance"):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(pose, name))
     moved = live.move(film[8].stamp, film[8].odometry)
     np.testing.assert_allclose(moved.map_from_odom, pose.map_from_odom)
     after = live.step(film[8])
     assert after.status is Status.OK
-    assert np.linalg.norm(after.map_from_camera[:3, 3] - truth(film)[8][:3, 3]) < 0.2
+    assert distance(after, truth(film)[8]) < 0.2
 
 
-def test_odometry_begins_anew(saved, room, film, truth):
+def test_a_saved_pose_and_odometry_that_begins_anew(saved, room, film, truth):
     live = LiveTracker.load(saved[0], room, background=False)
-    first = live.move(0.0, np.eye(4))
-    assert first.status is Status.AMBIGUOUS
-    assert np.linalg.norm(first.map_from_camera[:3, 3] - truth(film)[5][:3, 3]) < 0.2
-    after = live.step(replace(film[5], stamp=0.0))
-    assert after.status is Status.OK
-    assert np.linalg.norm(after.map_from_camera[:3, 3] - truth(film)[5][:3, 3]) < 0.2
+    first, after = live.move(0.0, np.eye(4)), live.step(replace(film[5], stamp=0.0))
+    assert (first.status, after.status) == (Status.AMBIGUOUS, Status.OK)
+    for pose in (first, after):
+        assert distance(pose, truth(film)[5]) < 0.2
 
 
 def test_what_cannot_be_saved_or_loaded(saved, room, flat, tmp_path):

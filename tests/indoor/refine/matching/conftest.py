@@ -6,7 +6,7 @@ import pytest
 cv2 = pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
 
 
-def _texture(rng, height=240, width=320):
+def draw_texture(rng, height=240, width=320):
     """Blobs and edges of all sizes, in colour, smooth enough to be resampled."""
     image = np.zeros((height, width, 3), np.float32)
     for cells in (4, 9, 20, 45):
@@ -20,7 +20,7 @@ def _texture(rng, height=240, width=320):
     return np.clip(image * 28 + 128, 0, 255).astype(np.uint8)
 
 
-def _warped(image, homography, size=None):
+def warp(image, homography, size=None):
     """The image under a homography of points with pixel centres at +0.5."""
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     moved = np.linalg.inv(half) @ homography @ half
@@ -30,7 +30,7 @@ def _warped(image, homography, size=None):
     )
 
 
-def _errors(matches, homography):
+def measure_errors(matches, homography):
     """Distance (N,) [px] of matches from where a homography puts the query's points."""
     points = np.column_stack([matches.query, np.ones(len(matches))]) @ homography.T
     return np.linalg.norm(points[:, :2] / points[:, 2:] - matches.rendered, axis=1)
@@ -39,22 +39,4 @@ def _errors(matches, homography):
 @pytest.fixture(scope="session")
 def picture():
     """(240, 320, 3) uint8, full of texture."""
-    return _texture(np.random.default_rng(5))
-
-
-@pytest.fixture(scope="session")
-def texture():
-    """Draw a texture: `texture(rng, height, width)`."""
-    return _texture
-
-
-@pytest.fixture(scope="session")
-def warped():
-    """Warp a picture: `warped(image, homography, size)`."""
-    return _warped
-
-
-@pytest.fixture(scope="session")
-def errors():
-    """Errors of matches under a homography: `errors(matches, homography)`."""
-    return _errors
+    return draw_texture(np.random.default_rng(5))

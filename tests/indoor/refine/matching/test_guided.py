@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from tests.indoor.refine.matching.conftest import draw_texture
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
@@ -13,8 +14,8 @@ from placegraph.io.capture.images import lightness, resize_image
 
 
 @pytest.fixture(scope="module")
-def picture(texture):
-    return texture(np.random.default_rng(3), 120, 160)
+def picture():
+    return draw_texture(np.random.default_rng(3), 120, 160)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.indoor.refine.matching.conftest import draw_texture, warp
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching import MATCHERS, Matcher, matcher
@@ -122,8 +123,8 @@ def test_tiny_images_are_no_trouble(any_matcher, picture, rng, size):
         assert found.query.shape == found.rendered.shape
 
 
-def test_points_lie_in_their_images(any_matcher, texture, rng):
-    query, view = texture(rng, 151, 203), texture(rng, 97, 131)
+def test_points_lie_in_their_images(any_matcher, rng):
+    query, view = draw_texture(rng, 151, 203), draw_texture(rng, 97, 131)
     view[20:80, 20:100] = query[40:100, 60:140]
     (found,) = any_matcher.match(query, [view])
     for points, image in ((found.query, query), (found.rendered, view)):
@@ -131,8 +132,8 @@ def test_points_lie_in_their_images(any_matcher, texture, rng):
         assert (points <= [image.shape[1], image.shape[0]]).all()
 
 
-def test_grey_images_and_odd_sizes_are_welcome(any_matcher, texture, rng):
-    picture = texture(rng, 181, 275)
+def test_grey_images_and_odd_sizes_are_welcome(any_matcher, rng):
+    picture = draw_texture(rng, 181, 275)
     grey = picture[:, :, 1]
     (found,) = any_matcher.match(grey, [np.repeat(grey[:, :, None], 3, axis=2)])
     assert len(found) > 50
@@ -150,8 +151,8 @@ def test_no_match_lies_outside_the_mask(any_matcher, picture):
     assert len(nothing) == 0
 
 
-def test_the_query_is_matched_with_each_view_by_itself(any_matcher, picture, warped):
-    views = [warped(picture, np.array([[1, 0, dx], [0, 1, 0], [0, 0, 1.0]])) for dx in (5, -11)]
+def test_the_query_is_matched_with_each_view_by_itself(any_matcher, picture):
+    views = [warp(picture, np.array([[1, 0, dx], [0, 1, 0], [0, 0, 1.0]])) for dx in (5, -11)]
     for found, view in zip(any_matcher.match(picture, views), views, strict=True):
         (alone,) = any_matcher.match(picture, [view])
         assert np.array_equal(found.query, alone.query)
