@@ -205,7 +205,7 @@ def _hills(boxes, n=60):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("side", [200, pytest.param(708, marks=pytest.mark.all)])
+@pytest.mark.parametrize("side", [120, pytest.param(708, marks=pytest.mark.all)])
 def test_a_million_small_triangles(boxes, side):
     model = _hills(boxes, side)
     scene = scene_of_model(model, detail="full")

@@ -149,7 +149,7 @@ def test_an_id_for_every_triangle_is_told(boxes):
     assert "--object-property" in notes[0]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), detail=st.sampled_from(["default", "tiny", "full"]))
 def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
     rng = np.random.default_rng(seed)

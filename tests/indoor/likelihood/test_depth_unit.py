@@ -21,7 +21,7 @@ from placegraph.indoor.likelihood.observe import (
     suspect_unit_factor,
 )
 from placegraph.indoor.options import PoseSearchOptions
-from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.capture import open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = PoseSearchOptions().only(depth=True)
@@ -139,9 +139,10 @@ def test_a_likely_unit_is_told_where_the_pose_is_not_found(room, walk, tmp_path,
 
 
 def test_of_frames_in_memory_it_asks_for_metres(room, walk):
-    estimate = room.localize(Capture.from_frames(scaled(walk[:5], 5.0)))
-    assert estimate.status is not Status.OK
-    assert "about 5.0 times too long; give depth in metres" in estimate.reason
+    frames = scaled(walk[:5], 5.0)
+    seen = view_frames(room, frames, OPTIONS, stride=FINE)
+    text = describe_suspected_unit(seen, room.visibility(OPTIONS).background, frames[0])
+    assert "about 5.0 times too long; give depth in metres" in text
 
 
 def test_who_is_found_or_truly_elsewhere_is_not_bothered(room, flat, walk):

@@ -8,10 +8,10 @@ import pytest
 from tests.indoor.conftest import view_frames
 from tests.indoor.likelihood.conftest import draw_view
 
-from placegraph.core.geometry import rotation_z
+from placegraph.core.geometry import compose, rotation_z
 from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import View
-from placegraph.indoor.likelihood.score import model_of
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.likelihood.score_kernels import (
     COLOUR,
     DEPTH,
@@ -393,3 +393,31 @@ def test_depth_before_a_wall_by_hand(distance, boxes):
     view = view._replace(background_depth=np.zeros(16, np.float32))  # Eq. 2 knows of none
     clipped = score_poses(tracer, surface, pose, view, PAPER)[0, DEPTH]
     assert clipped == pytest.approx(2 * (1 - min(distance / 0.5, 1)), abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def seen(room, walk):
+    return view_frames(room, walk[:3], PoseSearchOptions(), stride=20.0)
+
+
+def test_scores_are_counted(room, seen):
+    scorer = Scorer(room, Likelihood())
+    poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
+    terms = scorer.terms(poses, seen[0])
+    assert terms.shape == (2, 4)
+    assert scorer.poses == 2
+    assert scorer.rays == 2 * len(seen[0].directions)
+    values = scorer(poses, seen[0])
+    np.testing.assert_allclose(values, scorer.model.combine_terms(terms, seen[0].terms))
+    assert scorer.poses == 4
+    assert scorer.seconds > 0
+
+
+def test_a_sequence_is_scored_as_a_rig(room, seen):
+    scorer = Scorer(room, Likelihood())
+    poses = np.array([[2.0, 1.5, 1.6, 0.1], [2.2, 1.5, 1.6, 0.3]])
+    steps = np.array([[0, 0, 0, 0], [0.2, 0.1, 0, 0.3], [-0.1, 0, 0.02, -1.0]])
+    expected = sum(scorer(compose(poses, s), v) for s, v in zip(steps, seen, strict=True))
+    np.testing.assert_allclose(scorer.together(poses, seen, steps), expected)
+    with pytest.raises(ValueError, match="shorter"):
+        scorer.together(poses, seen, steps[:2])

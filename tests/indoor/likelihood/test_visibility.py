@@ -122,9 +122,8 @@ def test_the_background_is_what_is_seen_on_average(table, room):
 
 
 def inside(points, low, high, margin=0.0):
-    return ((points[:, :2] > np.array(low[:2]) - margin) & (points[:, :2] < np.array(high[:2]) + margin)).all(
-        axis=1
-    )  # fmt: skip
+    low, high = np.array(low[:2]) - margin, np.array(high[:2]) + margin
+    return ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
 
 
 def test_all_that_is_open_is_free(hall):

@@ -45,18 +45,6 @@ def test_prediction_moves_all_and_weighs_none_anew(rng):
     np.testing.assert_array_equal(filter_.particles.log_weights, before.log_weights)
 
 
-def test_update_multiplies_weights_by_likelihoods(rng):
-    """Where enough particles stay effective, Bayes' rule as it stands."""
-    poses = scattered(rng, 400, box=0.2)
-    target, wide = np.array([0, 0, 1.6, 0]), np.array([1, 1, 1, 2.0])
-    filter_ = filter_of(poses, rng, scorer=lambda p, view: near(p, view, wide))
-    filter_.reweight(target)
-    filter_.reweight(target)
-    expected = np.exp(2 * near(poses, target, wide))
-    np.testing.assert_allclose(filter_.particles.weights, expected / expected.sum(), rtol=1e-9)
-    np.testing.assert_array_equal(filter_.particles.poses, poses)
-
-
 @given(seeds, st.integers(30, 300), st.floats(-4, 4))
 @settings(max_examples=50)
 def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):
@@ -100,15 +88,6 @@ def test_resampling_to_as_many_as_kld_says_between_bounds(rng):
     filter_ = filter_of(np.tile([1.0, 2, 1.6, 0], (500, 1)), rng)
     filter_.resample()
     assert len(filter_.particles) == FEWEST
-
-
-def test_resampling_draws_by_weight(rng):
-    poses = np.repeat([[0.0, 0, 1.6, 0], [5, 0, 1.6, 0]], 100, axis=0)
-    filter_ = filter_of(poses, rng, scorer=lambda p, _: np.log(np.where(p[:, 0] > 1, 3, 1)))
-    filter_.reweight(None)
-    filter_.resample()
-    share = (filter_.particles.poses[:, 0] > 1).mean()
-    assert share == pytest.approx(0.75, abs=2 / len(filter_.particles))
 
 
 def test_modes_come_heaviest_first(rng):
@@ -186,28 +165,6 @@ def test_steps_are_taken_between_frames_not_before_the_first(rng):
     filter_ = filter_of(np.tile(true[0], (FEWEST, 1)), rng, still)
     run = run_pass(filter_, true, steps, range(8))
     np.testing.assert_allclose(run.particles.poses, np.tile(true[-1], (FEWEST, 1)), atol=1e-12)
-
-
-def test_what_is_recorded(rng):
-    true, steps = walk(5)
-    filter_ = filter_of(scattered(rng, 400), rng, replace(OPTIONS, record=True))
-    run = run_pass(filter_, true, steps, [3, 5, 7, 9, 11])
-    assert [frame for frame, _, _ in run.record] == [3, 5, 7, 9, 11]
-    for (_, poses, weights), count in zip(run.record, run.counts, strict=True):
-        assert poses.shape == (count, 4)
-        assert weights.sum() == pytest.approx(1)
-    np.testing.assert_array_equal(run.record[-1][1], run.particles.poses)
-
-
-def test_progress_and_the_same_seed():
-    true, steps = walk(5)
-    ticks, modes = [], []
-    for _ in range(2):
-        rng = np.random.default_rng(7)
-        filter_ = filter_of(scattered(rng, 500), rng)
-        modes.append(run_pass(filter_, true, steps, range(5), tick=lambda: ticks.append(1)).modes)
-    assert len(ticks) == 10
-    np.testing.assert_array_equal(*modes)
 
 
 def kidnapped(rng, options):

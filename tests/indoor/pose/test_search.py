@@ -1,15 +1,85 @@
-"""Seeds: poses that fill a box around what the table found."""
+"""First particles of a pass: around seeds or a prior, or everywhere."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from placegraph.indoor.options import PoseSearchOptions
-from placegraph.indoor.pose.search import around
+from placegraph.errors import OptionError
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.options import FilterOptions, Pass
+from placegraph.indoor.pose.particle_filter import _later, everywhere
+from placegraph.indoor.pose.prior import Prior
+from placegraph.indoor.pose.search import around, near_prior
+from placegraph.indoor.pose.window import PoseQuery, Window
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = PoseSearchOptions()
+OPTIONS = FilterOptions()
+
+
+def test_poses_about_a_prior(room, rng):
+    prior = Prior(2.0, -1.0, z=1.4, yaw=0.7, spread=0.5, turn=0.2)
+    got = near_prior(prior, window_of(room, OPTIONS), 20_000, rng)
+    np.testing.assert_allclose(got.mean(axis=0), [2.0, -1.0, 1.4, 0.7], atol=0.02)
+    np.testing.assert_allclose(got.std(axis=0), [0.5, 0.5, 0.05, 0.2], rtol=0.03)
+
+
+def test_what_a_prior_leaves_open_is_anything(room, rng):
+    got = near_prior(Prior(0.0, 0.0), window_of(room, OPTIONS), 20_000, rng)
+    # heights are those of cameras above the floor that is there
+    above = got[:, 2] - room.floors[0]
+    assert -0.1 < above.min() < 0.2
+    assert 2.2 < above.max() < 2.5
+    turns = np.histogram(got[:, 3], bins=8, range=(-np.pi, np.pi))[0]
+    assert turns.sum() == 20_000
+    assert turns.min() > 2200
+
+
+@pytest.mark.parametrize(
+    "change", [{"x": math.nan}, {"z": math.inf}, {"yaw": math.nan}, {"spread": 0}, {"turn": -1}]
+)
+def test_priors_that_are_none(change):
+    with pytest.raises(OptionError, match="prior"):
+        Prior(**{"x": 0.0, "y": 0.0} | change)
+
+
+def window_of(room, options):
+    query = PoseQuery(scene=room, options=options)
+    return Window(query, Scorer(room, options.likelihood), [])
+
+
+def test_a_wider_grid_is_as_dense(room, rng, monkeypatch):
+    options = FilterOptions(start="uniform", spacing=0.1, per_cell=4, heights=(1.6,))
+    table = replace(room.visibility(options), spacing=0.2)
+    monkeypatch.setattr(Window, "table", table)
+    assert len(everywhere(window_of(room, options), options, rng)) == 16 * len(table)
+
+
+def test_later_passes_lie_in_boxes_and_give_every_mode_its_share(rng):
+    """Sec. 3.5; of several modes each gets a quarter of an even share at least."""
+    spec = Pass(stride=8.0, box=1.6, turn=0.4, particles=4000)
+    modes = np.array([[0.0, 0, 1.6, 0], [5, 0, 1.6, 1], [0, 5, 1.6, 2]])
+    got = _later(spec, modes, np.array([0.6, 0.2, 0.0]), rng)
+    of = np.linalg.norm(got[:, None, :3] - modes[:, :3], axis=2).argmin(axis=1)
+    counts = np.bincount(of)
+    np.testing.assert_allclose(counts, [1000 / 3 + 2250, 1000 / 3 + 750, 1000 / 3], atol=1)
+    assert counts.sum() == 4000, "they add up"
+    offset = np.abs(got - modes[of])
+    assert (offset <= [0.8, 0.8, 0.8, 0.4]).all()
+    assert (offset.max(axis=0) > [0.75, 0.75, 0.75, 0.37]).all()
+    one = _later(spec, modes[:1], np.array([1e-9]), rng)
+    assert len(one) == 4000
+
+
+def test_layers_do_not_multiply_cells(room, rng):
+    options = FilterOptions(start="uniform", spacing=0.5, per_cell=1, heights=(0.8, 1.6))
+    table = room.visibility(options)
+    assert table.index.shape[0] > 1
+    cells = len(np.unique(table.positions[:, :2], axis=0))
+    assert (
+        len(everywhere(window_of(room, options), options, rng)) == 3 * cells
+    )  # 1.5 m lies between
 
 
 def test_poses_fill_a_box_around_each_seed(rng):

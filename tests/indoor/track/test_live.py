@@ -411,7 +411,7 @@ def test_slow_frames_are_looked_up_with_those_before(room, film):
     search = []
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
     live._follower.take_answer = lambda found: search.append(found.frames)
-    for i in range(30):
+    for i in range(24):
         odometry = film[0].odometry.copy()
         odometry[:3, 3] += (0.04 * i, 0.0, 0.0)
         live.step(replace(film[0], odometry=odometry, stamp=0.2 * i))

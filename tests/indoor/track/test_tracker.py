@@ -2,17 +2,18 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.indoor.conftest import measure_error, rebuild_frame
 
-from placegraph.core.estimate import Status
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.localize import WINDOW
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
-from placegraph.indoor.track.tracker import KEPT
+from placegraph.indoor.track.tracker import KEPT, SAME_WAY, Confirmation
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -164,7 +165,7 @@ def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth, foll
 
 def test_a_frozen_camera_is_no_bare_wall(film, following):
     tracker = following(8)
-    stuck = [replace(film[7], odometry=frame.odometry, index=frame.index) for frame in film[8:20]]
+    stuck = [replace(film[7], odometry=frame.odometry, index=frame.index) for frame in film[8:16]]
     estimates = [tracker.update(frame) for frame in stuck]
     assert all(e.status is not Status.OK for e in estimates[4:])
 
@@ -242,3 +243,37 @@ def test_of_many_frames_the_newest_are_refined(room, film, truth):
     assert estimate.refinement.accepted, estimate.refinement.reason
     assert len(estimate.trajectory) == len(film)
     assert off(estimate, truth(film)[-1])[0] < 0.05
+
+
+ODOMETRY = np.stack([np.eye(4), pose_matrix(np.array([0.2, 0.0, 0.0, 0.1]), np.eye(3))])
+HERE, THERE = pose_matrix(np.array([1.0, 2.0, 1.6, 0.5]), np.eye(3)) @ ODOMETRY
+
+
+def confirm(confirmation, scene, row, pose, status=Status.OK):
+    """Answer to an estimate of one place, and whether it is that estimate."""
+    mode = PoseMode(pose, np.zeros(4), np.eye(6), 1.0, scene, pose)
+    estimate = PoseEstimate(status, (mode,), "One place fits.")
+    answer = confirmation.confirm(scene, SimpleNamespace(odometry=ODOMETRY[row]), estimate)
+    return answer, answer is estimate
+
+
+def test_the_second_answer_of_one_place_counts():
+    confirmation = Confirmation()
+    first, _ = confirm(confirmation, "flat", 0, HERE)
+    assert first.status is Status.AMBIGUOUS
+    assert first.modes
+    assert first.reason == "One place fits; another image must confirm it."
+    for status in (Status.LOST, Status.OK):
+        assert confirm(confirmation, "flat", 1, THERE, status)[1]
+
+
+def test_an_alias_does_not():
+    """Nor does another map, or a camera that looks elsewhere; of each the next answer decides."""
+    confirmation, alias = Confirmation(), HERE.copy()
+    alias[2, 3] += 1.1 * SAME_WAY
+    turned = THERE @ pose_matrix(np.array([0.0, 0.0, 0.0, 0.3]), np.eye(3))
+    for scene, row, pose in (
+        ("flat", 0, alias), ("flat", 1, THERE), ("hall", 1, THERE), ("hall", 1, turned),
+    ):  # fmt: skip
+        assert confirm(confirmation, scene, row, pose)[0].status is Status.AMBIGUOUS
+    assert confirm(confirmation, "hall", 1, turned)[0].status is Status.OK
