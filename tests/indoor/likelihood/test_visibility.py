@@ -265,11 +265,7 @@ def test_floors_of_merged_scenes(merged):
     assert inside(table.positions, *first).sum() > 100
     floors = np.where(in_second, merged.floors[1], merged.floors[0])
     np.testing.assert_allclose(table.positions[:, 2], floors + 1.65)
-
-
-def test_nobody_stands_between_merged_scenes(merged):
-    at = build_table(merged, replace(OPTIONS, spacing=0.5)).positions
-    near = (inside(at, *box, margin=free.SEARCH_MARGIN + 0.5) for box in merged.scene_bounds)
+    near = (inside(table.positions, *b, free.SEARCH_MARGIN + 0.5) for b in merged.scene_bounds)
     assert np.logical_or(*near).all()
 
 

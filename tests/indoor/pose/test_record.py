@@ -14,16 +14,12 @@ from placegraph.indoor.pose.record import KIND, STEPS, VERSION, read_run, write_
 
 def made(passes=2, frames=3, particles=50, modes=2):
     rng = np.random.default_rng(3)
-    history = tuple(
-        PassRecord(
-            2.0**-k,
-            tuple(
-                (7 + f, rng.normal(0, 3, (particles + f, 4)), rng.random(particles + f))
-                for f in range(frames)
-            ),
-        )
-        for k in range(passes)
-    )
+
+    def step(frame):
+        count = particles + frame
+        return 7 + frame, rng.normal(0, 3, (count, 4)), rng.random(count)
+
+    history = tuple(PassRecord(2.0**-k, tuple(map(step, range(frames)))) for k in range(passes))
     matrix = np.eye(4)
     matrix[:3, 3] = 1, 2, 3
     return PoseEstimate(
@@ -53,12 +49,11 @@ def test_there_and_back(tmp_path, sizes):
             assert (getattr(one, name) == getattr(other, name)).all()
     for one, other in zip(back.history, estimate.history, strict=True):
         assert one.stride == other.stride
-        for (frame, poses, weights), (index, true, heavy) in zip(
-            one.steps, other.steps, strict=True
-        ):
-            assert frame == index
-            assert np.all(np.abs(poses - true) <= STEPS / 2 + 1e-12)
-            assert weights == pytest.approx(heavy / heavy.max(initial=1e-9), abs=1e-4)
+        for found, made_of in zip(one.steps, other.steps, strict=True):
+            assert found[0] == made_of[0]
+            assert np.all(np.abs(found[1] - made_of[1]) <= STEPS / 2 + 1e-12)
+            relative = made_of[2] / made_of[2].max(initial=1e-9)
+            assert found[2] == pytest.approx(relative, abs=1e-4)
 
 
 def test_weights_may_all_be_zero(tmp_path):

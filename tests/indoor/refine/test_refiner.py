@@ -69,32 +69,32 @@ def test_readings_of_fit_and_check_are_other_pixels(refiner):
     assert one.readings(0) is one.readings(0)  # cut once
 
 
-def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
+@pytest.mark.parametrize(
+    ("options", "views"),
+    [
+        ({}, []),
+        ({"images": False}, []),
+        ({"images": True, "views": 3}, [3] * FEW + [1] * FEW),
+        ({"depth": False, "views": 1, "frames": slice(0, 2)}, [1] * 4),
+    ],
+)
+def test_images_are_matched_where_depth_leaves_doubts(refiner, exact, options, views):
     nowhere = Nowhere()
-    refiner(matcher=nowhere).fit_trajectory(exact.poses)
-    assert nowhere.views == []
-    refiner(matcher=nowhere, images=True, views=3).fit_trajectory(exact.poses)
-    assert nowhere.views == [3] * FEW + [1] * FEW
-    nowhere.views.clear()
-    refiner(matcher=nowhere, depth=False, views=1, frames=slice(0, 2)).fit_trajectory(
-        exact.poses[:2]
-    )
-    assert nowhere.views == [1] * 4
-    nowhere.views.clear()
-    refiner(matcher=nowhere, images=False).fit_trajectory(exact.poses)
-    assert nowhere.views == []
+    one = refiner(matcher=nowhere, **options)
+    one.fit_trajectory(exact.poses[: len(one.frames)])
+    assert nowhere.views == views
 
 
 def test_where_nothing_matches_depth_decides(refiner, exact, kit):
-    start, told = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0)), []
+    start, progress = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0)), []
     fitted = refiner(matcher=Nowhere(), images=True, views=1).fit_trajectory(start)
     assert kit.off(fitted.poses[-1], exact.poses[-1])[0] < 0.01
     blind = refiner(matcher=Nowhere(), depth=False, views=1)
-    fitted = blind.fit_trajectory(start, lambda *a: told.append(a))
+    fitted = blind.fit_trajectory(start, lambda *a: progress.append(a))
     assert sum(map(len, fitted.matches)) == 0
     assert kit.off(fitted.poses[-1], start[-1])[0] < 0.01
-    assert {"matching images", "checking"} <= {what for what, _, _ in told}
-    assert all(0 <= done <= total for _, done, total in told)
+    assert {"matching images", "checking"} <= {what for what, _, _ in progress}
+    assert all(0 <= done <= total for _, done, total in progress)
 
 
 def test_a_white_map_is_not_matched(refiner, exact, room, kit):
