@@ -114,8 +114,11 @@ def _noun_of(chunks: Sequence[Chunk], at: int) -> int | None:
 
 def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
     """Tell whether a thing begins at i, and no direction or relation."""
+    start = i
     while _type(chunks, i) in (*_DETERMINERS, "ADVERB"):
         i += 1
+    if i > start and _type(chunks, i - 1) == "WORD":
+        return True  # a thing that no vocabulary knows: "près de la fenêtre"
     side = _type(chunks, i) == "DIR" and _type(chunks, i + 1) == "PART"
     return side or _type(chunks, i) in (*_THINGS, "PART")
 
