@@ -117,7 +117,7 @@ def test_textures_survive(tmp_path, rng):
     ("change", "says"),
     [
         ({"floor": np.nan}, "floor is nan"),
-        ({"ids": [], "labels": []}, "ids: there is no object; .* name at least one"),
+        ({"ids": [], "labels": []}, "ids: there is no object; give at least one"),
         ({"ids": ["a", "b"], "labels": ["x", "y"]}, "'b' has no triangle"),
         ({"ids": ["a"], "labels": ["x", "y"]}, "labels"),
         ({"attributes": [{}, {}]}, "attributes"),
@@ -235,7 +235,7 @@ def test_textures_that_would_fill_memory_are_not_decoded(file, monkeypatch):
     pg.open_map(file)
     monkeypatch.setattr(textures, "FREE_PIXELS", 0)
     monkeypatch.setattr(textures, "PIXELS_A_BYTE", 0)
-    with pytest.raises(MapError, match=r"more texels than .* can hold; .*Build the map again"):
+    with pytest.raises(MapError, match=r"more texels than .* can encode; .*Build the map again"):
         pg.open_map(file)
 
 

@@ -289,7 +289,7 @@ def test_what_is_refused(live, room, film):
     live.see(film[0])
     other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
     for ask, says in (
-        (lambda: live.see(replace(film[1], camera=other)), "another camera"),
+        (lambda: live.see(replace(film[1], camera=other)), "camera differs"),
         (lambda: live.place(np.zeros((4, 4)), np.eye(6)), "map_from_camera"),
         (lambda: live.place(np.eye(4), np.full((6, 6), np.inf)), "covariance"),
         (lambda: live.place(np.eye(4), np.eye(6), "no such room"), "no such room"),
