@@ -1,37 +1,13 @@
 """A tiny GOTPR in the released layout: pickled graphs, and weights of random numbers."""
 
 import pickle
-import sys
-import types
 
 import numpy as np
+from tests.kitti360pose_world import made, published
 
 WIDTH, HEADS = 6, 2
 WORDS = ("bench", "tree", "bakery", "kiosk", "road", "lamp", "park", "fence")
 WINDS = ("north", "south", "east", "west")
-
-
-class _Published:
-    """The module `scene_graph` with stand-ins for its classes, as long as something is pickled."""
-
-    def __enter__(self):
-        module = types.ModuleType("scene_graph")
-        for name in ("SceneGraph", "Node"):
-            module.__dict__[name] = type(name, (), {"__module__": "scene_graph"})
-        sys.modules["scene_graph"] = module
-        return module
-
-    def __exit__(self, *_):
-        del sys.modules["scene_graph"]
-
-
-published = _Published
-
-
-def made(cls, **fields):
-    instance = cls()
-    instance.__dict__.update(fields)
-    return instance
 
 
 def vectors(width=WIDTH):
@@ -81,7 +57,7 @@ def write_graphs(folder, *, cells=12, lists=False, edit=None):
     """`scene_graphs` of two drives; a text is a part of its cell."""
     rng, known = np.random.default_rng(3), vectors()
     (folder / "scene_graphs").mkdir(parents=True, exist_ok=True)
-    with published() as module:
+    with published("scene_graph", ("SceneGraph", "Node")) as module:
         of_cells, texts = {}, {"val": {}, "test": {}}
         for drive, split in (("0010", "val"), ("0003", "test")):
             for k in range(cells):

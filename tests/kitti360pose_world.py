@@ -4,6 +4,7 @@ import pickle
 import sys
 import types
 from contextlib import contextmanager
+from itertools import accumulate
 
 import numpy as np
 
@@ -15,29 +16,22 @@ STUFF = {"road": (110, 113, 104), "sidewalk": (136, 137, 126), "vegetation": (67
 THINGS = ["pole", "traffic sign", "lamp", "trash bin", "box", "garage", "smallpole", "stop"]
 PAINTS = [(47, 50, 42), (87, 92, 80), (214, 216, 207), (27, 28, 25), (171, 170, 155)]
 COLOURS = {
-    (47, 50, 42): "dark-green",
-    (136, 137, 126): "gray",
-    (110, 113, 104): "gray",
-    (87, 92, 80): "gray-green",
-    (214, 216, 207): "bright-gray",
-    (27, 28, 25): "black",
-    (67, 70, 60): "green",
-    (171, 170, 155): "beige",
-}
+    (47, 50, 42): "dark-green", (136, 137, 126): "gray", (110, 113, 104): "gray",
+    (87, 92, 80): "gray-green", (214, 216, 207): "bright-gray", (27, 28, 25): "black",
+    (67, 70, 60): "green", (171, 170, 155): "beige",
+}  # fmt: skip
 
 
 @contextmanager
-def published():
+def published(package=PACKAGE, names=NAMES):
     """Module with stand-ins for the published classes, as long as something is pickled."""
-    modules = {}
-    for depth in range(1, 4):
-        name = ".".join(PACKAGE.split(".")[:depth])
-        modules[name] = types.ModuleType(name)
-    for name in NAMES:
-        modules[PACKAGE].__dict__[name] = type(name, (), {"__module__": PACKAGE})
+    parts = package.split(".")
+    modules = {name: types.ModuleType(name) for name in accumulate(parts, "{}.{}".format)}
+    for name in names:
+        modules[package].__dict__[name] = type(name, (), {"__module__": package})
     sys.modules.update(modules)
     try:
-        yield modules[PACKAGE]
+        yield modules[package]
     finally:
         for name in modules:
             del sys.modules[name]
@@ -89,16 +83,8 @@ def cell_objects(module, things, low):
             xyz, rgb = xyz[inside], rgb[inside]  # noqa: PLW2901
         elif inside.mean() < 1 / 3:
             continue
-        objects.append(
-            made(
-                module.Object3d,
-                id=len(objects),
-                instance_id=np.int32(instance),
-                xyz=(xyz - low) / SIZE,
-                rgb=rgb,
-                label=str(label),
-            )
-        )
+        fields = {"instance_id": np.int32(instance), "xyz": (xyz - low) / SIZE, "rgb": rgb}
+        objects.append(made(module.Object3d, id=len(objects), **fields, label=str(label)))
     return objects
 
 
@@ -146,31 +132,17 @@ def drive_of(module, drive, rng, n_cells=8, n_poses=2):
     cells = []
     for k in range(n_cells):
         low = origin + np.array([STRIDE * k, 0.0, 0.0]) - SIZE / 2
-        cells.append(
-            made(
-                module.Cell,
-                scene_name=drive,
-                id=f"{drive}_{k:05d}",
-                objects=cell_objects(module, things, low),
-                cell_size=np.float64(SIZE),
-                bbox_w=np.hstack([low, low + SIZE]),
-            )
-        )
+        fields = {"cell_size": np.float64(SIZE), "bbox_w": np.hstack([low, low + SIZE])}
+        objects = cell_objects(module, things, low)
+        cell = made(module.Cell, scene_name=drive, id=f"{drive}_{k:05d}", objects=objects, **fields)
+        cells.append(cell)
     poses = []
     for cell in cells * n_poses:
         shift = np.append(rng.uniform(-4.5, 4.5, 2), 0.0)
         pose = 0.5 * (cell.bbox_w[:3] + cell.bbox_w[3:]) + shift
-        poses.append(
-            made(
-                module.Pose,
-                pose=(pose - cell.bbox_w[:3]) / SIZE,
-                pose_w=pose,
-                cell_id=cell.id,
-                descriptions=describe(module, things, cell, pose),
-                scene_name=drive,
-                described_by="closest",
-            )
-        )
+        fields = {"pose": (pose - cell.bbox_w[:3]) / SIZE, "pose_w": pose, "cell_id": cell.id}
+        fields["descriptions"] = describe(module, things, cell, pose)
+        poses.append(made(module.Pose, **fields, scene_name=drive, described_by="closest"))
     return cells, poses
 
 

@@ -5,18 +5,8 @@ import json
 
 import numpy as np
 from PIL import Image
+from tests.io.writers import ply
 
-HEADER = """ply
-format ascii 1.0
-element vertex {}
-property float x
-property float y
-property float z
-property ushort objectId
-element face {}
-property list uchar int vertex_indices
-end_header
-"""
 INFO = """m_depthShift = 1000
 m_colorWidth = {c.width}
 m_colorHeight = {c.height}
@@ -46,10 +36,10 @@ def write_scan(root, name, scene, capture, scan_from_camera):
     palette = np.random.default_rng(0).integers(0, 256, (len(graph), 3))
     picture = np.repeat(palette.astype(np.uint8)[None], 4, axis=0).repeat(4, axis=1)
     Image.fromarray(picture).save(folder / "mesh.refined_0.png")
-    rows = [f"{x:.6f} {y:.6f} {z:.6f} {i}" for (x, y, z), i in zip(points, ids, strict=True)]
-    rows += [f"3 {a} {b} {c}" for a, b, c in faces]
-    ply = HEADER.format(len(points), len(faces)) + "\n".join(rows) + "\n"
-    (folder / "labels.instances.annotated.v2.ply").write_text(ply)
+    rows = [(*xyz, i) for xyz, i in zip(points.round(6).tolist(), ids.tolist(), strict=True)]
+    vertices = ("vertex", dict.fromkeys("xyz", "float") | {"objectId": "ushort"}, rows)
+    corners = ("face", {"vertex_indices": "uchar int"}, [(face,) for face in faces.tolist()])
+    (folder / "labels.instances.annotated.v2.ply").write_bytes(ply("ascii", vertices, corners))
     groups = [
         {"id": i + 1, "objectId": i + 1, "label": label, "segments": [i]}
         for i, label in enumerate(graph.labels)

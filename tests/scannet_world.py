@@ -7,6 +7,7 @@ import zlib
 
 import numpy as np
 from PIL import Image
+from tests.io.writers import ply
 
 from placegraph.core.geometry import rotation_z
 
@@ -73,26 +74,19 @@ class Mesh:
         )
 
 
-def ply(points, colours, triangles, label=None):
+def encode_ply(points, colours, triangles, label=None):
     """Bytes as ScanNet's own files have them, with alpha, and a label where they have one."""
-    fields = [(a, "<f4") for a in "xyz"]
-    fields += [(c, "u1") for c in ("red", "green", "blue", "alpha")]
-    fields += [("label", "<u2")] * (label is not None)
-    vertex = np.zeros(len(points), fields)
-    for i, axis in enumerate("xyz"):
-        vertex[axis] = points[:, i]
-    for i, colour in enumerate(("red", "green", "blue")):
-        vertex[colour] = colours[:, i]
-    vertex["alpha"] = 255
-    if label is not None:
-        vertex["label"] = label
-    face = np.zeros(len(triangles), [("n", "u1"), ("corners", "<i4", 3)])
-    face["n"], face["corners"] = 3, triangles
-    names = {"<f4": "float", "u1": "uchar", "<u2": "ushort"}
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    head += [f"property {names[kind]} {name}" for name, kind in fields]
-    head += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
-    return "\n".join([*head, "end_header\n"]).encode() + vertex.tobytes() + face.tobytes()
+    properties = dict.fromkeys("xyz", "float")
+    properties |= dict.fromkeys(("red", "green", "blue", "alpha"), "uchar")
+    properties |= {"label": "ushort"} if label is not None else {}
+    labels = np.zeros((len(points), 0)) if label is None else np.reshape(label, (-1, 1))
+    rows = np.hstack([points, colours, np.full((len(points), 1), 255), labels]).tolist()
+    rows = [(*row[:3], *map(int, row[3:])) for row in rows]
+    faces = [(corners,) for corners in triangles.tolist()]
+    return ply(
+        "binary_little_endian",
+        ("vertex", properties, rows), ("face", {"vertex_indices": "uchar int"}, faces),
+    )  # fmt: skip
 
 
 class ObjectMesh:
@@ -135,7 +129,7 @@ class Scan:
         return self.text(ending, json.dumps(content))
 
     def write_mesh(self, ending, **columns):
-        data = ply(self.points, self.mesh.colours, self.mesh.triangles, **columns)
+        data = encode_ply(self.points, self.mesh.colours, self.mesh.triangles, **columns)
         self.file(ending).write_bytes(data)
         return self.file(ending)
 
@@ -164,8 +158,6 @@ class Scan:
         path.write_text("\n".join([COLUMNS, *rows]) + "\n", encoding="utf-8")
         return path
 
-
-# ------------------------------------------------------------------------------------ recordings
 
 LOST = np.full((4, 4), -np.inf)
 COLOUR_K = (10.0, 11.0, 3.5, 2.5)

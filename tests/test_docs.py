@@ -217,80 +217,12 @@ def test_the_site_is_built_and_its_links_lead_somewhere(tmp_path):
     assert "placegraph city locate" in (tmp_path / "commands.html").read_text("utf-8")
 
 
-def example(text):
-    return blocks_of(Path("page.md"), textwrap.dedent(text))
-
-
-def test_blocks_are_found_with_line_language_and_reason():
-    found = example(
-        """\
-        Words.
-
-        ```python
-        a = 1
-        ```
-        <!-- no-run: draws on the network -->
-        ```bash
-        placegraph city fetch "Ulm"
-        ```
-        - item
-          ```console
-          $ placegraph --version
-          placegraph 0.1.0
-          ```
-        ```json
-        {}
-        ```
-        """
-    )
-    assert [(b.line, b.language, b.reason) for b in found] == [
-        (3, "python", None),
-        (7, "bash", "draws on the network"),
-        (11, "console", None),
-    ]
-    assert found[0].body == "a = 1\n"
-    assert commands(found[2]) == [("placegraph --version", 0)]
-
-
-def test_commands_are_read_with_continuations_comments_and_exit_codes():
-    (block,) = example(
-        """\
-        ```bash
-        # build it first
-        placegraph city build a.osm \\
-          -o a.city
-        placegraph city info gone.city  # exits with 3
-        ```
-        """
-    )
-    build, info = commands(block)
-    assert build[0].split() == ["placegraph", "city", "build", "a.osm", "-o", "a.city"]
-    assert info == ("placegraph city info gone.city", 3)
-
-
-@pytest.mark.parametrize("body", ["make demo", "", "# placegraph", "placegraphs x"])
-def test_a_shell_block_that_would_not_run_must_say_so(body):
-    (block,) = example(f"```bash\n{body}\n```\n")
-    with pytest.raises(pytest.fail.Exception, match=r"page\.md:1: .*no-run: reason"):
-        commands(block)
-
-
-def test_a_wrong_block_fails_where_it_stands(monkeypatch):
-    (block,) = example("```python\n\n1 / 0\n```\n")
-    with pytest.raises(ZeroDivisionError) as caught:
-        run(block, {}, monkeypatch)
-    assert caught.traceback[-1].lineno + 1 == 3
-
-
-def test_a_wrong_exit_code_fails(tmp_path, monkeypatch):
+def test_a_shell_block_that_would_not_run_or_exits_otherwise_fails(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (block,) = example("```bash\nplacegraph city info gone.city  # exits with 5\n```\n")
+    for body in ("make demo", "", "# placegraph", "placegraphs x"):
+        (block,) = blocks_of(Path("page.md"), f"```bash\n{body}\n```\n")
+        with pytest.raises(pytest.fail.Exception, match=r"page\.md:1: .*no-run: reason"):
+            commands(block)
+    text = "```bash\nplacegraph city info gone.city  # exits with 5\n```\n"
     with pytest.raises(AssertionError, match="exits with 3, not 5"):
-        run_shell(block, monkeypatch)
-
-
-def test_input_and_output_of_a_command_may_be_files(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    code, said = call(["placegraph", "--version", ">", "version.txt"], monkeypatch)
-    assert code == 0
-    assert (tmp_path / "version.txt").read_text() == said
+        run_shell(*blocks_of(Path("page.md"), text), monkeypatch)

@@ -14,18 +14,6 @@ def test_every_public_name_is_there(name):
     assert name in dir(pg)
 
 
-def test_lazy_names_are_what_their_modules_hold():
-    from placegraph.core.graph import SceneGraph
-    from placegraph.indoor.refine import RefineOptions
-    from placegraph.indoor.refine.matching import matcher
-    from placegraph.maps import open_map
-
-    assert pg.SceneGraph is SceneGraph
-    assert pg.RefineOptions is RefineOptions
-    assert pg.matcher is matcher
-    assert pg.open_map is open_map
-
-
 def test_other_names_are_not():
     with pytest.raises(AttributeError, match="has no attribute 'teleport'"):
         pg.teleport  # noqa: B018

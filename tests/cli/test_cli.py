@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -90,16 +91,13 @@ def test_build(run, osm, tmp_path):
     assert result.code == 0
     assert result.out.startswith(f"{out}: 222 objects in 158 cells")
     assert "reading" not in result.out, "progress is for stderr"
-    assert out.exists()
-
-
-def test_build_as_json(run, osm, tmp_path):
-    out = tmp_path / "a.city"
     result = run("city", "build", osm, "-o", out, "--json")
     assert result.err == ""
     told = result.json
     assert told["bytes"] == out.stat().st_size
     assert (told["objects"], told["cells"], told["left_out"]) == (222, 158, {})
+    result = run("city", "build", osm, "-o", out, "--quiet")
+    assert (result.code, result.out, result.err) == (0, "", "")
 
 
 @pytest.mark.parametrize("option", [(), ("--no-index",)])
@@ -118,11 +116,6 @@ def test_no_index_is_not_of_an_extract_that_becomes_a_world(run, osm, tmp_path, 
     assert result.code == 7
     assert "--no-index applies only to a single map" in result.err
     assert not (tmp_path / "a").exists()
-
-
-def test_build_in_silence(run, osm, tmp_path):
-    result = run("city", "build", osm, "-o", tmp_path / "a.city", "--quiet")
-    assert (result.code, result.out, result.err) == (0, "", "")
 
 
 def test_build_says_what_was_left_out(run, tmp_path):
@@ -165,11 +158,8 @@ def test_locate(run, city):
     result = run("city", "locate", city, CLEAR)
     assert (result.code, result.err) == (0, "")
     assert result.out.startswith("OK: ")
-    assert "Speichermuseum" in result.out
-    assert "cell c" in result.out
-
-
-def test_locate_as_json(run, city):
+    for word in ("Speichermuseum", "cell c", "%"):
+        assert word in result.out
     result = run("city", "locate", city, CLEAR, "--json", "--top", "3")
     assert result.err == ""
     told = result.json
@@ -282,8 +272,7 @@ def test_names_and_texts_are_printed_as_they_are(run, tmp_path):
     assert "brackets.osm" in info.out
 
 
-@pytest.mark.parametrize("preset", ["paper", "published"])
-@pytest.mark.parametrize("candidates", [1, 10])
+@pytest.mark.parametrize(("preset", "candidates"), [("paper", 1), ("paper", 10), ("published", 10)])
 def test_ranks_are_printed_without_a_percentage(run, city, preset, candidates):
     asked = ("city", "locate", city, CLEAR, "--preset", preset, "--candidates", candidates)
     told = run(*asked)
@@ -292,10 +281,6 @@ def test_ranks_are_printed_without_a_percentage(run, city, preset, candidates):
     assert "1. " in told.out
     assert "%" not in told.out
     assert run(*asked, "--json").json["modes"][0]["probability"] < 0.1
-
-
-def test_probabilities_are_printed(run, city):
-    assert "%" in run("city", "locate", city, CLEAR).out
 
 
 @pytest.mark.parametrize("options", [(), ("--preset", "paper", "--matcher", "relational")])
@@ -320,29 +305,22 @@ def test_ask_until_the_place_is_clear(run, city):
     assert other.json["modes"][0]["latitude"] == pytest.approx(53.5500, abs=3e-4)
 
 
-def test_ask_asks_nothing_where_all_is_clear(run, city):
+def test_ask_asks_nothing_where_all_is_clear_and_answers_whoever_goes_away(run, city):
     result = run("city", "locate", city, CLEAR, "--ask", "--json")
-    assert result.json["status"] == "OK"
-    assert result.err == ""
-
-
-def test_whoever_goes_away_still_gets_what_is_known(run, city):
+    assert (result.json["status"], result.err) == ("OK", "")
     for stdin in ("", "don't know\n"):
         result = run("city", "locate", city, SQUARES, "--ask", "--json", stdin=stdin)
         assert result.code == 0
         assert result.json["status"] == "AMBIGUOUS"
 
 
-def test_track_tells_an_estimate_a_line(run, city):
+def test_track_prints_an_estimate_a_line(run, city):
     result = run("city", "track", city, stdin=LINES)
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
     assert len(lines) == 3
     assert [line.split()[0] for line in lines][::2] == ["OK", "OK"]
     assert all("%" in line and "±" in line for line in lines)
-
-
-def test_track_as_json_lines(run, city):
     result = run("city", "track", city, "--json", "--top", 2, stdin=LINES + "quit\nA bench.\n")
     told = [json.loads(line) for line in result.out.splitlines()]
     assert [t["said"] for t in told] == [line for line in LINES.splitlines() if line]
@@ -362,11 +340,10 @@ def test_reset_and_what_is_not_understood(run, city):
 
 def test_track_near_with_pictures(run, city, hafenstadt, tmp_path):
     longitude, latitude = hafenstadt.lonlat(30, 59)
-    text = "I am standing on a square. There is a fountain north of me and a café to my east.\n"
-    apart = run("city", "track", city, stdin=text)
+    apart = run("city", "track", city, stdin=SQUARES)
     page, picture = tmp_path / "a.html", tmp_path / "a.png"
     near = run("city", "track", city, "--near", f"{longitude},{latitude}", "--radius", 60,
-               "--html", page, "--png", picture, stdin=text)  # fmt: skip
+               "--html", page, "--png", picture, stdin=SQUARES)  # fmt: skip
     assert apart.out.startswith("AMBIGUOUS")
     assert near.out.startswith("OK")
     assert 'getContext("2d")' in page.read_text("utf-8")
@@ -380,10 +357,7 @@ def test_track_near_with_pictures(run, city, hafenstadt, tmp_path):
      (["--top", "0"], "", 7, "top"), ([], "A bench\0.\n", 6, "character")],
 )  # fmt: skip
 def test_track_refuses(run, city, arguments, stdin, code, word):
-    result = run("city", "track", city, *arguments, stdin=stdin)
-    assert result.code == code
-    assert word in result.err
-    assert result.out == ""
+    fails(run("city", "track", city, *arguments, stdin=stdin), code, word)
 
 
 def test_track_at_a_terminal(run, city, monkeypatch):
@@ -402,7 +376,6 @@ def test_track_at_a_terminal(run, city, monkeypatch):
 def test_info(run, city, tmp_path):
     result = run("city", "info", city)
     assert result.code == 0
-    assert "objects" in result.out
     assert "222" in result.out
     told = run("city", "info", city, "--json").json
     assert told["bytes"] == city.stat().st_size
@@ -445,14 +418,8 @@ def test_demo(run, tmp_path):
     assert [word for word in way.split() if word in ("AMBIGUOUS:", "OK:")] == (
         ["AMBIGUOUS:", "AMBIGUOUS:", "OK:"]
     )
-    off = {
-        name: float(line.split()[1])
-        for line in result.out.splitlines()
-        if line.split()[:1] in (["coarse"], ["refined"])
-        for name in line.split()[:1]
-    }
-    assert off["refined"] < off["coarse"], "centimetres, median of all frames"
-    assert off["refined"] < 1.0
+    off = dict(re.findall(r"^ *(coarse|refined) +([\d.]+)", result.out, re.MULTILINE))
+    assert float(off["refined"]) < min(float(off["coarse"]), 1.0), "cm, median of all frames"
     assert "OK: altbau fits" in result.out, "the film's flat among five homes"
     made = {p.name for p in (tmp_path / "new" / "demo").iterdir()}
     assert made >= {
@@ -461,16 +428,12 @@ def test_demo(run, tmp_path):
     assert made >= {"world", "altbau.scene", "walk.png", "walk.gif", "overlay.png"}
     given = {p.name for p in (tmp_path / "new" / "demo" / "world").iterdir()}
     assert given == {
-        "hafenstadt.osm",
-        "hafenstadt.city",
-        "marktstadt.osm",
-        "marktstadt.city",
-        "homes.library",
-        "altbau.glb",
-        "altbau.scene",
-        "altbau_twin.scene",
-        "walk",
-        "window",
+        *(
+            f"{town}.{ending}"
+            for town in ("hafenstadt", "marktstadt")
+            for ending in ("osm", "city")
+        ),
+        *("homes.library", "altbau.glb", "altbau.scene", "altbau_twin.scene", "walk", "window"),
         *(f"home{i}.scene" for i in range(1, 5)),
     }
     assert "placegraph scene localize" in result.out.partition("The same with commands:")[2]

@@ -37,38 +37,25 @@ def tell(
     click.echo(repr((words, out_file, times, by, loud, segment)))
 
 
-def said(capsys, *arguments):
-    with command_of(tell, "tell").make_context("tell", list(arguments)) as context:
+def call(capsys, line):
+    with command_of(tell, "tell").make_context("tell", line.split()) as context:
         context.command.invoke(context)
     return capsys.readouterr().out.strip()
 
 
 def test_types_and_defaults_are_those_of_the_function(capsys):
-    assert said(capsys, "a") == repr((["a"], None, 1, None, False, None))
-    given = (
-        "a",
-        "b",
-        "-o",
-        "x",
-        "--times",
-        "2",
-        "--by",
-        "1",
-        "--by",
-        "2.5",
-        "--loud",
-        "--no-segment",
-    )
-    assert said(capsys, *given) == repr((["a", "b"], Path("x"), 2, [1.0, 2.5], True, False))
+    assert call(capsys, "a") == repr((["a"], None, 1, None, False, None))
+    given = "a b -o x --times 2 --by 1 --by 2.5 --loud --no-segment"
+    assert call(capsys, given) == repr((["a", "b"], Path("x"), 2, [1.0, 2.5], True, False))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [((), "Missing argument"), (("a", "--times", "0"), "not in the range"), (("a", "--by", "x"), "float")],
-)  # fmt: skip
-def test_what_does_not_fit_is_refused(capsys, arguments, message):
+    ("line", "message"),
+    [("", "Missing argument"), ("a --times 0", "not in the range"), ("a --by x", "float")],
+)
+def test_what_does_not_fit_is_refused(capsys, line, message):
     with pytest.raises(click.UsageError) as refused:
-        said(capsys, *arguments)
+        call(capsys, line)
     assert message in refused.value.format_message()
 
 

@@ -48,8 +48,7 @@ def run():
     rng = np.random.default_rng(4)
     history = tuple(
         PassRecord(
-            stride,
-            tuple((f, rng.normal(0, 1, (20 + f, 4)), rng.random(20 + f)) for f in range(3)),
+            stride, tuple((f, rng.normal(0, 1, (20 + f, 4)), rng.random(20 + f)) for f in range(3))
         )
         for stride in (16.0, 8.0)
     )

@@ -42,10 +42,7 @@ def test_json_pictures_and_trajectory(run, room, tmp_path):
     assert told["frames"] == list(range(FRAMES))
     best = told["modes"][0]
     pose, _ = split_pose(room.truth[-1])
-    assert (best["x"], best["y"]) == (
-        pytest.approx(pose[0], abs=0.2),
-        pytest.approx(pose[1], abs=0.2),
-    )
+    assert (best["x"], best["y"]) == pytest.approx(pose[:2], abs=0.2)
     assert np.cos(np.radians(best["yaw_deg"]) - pose[3]) > np.cos(np.radians(5))
     assert best["evidence"]
 
@@ -295,15 +292,6 @@ def test_an_image_feature_matcher(run, room):
     assert told["refinement"]["stats"]["matcher"] == "sift"
 
 
-def test_matchers_by_name(tmp_path):
-    assert matcher_of("auto", None, "cpu") == "auto"
-    assert matcher_of("guided", None, "cuda") == "guided"
-    with pytest.raises(OptionError, match="--matcher is 'orb'; choose one of auto, guided, sift, "):
-        matcher_of("orb", None, "cpu")
-    with pytest.raises(OptionError, match="--weights applies to"):
-        matcher_of("auto", tmp_path / "a.pt", "cpu")
-
-
 def test_weights_reach_the_matcher(tmp_path):
     pytest.importorskip("kornia", reason="needs kornia")
     with pytest.raises(InputError, match=r"a\.pt"):
@@ -428,19 +416,8 @@ def test_bad_options(options, word, run, room):
 def test_pictures_that_cannot_be_written(run, room, tmp_path):
     for option in ("--png", "--gif", "--tum", "--overlay"):
         out = tmp_path / "no" / "a"
-        result = run(
-            "scene",
-            "localize",
-            room.map,
-            room.walk,
-            "--frames",
-            "0",
-            "--quiet",
-            "--no-refine",
-            option,
-            out,
-        )
-        fails(result, 3, out)
+        ask = ("scene", "localize", room.map, room.walk, "--frames", "0", "--quiet", "--no-refine")
+        fails(run(*ask, option, out), 3, out)
 
 
 def test_info_draws_the_room(run, room, tmp_path):

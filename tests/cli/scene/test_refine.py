@@ -30,13 +30,8 @@ def world(room, tmp_path_factory):
     estimate = tmp_path_factory.mktemp("refine") / "est.json"
     estimate.write_text(json.dumps(told), encoding="utf-8")
     return SimpleNamespace(
-        map=room.map,
-        walk=room.wide,
-        narrow=room.walk,
-        truth=room.truth,
-        estimate=estimate,
-        told=told,
-    )
+        map=room.map, walk=room.wide, narrow=room.walk, truth=room.truth, estimate=estimate, told=told,
+    )  # fmt: skip
 
 
 def near(truth, *, way=(0.0, 0.0, 0.0), turn_deg=0.0):
@@ -85,7 +80,6 @@ def test_gravity_gives_the_tilt_that_is_not_given(world):
 
 
 def test_from_an_estimate(run, world):
-
     def told(*options):
         result = run(
             "scene", "refine", world.map, world.walk, "--estimate", world.estimate, "--json",

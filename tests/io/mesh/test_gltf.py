@@ -84,8 +84,8 @@ def test_nodes_of_one_id_are_one_object(glb):
 
 
 def test_only_the_scene_is_read(glb):
-    glb.node(glb.primitive(TRIANGLE), name="in")
-    glb.node(glb.primitive(TRIANGLE), name="out")
+    for name in ("in", "out"):
+        glb.node(glb.primitive(TRIANGLE), name=name)
     glb.json["scenes"] = [{"nodes": [1]}, {"nodes": [0]}]
     glb.json["scene"] = 1
     assert things(read_glb(glb.write())) == [("0", "in", "in")]
@@ -303,12 +303,6 @@ def test_what_cannot_be_read_says_why(change, says, glb):
     assert str(path) in str(caught.value)
 
 
-def test_an_index_beyond_the_vertices(glb):
-    glb.node(glb.primitive(TRIANGLE, [0, 1, 3]))
-    with pytest.raises(InputError, match="an index is 3 of 3 vertices"):
-        read_glb(glb.write())
-
-
 def test_what_is_no_glb(glb, tmp_path):
     glb.node(glb.primitive(TRIANGLE))
     data = glb.write().read_bytes()
@@ -328,6 +322,9 @@ def test_what_is_no_glb(glb, tmp_path):
         read_glb(tmp_path / "no.glb")
     with pytest.raises(InputError, match="cannot be read"):
         read_glb(tmp_path)
+    glb.node(glb.primitive(TRIANGLE, [0, 1, 3]))
+    with pytest.raises(InputError, match="an index is 3 of 3 vertices"):
+        read_glb(glb.write())
 
 
 @DAMAGE
@@ -342,9 +339,9 @@ def test_damaged_files_give_one_kind_of_error(data, new_glb):
         primitive, name="seat", extras={"id": 3}, translation=[1, 2, 3], rotation=[0, 0, 0, 1]
     )
     glb.json["scenes"] = [{"nodes": [glb.node(children=[child])]}]
-    path = glb.write()
+    path = as_text(glb) if data.draw(st.booleans()) else glb.write()
     path.write_bytes(data.draw(damaged(path.read_bytes())))
-    with refusing(path):
+    with refusing("" if path.suffix == ".gltf" else path):
         model = read_glb(path)
         assert model.triangles.max(initial=-1) < len(model.vertices)
 
@@ -376,8 +373,6 @@ def test_nonsense_in_the_json_gives_one_kind_of_error(data, new_glb):
 
 
 def test_the_shared_house(shared):
-    import json
-
     model = read_glb(shared / "data" / "house" / "map" / "house.glb")
     told = json.loads((shared / "data" / "house" / "map" / "objects.json").read_text())
     assert things(model) == [(str(o["id"]), o["label"], o["name"]) for o in told]
@@ -419,9 +414,8 @@ def same(one, other):
     assert one.objects == other.objects
     for name in ("vertices", "triangles", "object_of", "uv", "picture_of", "colours"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert [(p.data, p.factor) for p in one.pictures] == [
-        (p.data, p.factor) for p in other.pictures
-    ]
+    pictures = [[(p.data, p.factor) for p in model.pictures] for model in (one, other)]
+    assert pictures[0] == pictures[1]
 
 
 def test_files_beside_it_and_inside(glb):
@@ -434,11 +428,6 @@ def test_files_beside_it_and_inside(glb):
     scene = build_scene(as_text(glb), None, floor=0.0)
     assert scene.graph.labels == ("chair", "table")
     assert scene.mesh.vertices[:, 2].max() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_a_binary_file_may_have_files_beside_it_too(glb):
-    filled(glb)
-    as_text(glb)
     glb.json["images"] = [{"uri": "t.png"}]
     assert read_glb(glb.write()).pictures[0].data == png()
 
@@ -492,14 +481,3 @@ def test_other_text(glb):
             read_glb(path)
     path.write_bytes(glb.path.read_bytes())  # a binary file of the wrong name
     assert len(read_glb(path).objects) == 2
-
-
-@DAMAGE
-@given(data=st.data())
-def test_damaged_text(new_glb, data):
-    glb = new_glb()
-    filled(glb)
-    path = as_text(glb)
-    path.write_bytes(data.draw(damaged(path.read_bytes())))
-    with refusing():
-        read_glb(path)

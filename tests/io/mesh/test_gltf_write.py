@@ -59,7 +59,7 @@ def test_parts_are_nodes_and_things(read):
     assert (model.colours == 255).all()
 
 
-def test_images_are_written_as_they_are_and_once():
+def test_images_are_written_as_they_are_and_once_and_read_back(read):
     uv = np.zeros((4, 2))
     parts = [Part(str(k), [Surface(CORNERS, FACES, k, uv)]) for k in range(3)]
     data = encode_glb(parts, [Material(PNG), Material(PNG, (0.5, 1.0, 0.0)), Material()])
@@ -68,9 +68,6 @@ def test_images_are_written_as_they_are_and_once():
     assert [image["mimeType"] for image in content["images"]] == ["image/png"]
     factors = [m["pbrMetallicRoughness"].get("baseColorFactor") for m in content["materials"]]
     assert factors == [None, [0.5, 1.0, 0.0, 1.0], None]
-
-
-def test_pictures_and_factors_read_back(read):
     parts = [Part("a", [Surface(CORNERS, FACES, k, CORNERS[:, :2]) for k in range(2)])]
     model = read(parts, [Material(PNG), Material(factor=(0.25, 0.5, 1.0))])
     assert [p.data for p in model.pictures] == [PNG, None]

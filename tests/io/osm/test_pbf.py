@@ -178,8 +178,8 @@ def test_numbers_are_written_and_read(values):
     assert at == len(data)
 
 
-def written(path, blobs, head=b"OsmSchema-V0.6"):
-    heads = pbf.encode_blob(b"OSMHeader", pbf.text(4, head))
+def written(path, blobs, head=b"OsmSchema-V0.6", more=b""):
+    heads = pbf.encode_blob(b"OSMHeader", pbf.text(4, head) + more)
     path.write_bytes(heads + b"".join(pbf.encode_blob(b"OSMData", blob) for blob in blobs))
     return path
 
@@ -232,20 +232,13 @@ def test_a_relation_whose_id_osmium_cannot_have_is_left_out(number, tmp_path):
     assert sum(left.values()) == 1 - len(kept)
 
 
-def in_order(path, blobs):
-    """A file that says that its elements are in order."""
-    heads = pbf.text(4, b"OsmSchema-V0.6") + pbf.text(5, b"Sort.Type_then_ID")
-    told = [pbf.encode_blob(b"OSMHeader", heads), *(pbf.encode_blob(b"OSMData", b) for b in blobs)]
-    path.write_bytes(b"".join(told))
-    return path
-
-
 def test_the_order_that_a_file_says_is_used_and_checked(tmp_path):
     nodes, ways, woods = wood(ids=[1])
-    path = in_order(tmp_path / "a.osm.pbf", [nodes, ways, woods, pbf.text(1, b"")])
+    path, more = tmp_path / "a.osm.pbf", pbf.text(5, b"Sort.Type_then_ID")
+    written(path, [nodes, ways, woods, pbf.text(1, b"")], more=more)
     assert by_us(path)[0].keys() == {(2, 1)}, "an empty block hides no relation"
     with pytest.raises(InputError, match=r"not in the order that it says.*osmium sort"):
-        by_us(in_order(path, [nodes, woods, ways, woods]))
+        by_us(written(path, [nodes, woods, ways, woods], more=more))
 
 
 def test_dense_nodes_that_are_none_and_positions_beyond_all_bounds(tmp_path):

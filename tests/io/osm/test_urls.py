@@ -192,31 +192,26 @@ def test_a_city_is_taken_up_and_tells_no_key(server, extract, tmp_path, monkeypa
 
 def test_what_is_not_there_or_no_extract(server, tmp_path):
     base = server.url.partition("/town")[0]
-    with pytest.raises(InputError, match="not there"):
-        remote_size(f"{base}/gone.osm")
-    with pytest.raises(ServiceError, match="403"):
-        remote_size(f"{base}/secret.osm")
-    with pytest.raises(InputError, match="unknown ending"):
-        remote_size(f"{base}/town.zip")
-    with pytest.raises(ServiceError, match="cannot be read"):
-        remote_size("http://127.0.0.1:9/town.osm")
-    for url, said in (
-        ("memory:///none/a.osm", "not there"),
-        ("memory:///empty.osm", "is empty"),
-        ("memory:///folder.osm", "is a folder"),
+    for url, error, message in (
+        (f"{base}/gone.osm", InputError, "not there"),
+        (f"{base}/secret.osm", ServiceError, "403"),
+        (f"{base}/town.zip", InputError, "unknown ending"),
+        ("http://127.0.0.1:9/town.osm", ServiceError, "cannot be read"),
+        ("nonsense://a.osm", OptionError, "knows this URL"),
+        ("zip://a.osm::file:///none.zip", OptionError, "cannot be opened"),
+        ("github://a.osm", OptionError, "cannot be opened"),
     ):
-        memory("memory:///empty.osm", b"")
-        memory("memory:///folder.osm/x", b"x")
-        with pytest.raises(InputError, match=said):
-            fetch_file(url, tmp_path)
-    with pytest.raises(OptionError, match="knows this URL"):
-        remote_size("nonsense://a.osm")
-
-
-@pytest.mark.parametrize("url", ["zip://a.osm::file:///none.zip", "github://a.osm"])
-def test_what_file_systems_say_of_a_url_is_typed(url):
-    with pytest.raises(OptionError, match="cannot be opened"):
-        remote_size(url)
+        with pytest.raises(error, match=message):
+            remote_size(url)
+    memory("memory:///empty.osm", b"")
+    memory("memory:///folder.osm/x", b"x")
+    for name, message in (
+        ("none/a", "not there"),
+        ("empty", "is empty"),
+        ("folder", "is a folder"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fetch_file(f"memory:///{name}.osm", tmp_path)
 
 
 def test_a_city_of_a_damaged_extract_names_its_url(tmp_path):
