@@ -96,7 +96,9 @@ def test_no_query_an_empty_one_or_two_are_refused(run, library, query, monkeypat
         assert (told.code, "QUERY" in told.err) == (7, True)
 
 
-def test_a_text_that_looks_like_a_file_is_said_by_text(run, library):
+def test_a_text_that_looks_like_a_file_or_is_a_folder_is_said_by_text(
+    run, library, tmp_path, monkeypatch
+):
     for text in ("a stove and/or a sink", "There is a stove.And a sink"):
         told = run("library", "search", library, "--text", text, "--json")
         assert told.code == 0
@@ -104,6 +106,10 @@ def test_a_text_that_looks_like_a_file_is_said_by_text(run, library):
     text = "There is a kitchen with a stove. " * 20
     assert run("library", "search", library, text, "--json").json["modes"]
     assert run("library", "search", library, "a stove\0").code == 6  # nor a name, nor a text
+    (tmp_path / "kitchen").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert run("library", "search", library, "kitchen").code == 3  # no capture
+    assert run("library", "search", library, "--text", "kitchen").code == 0
 
 
 def test_a_word_that_may_be_a_mistyped_folder(run, library):
@@ -112,13 +118,6 @@ def test_a_word_that_may_be_a_mistyped_folder(run, library):
     assert told.err == "'wlk02' is not a file or folder, so it is read as a description.\n"
     assert run("library", "search", library, "--text", "kitchen").err == ""
     assert run("library", "search", library, "a kitchen").err == ""
-
-
-def test_a_text_that_is_a_folder_too(run, library, tmp_path, monkeypatch):
-    (tmp_path / "kitchen").mkdir()
-    monkeypatch.chdir(tmp_path)
-    assert run("library", "search", library, "kitchen").code == 3  # no capture
-    assert run("library", "search", library, "--text", "kitchen").code == 0
 
 
 def test_two_maps_of_one_name_are_told_before_any_work(run, world, tmp_path, monkeypatch):

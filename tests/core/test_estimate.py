@@ -64,7 +64,7 @@ def posed():
     )
 
 
-def test_a_pose_as_json(posed):
+def test_a_pose_and_its_evidence_as_json(posed):
     got = strict(posed)
     keys = {
         "status", "reason", "modes", "frames", "trajectory", "stats", "refinement", "calibration",
@@ -82,9 +82,6 @@ def test_a_pose_as_json(posed):
     np.testing.assert_array_equal(first["map_from_camera"], posed.best.map_from_camera)
     np.testing.assert_array_equal(first["covariance"], posed.best.covariance)
     assert second["evidence"] == []
-
-
-def test_evidence_indoors_has_no_longitude(posed):
     chair, depth = strict(posed)["modes"][0]["evidence"]
     assert chair == {
         "statement": "chair 17",

@@ -23,15 +23,12 @@ from placegraph.io.capture.capture import Frame
 from placegraph_learn.scenegraphloc.features import read_attributes
 
 
-def test_a_file_takes_the_place_of_the_old_one(tmp_path):
+def test_a_file_takes_the_place_of_the_old_one_and_a_link_stays_one(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     assert write_file(path, [b"ne", memoryview(b"w")]) == path
     assert path.read_bytes() == b"new"
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
-
-
-def test_a_link_stays_a_link(tmp_path):
     (tmp_path / "far").mkdir()
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "far" / "a.bin")
@@ -198,7 +195,7 @@ def test_helpers_are_kept_and_a_fork_has_its_own():
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_one_thread_is_the_caller():
+def test_one_thread_is_the_caller_and_errors_of_parts_are_raised():
     seen = []
     with limit_threads(1):
         run_parallel(lambda first, last: seen.append((threading.get_ident(), first, last)), 100)
@@ -206,8 +203,6 @@ def test_one_thread_is_the_caller():
     with pytest.raises(OptionError, match="at least 1"), limit_threads(0):
         pass
 
-
-def test_what_a_part_raises_is_raised():
     def fail(first, last):
         raise ValueError(f"{first} to {last}")
 

@@ -309,11 +309,13 @@ RATIONAL = Camera(
 cameras = st.sampled_from([PLAIN, WIDE, RATIONAL])
 
 
-def test_the_principal_point_is_straight_ahead():
+def test_the_principal_point_is_straight_ahead_and_what_lies_behind_has_no_pixel():
     ray = PLAIN.directions((318.0, 181.5))
     assert ray.tolist() == [0, 0, 1]
     # one focal length to the right of it is 45 degrees to the right, and below is down
     np.testing.assert_allclose(PLAIN.directions((318 + 460, 181.5 + 455)), (1, 1, 1))
+    uv = PLAIN.project([[0, 0, 1], [0, 0, 0], [0.1, 0, -1]])
+    assert np.isnan(uv).tolist() == [[False, False], [True, True], [True, True]]
 
 
 @given(cameras, st.floats(0, 1), st.floats(0, 1), st.floats(0.1, 50))
@@ -374,11 +376,6 @@ def test_a_fisheye_has_a_rim():
     assert np.isnan(folded.project((math.tan(math.radians(62)), 0.0, 1.0))).all()
     edge = folded.project((math.tan(math.radians(60)), 0.0, 1.0))
     assert math.isclose(folded.directions(edge)[0], math.tan(math.radians(60)), rel_tol=1e-3)
-
-
-def test_what_lies_behind_has_no_pixel():
-    uv = PLAIN.project([[0, 0, 1], [0, 0, 0], [0.1, 0, -1]])
-    assert np.isnan(uv).tolist() == [[False, False], [True, True], [True, True]]
 
 
 @given(cameras, st.integers(20, 2000), st.integers(20, 2000), st.floats(0, 1), st.floats(0, 1))

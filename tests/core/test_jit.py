@@ -33,7 +33,7 @@ FACTOR = {factor}
 
 @kernel{options}
 def times(x):
-    {said}
+    {docstring}
     return FACTOR * x
 """
 CALLER = """
@@ -60,8 +60,8 @@ def _fresh(monkeypatch, tmp_path):
 def total(monkeypatch, tmp_path):
     """Import both files anew, as another process would; says the sum and what was compiled."""
 
-    def import_and_call(values, *, factor=3, options="", said='"""Docstring."""'):
-        texts = {"callee": CALLEE.format(factor=factor, options=options, said=said)}
+    def import_and_call(values, *, factor=3, options="", docstring='"""Docstring."""'):
+        texts = {"callee": CALLEE.format(factor=factor, options=options, docstring=docstring)}
         for name, text in (texts | {"caller": CALLER}).items():
             path = tmp_path / f"compiled_{name}.py"
             path.write_text(text)
@@ -88,13 +88,14 @@ def test_compiled_once_for_each_signature(total):
     assert total(readonly) == (18.0, BOTH[:1])
 
 
-def test_a_change_in_another_file_is_noticed(total):
+def test_a_change_of_code_in_another_file_is_noticed_and_no_other(total):
     values = np.arange(4.0)
     assert total(values)[1] == BOTH
     assert total(values, factor=5) == (30.0, BOTH)
     assert total(values, options="(fastmath=True)")[1] == BOTH
     assert total(values, options="(error_model='numpy')")[1] == BOTH
     assert total(values) == (18.0, [])
+    assert total(values, docstring='"""Other."""  # and a comment') == (18.0, [])
 
 
 @kernel(finite=True)
@@ -123,11 +124,6 @@ def test_answers_about_places_hang_on_no_compiler():
                     assert value.targetoptions.get("fastmath") is not True, name
 
 
-def test_what_changes_no_code_compiles_nothing(total):
-    assert total(np.arange(4.0))[1] == BOTH
-    assert total(np.arange(4.0), said='"""Other."""  # and a comment') == (18.0, [])
-
-
 def test_a_file_cut_short_is_made_again(total, tmp_path):
     total(np.arange(4.0))
     (file,) = tmp_path.glob("kept/compiled_caller.total-*/*.nbc")
@@ -138,7 +134,7 @@ def test_a_file_cut_short_is_made_again(total, tmp_path):
         assert total(np.arange(4.0)) == (18.0, [])
 
 
-def test_constants_of_every_kind_are_told_apart():
+def test_constants_and_named_tuples_of_every_kind_are_told_apart():
     values = [
         1, 1.0, True, "1", None, (1, 2), (2, 1), [1, 2], {"a": 1}, {"b": 1}, np.float32(1), np.int64(1),
         np.array([1.0, 2.0]), np.array([1.0, 3.0]), np.array([[1.0, 2.0]]), np.sqrt, np.sin, np, abs,
@@ -147,9 +143,6 @@ def test_constants_of_every_kind_are_told_apart():
     assert cache_key({"a", "b", "c"}) == cache_key({"c", "b", "a"})
     with pytest.raises(TypeError, match="whose changes the compiled-code cache cannot detect"):
         cache_key(object())
-
-
-def test_named_tuples_are_told_apart_by_home_and_fields():
     kinds = [("x y", "here"), ("y x", "here"), ("x y", "there")]
     points = [namedtuple("Point", fields, module=home)(1, 2) for fields, home in kinds]  # noqa: PYI024
     assert len({cache_key(typeof(point)) for point in points}) == 3
@@ -304,27 +297,21 @@ def _name(call):
     return f"placegraph.{call.partition('(')[0]}"
 
 
-@pytest.mark.parametrize("call", CALLS)
-def test_calls_are_kernels_and_types_of_today(call):
-    kernel, args = warm._resolve(call), warm._parse_types(call, warm._type_names())
-    assert len(args) == len(inspect.signature(kernel.py_func).parameters)
+def test_calls_are_kernels_and_types_of_today_and_read_as_they_are_spelled():
+    words = warm._type_names()
     definitions = (line.split(" = ") for line in warm._lines() if " = " in line)
     names = {text: name for name, text in definitions}
-    assert spell_call(kernel, args, names) == call
-
-
-def test_types_are_read_as_they_are_spelled():
-    words = warm._type_names()
+    for call in CALLS:
+        kernel, args = warm._resolve(call), warm._parse_types(call, words)
+        assert len(args) == len(inspect.signature(kernel.py_func).parameters), call
+        assert spell_call(kernel, args, names) == call
     args = (
         types.float64, types.Array(types.float32, 2, "C"), types.Array(types.uint8, 3, "A"),
         types.Array(types.int64, 2, "F"), types.Array(types.int32, 1, "C", readonly=True),
         types.UniTuple(types.int64, 2), types.Tuple((types.boolean, types.float64)),
         words["Surfaces"], types.Omitted(1), types.none,
     )  # fmt: skip
-    kernel = warm._resolve(SMALL)
-    assert warm._parse_types(spell_call(kernel, args, {
-        line.split(" = ")[1]: line.split(" = ")[0] for line in warm._lines() if " = " in line
-    }), words) == args  # fmt: skip
+    assert warm._parse_types(spell_call(warm._resolve(SMALL), args, names), words) == args
 
 
 def test_the_simplest_kind_of_a_command():

@@ -150,10 +150,12 @@ def test_columns_are_asked_for_by_type(written):
         found.strings("ids")
 
 
-def test_text_that_is_not_utf8_is_refused(path):
+def test_text_that_is_no_unicode_is_refused(path):
     write_map(path, "city", 1, {}, {"names": np.array([0, 0xFF, 0xFE], np.uint8)})
     with pytest.raises(MapError, match=r"names.*UTF-8"):
         read_map(path, "city", 1).strings("names")
+    with pytest.raises(OptionError, match="not Unicode text"):
+        mapfile.pack_strings(["\ud800"])
 
 
 @pytest.mark.parametrize(
@@ -178,11 +180,6 @@ def test_only_arrays_of_plain_numbers(path, array):
 def test_only_plain_metadata(path, meta):
     with pytest.raises(OptionError, match="JSON with finite numbers"):
         write_map(path, "city", 1, meta, {})
-
-
-def test_lone_surrogates_are_refused():
-    with pytest.raises(OptionError, match="not Unicode text"):
-        mapfile.pack_strings(["\ud800"])
 
 
 @pytest.mark.parametrize("name", [".", "/dev/null", "a\0b"])
@@ -469,7 +466,7 @@ def long(path, rng):
     return path, content
 
 
-def test_mapped_columns_come_back_bit_by_bit(long):
+def test_mapped_columns_lie_at_the_head_and_come_back_bit_by_bit(long):
     path, content = long
     for mapped in ((), ("bytes", "wide", "words", "ids", "none", "other")):
         found = read_map(path, "city", 1, mapped).arrays
@@ -478,6 +475,10 @@ def test_mapped_columns_come_back_bit_by_bit(long):
             assert identical(found[name], array), name
             assert found[name].flags.aligned
             assert not found[name].flags.writeable
+    blocks = {b.name: b for b in read_header(long[0]).blocks}
+    assert list(blocks)[:3] == ["wide", "words", "bytes"]
+    assert all(blocks[name].codec == "raw" for name in ("wide", "words", "bytes"))
+    assert blocks["ids"].codec != "raw", "short ones are squeezed"
 
 
 def test_mapped_columns_hold_two_descriptors_however_many_they_are(long):
@@ -487,13 +488,6 @@ def test_mapped_columns_hold_two_descriptors_however_many_they_are(long):
     assert len(list(there.iterdir())) == before + 2, "of the map, and of its watch"
     del found
     assert len(list(there.iterdir())) == before
-
-
-def test_mapped_columns_lie_at_the_head_as_they_are(long):
-    blocks = {b.name: b for b in read_header(long[0]).blocks}
-    assert list(blocks)[:3] == ["wide", "words", "bytes"]
-    assert all(blocks[name].codec == "raw" for name in ("wide", "words", "bytes"))
-    assert blocks["ids"].codec != "raw", "short ones are squeezed"
 
 
 def test_damage_to_a_mapped_column_is_named(long):

@@ -182,15 +182,10 @@ class Recorded:
             c.resized(camera.width // shrink, camera.height // shrink) for c in self.cameras
         ]
         self.rgb = [
-            self._colours(stage, camera, pose)
-            for camera, pose in zip(self.cameras, self.poses, strict=True)
+            self._colours(stage, *view) for view in zip(self.cameras, self.poses, strict=True)
         ]
-        metres = np.stack(
-            [
-                stage.geometry(camera, pose).depth
-                for camera, pose in zip(self.depth_cameras, self.poses, strict=True)
-            ]
-        )
+        views = zip(self.depth_cameras, self.poses, strict=True)
+        metres = np.stack([stage.geometry(*view).depth for view in views])
         self.sure = np.full(metres.shape, 2, np.uint8)
         self.sure[:, -9:, -9:] = 0
         metres[:, :6, :6] = 0.0
@@ -213,13 +208,18 @@ class Recorded:
         y_up_from_map = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
         return y_up_from_map @ self.poses[i] @ np.diag([1.0, -1, -1, 1])
 
-    def check(self, capture, rows=None, *, map_from_world=None, sure=True, near=0.006):
-        """Points of a capture lie on the surface, and colours where they say."""
+    def _align(self, capture, rows, map_from_world):
+        """Yield each upright frame with its row of the walk and its pose in the map."""
         rows = range(len(self)) if rows is None else rows
         assert len(capture) == len(rows)
-        move = np.eye(4) if map_from_world is None else map_from_world
         for frame, row in zip(capture, rows, strict=True):
             assert frame.gravity[1] > 0.8, "upright"
+            pose = frame.odometry if map_from_world is None else map_from_world @ frame.odometry
+            yield frame, row, pose
+
+    def check(self, capture, rows=None, *, map_from_world=None, sure=True, near=0.006):
+        """Check that points of a capture lie on the surface, and colours where they say."""
+        for frame, row, pose in self._align(capture, rows, map_from_world):
             np.testing.assert_allclose(frame.gravity, -frame.odometry[2, :3], atol=1e-9)
             depth = frame.depth()
             assert depth.dtype == np.float32
@@ -228,7 +228,6 @@ class Recorded:
             np.testing.assert_array_equal(np.isnan(depth), np.rot90(lost, self.turns))
             if not sure:
                 depth = np.where(np.rot90(self.sure[row] == 0, self.turns), np.nan, depth)
-            pose = move @ frame.odometry
             points = unproject(depth, frame.depth_camera) @ pose[:3, :3].T + pose[:3, 3]
             points = points[np.isfinite(depth)]
             centre = self.poses[row, :3, 3]
@@ -243,17 +242,13 @@ class Recorded:
             self._check_colours(frame, points, np.linalg.inv(pose))
 
     def check_views(self, capture, rows=None, *, map_from_world=None):
-        """Colours of a capture without depth lie where its poses say that their surfaces are."""
-        rows = range(len(self)) if rows is None else rows
-        assert len(capture) == len(rows)
-        move = np.eye(4) if map_from_world is None else map_from_world
-        for frame, row in zip(capture, rows, strict=True):
-            assert frame.gravity[1] > 0.8, "upright"
+        """Check colours of a capture without depth where its poses say that their surfaces are."""
+        for frame, row, pose in self._align(capture, rows, map_from_world):
             metres = np.where(self.sure[row] == 0, np.nan, self.metres[row])
             seen = unproject(np.where(metres == 0, np.nan, metres), self.depth_cameras[row])
             points = seen @ self.poses[row, :3, :3].T + self.poses[row, :3, 3]
             points = points[np.isfinite(points).all(axis=2)]
-            self._check_colours(frame, points, np.linalg.inv(move @ frame.odometry))
+            self._check_colours(frame, points, np.linalg.inv(pose))
 
     def _check_colours(self, frame, points, camera_from_map):
         image = frame.rgb()
@@ -263,8 +258,8 @@ class Recorded:
         inside = (column >= 0) & (column < frame.camera.width)
         inside &= (row >= 0) & (row < frame.camera.height)
         assert inside.mean() > 0.95
-        said = image[row[inside], column[inside]].astype(float)
-        off = np.abs(said - self.colour_of(points[inside])).max(axis=1)
+        found = image[row[inside], column[inside]].astype(float)
+        off = np.abs(found - self.colour_of(points[inside])).max(axis=1)
         assert np.median(off) < 6
         assert np.percentile(off, 80) < 20
 

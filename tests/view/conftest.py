@@ -60,46 +60,29 @@ def evidence_of(city, town, glyph, verdict, weight):
 
 def _estimate(city, town, status, probabilities):
     """Estimate with a mode for each probability, on a line from west to east."""
-    modes = []
+    evidence = (
+        evidence_of(city, town, "K", "for", 3.2),
+        evidence_of(city, town, "C", "against", -1.1),
+        Evidence("it rains", "silent", 0.0, (), "no place"),
+    )
+    covariance, modes = np.array([[60.0, 20.0], [20.0, 90.0]]), []
     for k, probability in enumerate(probabilities):
-        longitude, latitude = town.lonlat(5, 9 + 6 * k)
-        evidence = (
-            evidence_of(city, town, "K", "for", 3.2),
-            evidence_of(city, town, "C", "against", -1.1),
-            Evidence("it rains", "silent", 0.0, (), "no place"),
-        )
-        covariance = np.array([[60.0, 20.0], [20.0, 90.0]])
-        cell = city.cells.at(longitude, latitude) or ""
-        modes.append(
-            Place(longitude, latitude, probability, cell, covariance, explain=lambda e=evidence: e)
-        )
+        at = town.lonlat(5, 9 + 6 * k)
+        cell = city.cells.at(*at) or ""
+        modes.append(Place(*at, probability, cell, covariance, explain=lambda: evidence))
     support = [
         (*town.lonlat(5 + dr, 9 + 6 * k + dc), p / 9)
         for k, p in enumerate(probabilities)
         for dr in (-1, 0, 1)
         for dc in (-1, 0, 1)
     ]
-    understood = Description(
-        TEXT,
-        (
-            Mention(0, "me"),
-            Mention(1, "you"),
-            Mention(2, "A <b>bakery</b>", (Sense("shop=bakery", 0.9),)),
-        ),
-        (
-            Statement(
-                Relation.DIRECTION, 2, 0, bearing=3 * np.pi / 2, text="A bakery is west of me"
-            ),
-        ),
-        (Ignored("It rains </script>", "no place"),),
-    )
-    return CityEstimate(
-        status,
-        tuple(modes),
-        "One & only <reason>.",
-        understood,
-        np.array(support) if support else np.zeros((0, 3)),
-    )
+    bakery = Mention(2, "A <b>bakery</b>", (Sense("shop=bakery", 0.9),))
+    west = Statement(Relation.DIRECTION, 2, 0, bearing=3 * np.pi / 2, text="A bakery is west of me")
+    ignored = (Ignored("It rains </script>", "no place"),)
+    mentions = (Mention(0, "me"), Mention(1, "you"), bakery)
+    understood = Description(TEXT, mentions, (west,), ignored)
+    support = np.reshape(support, (-1, 3))
+    return CityEstimate(status, tuple(modes), "One & only <reason>.", understood, support)
 
 
 @pytest.fixture(scope="session")

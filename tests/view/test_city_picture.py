@@ -240,15 +240,12 @@ def test_a_picture_of_every_status(city, estimate, size, tmp_path):
     assert path.stat().st_size < 1_000_000
 
 
-def test_evidence_is_drawn_in_its_colours(city, sure, tmp_path):
+def test_evidence_is_drawn_in_its_colours_and_the_same_again(city, sure, tmp_path):
     with Image.open(write_picture(city, sure, tmp_path / "here.png")) as image:
         pixels = np.asarray(image.convert("RGB"))[70:850]
     for verdict in ("for", "against"):
         color = ImageColor.getrgb(PALETTE[verdict][0])
         assert (pixels == color).all(axis=2).sum() > 60
-
-
-def test_the_same_estimate_gives_the_same_bytes(city, sure, tmp_path):
     one = write_picture(city, sure, tmp_path / "one.png", size=(400, 400)).read_bytes()
     assert one == write_picture(city, sure, tmp_path / "two.png", size=(400, 400)).read_bytes()
 

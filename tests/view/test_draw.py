@@ -63,13 +63,10 @@ def test_pieces_of_a_line_lie_within_and_no_length_inside_is_lost(line):
     assert abs(sum(map(length, pieces)) - inside) < 2e-3 * length(line) + 1e-6
 
 
-def test_a_line_inside_comes_back_whole():
+def test_a_line_inside_comes_back_whole_and_one_that_leaves_in_pieces():
     line = np.array([(1.0, 1.0), (50.0, 20.0), (99.0, 59.0)])
     [piece] = clip_line(line, BOUNDS)
     assert np.array_equal(piece, line)
-
-
-def test_a_line_that_leaves_and_returns_is_cut_in_two():
     line = np.array([(10.0, 10.0), (10.0, 100.0), (20.0, 100.0), (20.0, 10.0)])
     one, other = clip_line(line, BOUNDS)
     assert one.tolist() == [[10.0, 10.0], [10.0, 60.0]]
@@ -138,13 +135,10 @@ def test_names_of_points_never_overlap(at):
             )
 
 
-def test_a_lone_name_is_placed_beside_its_point():
+def test_a_name_is_placed_beside_its_point_where_nothing_else_is():
     [text] = named(CAFE, "Café", face=choose_face(["Café"]))
     assert (text.text, text.anchor, text.row) == ("Café", "l", 0)
     assert text.shift[0] > 4.0
-
-
-def test_a_name_gives_way_to_what_is_taken():
     taken = OccupiedPlaces()
     taken.claim([(30.0, 0.0, 16.0)], force=True)
     [text] = named(CAFE, "Cafe", taken=taken)
@@ -174,26 +168,26 @@ def test_a_short_or_winding_street_is_not_named():
     assert named(items, *["A name too long"] * 2) == []
 
 
-def test_an_area_too_small_for_its_name_is_not_named():
+def test_what_is_small_is_named_only_on_large_maps():
     ring = np.array([(0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0), (0.0, 0.0)])
     item = [Area([ring], "park", 0)]
     [text] = named(item, "Park")
     assert np.allclose(text.at, (100.0, 50.0))
     assert named(item, "Park", scale=0.05) == []
-
-
-def test_small_things_are_named_only_on_large_maps():
     assert named(CAFE, "Cafe", scale=0.2) == []
     assert named(CAFE, "Cafe", scale=2.0)
 
 
-def test_faces_draw_what_they_can():
+def test_faces_draw_what_they_can_and_what_a_picture_has_room_for():
     assert BUILT_IN.drawable("Cafe 12") == "Cafe 12"
     assert BUILT_IN.drawable("Bäckerei Größe") == "Backerei Grosse"
     assert BUILT_IN.drawable("北京") == ""
     assert choose_face(["plain"]) == BUILT_IN
     best = choose_face(["Größe", "Łódź"])
     assert best.draws("Größe") or best == BUILT_IN
+    face = Face("")
+    assert face.drawable("a" * 100_000) == "a" * MAX_LETTERS
+    assert face.width("ä" * 100_000, 12.0) == face.width("ä" * MAX_LETTERS, 12.0)
 
 
 FRAME = Frame((0.0, 0.0), 2.0, 200, 120)
@@ -221,13 +215,10 @@ def test_an_area_with_a_hole(dark):
     assert at(image, 40.0, 0.0) == color("land", dark=dark)
 
 
-def test_layers_do_not_follow_the_order_of_the_list():
+def test_layers_do_not_follow_the_order_of_the_list_and_junctions_are_open():
     road = Line([np.array([(-40.0, 0.0), (40.0, 0.0)])], "street")
     image = paint_picture([road, Area([box(25.0)], "park")], FRAME)
     assert at(image, 0.0, 0.0) == color("road")
-
-
-def test_crossing_roads_have_an_open_junction():
     one = Line([np.array([(-40.0, 0.0), (40.0, 0.0)])], "street")
     other = Line([np.array([(0.0, -40.0), (0.0, 40.0)])], "service")
     image = paint_picture([one, other], FRAME)
@@ -300,12 +291,6 @@ def test_a_line_is_cut_to_its_room_by_few_looks_at_it(monkeypatch):
     )
     assert short < 280.0 < whole <= 300.0
     assert len(looks) < 40
-
-
-def test_of_a_name_without_end_so_much_is_drawn_as_a_picture_has_room_for():
-    face = Face("")
-    assert face.drawable("a" * 100_000) == "a" * MAX_LETTERS
-    assert face.width("ä" * 100_000, 12.0) == face.width("ä" * MAX_LETTERS, 12.0)
 
 
 def luminance(color):

@@ -27,7 +27,6 @@ from placegraph.view.scene.overlay import (
     GAP,
     LINE,
     REACH,
-    checkerboard,
     colour_objects,
     draw_outlines,
     draw_overlay,
@@ -262,14 +261,11 @@ def test_what_lies_above_or_below_is_not_cut_and_walls_in_walls_leave_no_hole():
     assert fill_section(segments, frame).sum() / 400 == pytest.approx(4 + 2, rel=0.05)
 
 
-def test_rooms_whose_walls_face_inwards_are_not_filled():
+def test_rooms_whose_walls_face_inwards_are_not_filled_and_gaps_smear_nothing():
     vertices, triangles = box((0, 0, 0), (4, 3, 3))
     segments = cut_section(vertices, triangles[:, ::-1], 1.0)
     assert signed_area(segments) == pytest.approx(-12.0, rel=1e-5)
     assert not fill_section(segments, Frame((2.0, 1.5), 20.0, 100, 80)).any()
-
-
-def test_a_gap_in_an_outline_smears_nothing():
     segments = cut_section(*box((0, 0, 0), (2, 2, 3)), 1.0)
     right = segments[..., 0].min(axis=1) > 1.9
     frame = Frame((3.0, 1.0), 20.0, 200, 60)
@@ -350,14 +346,6 @@ def test_lines_are_drawn_on_the_query():
     assert (shown[:, 40] == 80).all(), "dimmed"
     assert (shown[:, 19] < 80).all(), "a dark rim sets the line off"
     assert (query == 100).all()
-
-
-def test_squares_in_turn():
-    board = checkerboard(np.zeros((H, W, 3), np.uint8), np.full((H, W, 3), 255, np.uint8))
-    assert board.mean() == pytest.approx(127.5, abs=20)
-    side = W // 8
-    assert board[0, [0, side, 2 * side], 0].tolist() == [0, 255, 0]
-    assert board[[side, 2 * side], 0, 0].tolist() == [255, 0]
 
 
 def test_objects_have_colours_of_their_own():

@@ -28,7 +28,6 @@ from placegraph.view.scene.plan import (
     evidence_rows,
     particle_levels,
     particle_marks,
-    spread_evenly,
     trajectory_marks,
     view_ring,
 )
@@ -404,21 +403,13 @@ def test_a_wide_camera_sees_more(scene, tmp_path):
     assert seen[1] > 2 * seen[0]
 
 
-def test_the_same_estimate_gives_the_same_bytes(scene, tmp_path):
-    paths = [
-        write_plan(scene, CASES["coarse"], tmp_path / name, width=400)
-        for name in ("a.png", "b.png")
-    ]
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
 def test_witnesses_are_things(plan):
     assert evidence_rows(plan, BEST) == [(5, "for"), (6, "against")], "walls are everywhere"
     stranger = mode(0, 0, 0, 1.0, evidence=refs((99, "for", 3.0), (5, "silent", 1.0)))
     assert evidence_rows(plan, stranger) == []
 
 
-def test_an_animation_ends_with_the_result(scene, tmp_path):
+def test_an_animation_ends_with_the_result_and_needs_a_history(scene, tmp_path):
     path = write_plan_animation(scene, CASES["OK"], tmp_path / "plan.gif", width=400)
     assert path.stat().st_size < 2_000_000
     with Image.open(path) as image:
@@ -432,9 +423,6 @@ def test_an_animation_ends_with_the_result(scene, tmp_path):
         last = np.asarray(image.convert("RGB"))
     assert durations[-1] > 5 * durations[0]
     assert share(last, "mode", 24) > 60
-
-
-def test_an_animation_needs_a_history(scene, tmp_path):
     with pytest.raises(OptionError, match="record=True"):
         write_plan_animation(scene, CASES["no history"], tmp_path / "plan.gif")
     assert not (tmp_path / "plan.gif").exists()
@@ -475,13 +463,3 @@ def test_panels_do_not_overlap(wide, deep, steps):
         assert right <= layout.width
         assert bottom <= layout.height - FOOT
         assert right <= left or bottom <= top
-
-
-@given(st.integers(0, 200), st.integers(1, 20))
-def test_evenly(count, most):
-    chosen = spread_evenly(count, most)
-    assert chosen == sorted(set(chosen))
-    assert len(chosen) == min(count, most)
-    assert all(0 <= k < count for k in chosen)
-    assert not chosen or chosen[-1] == count - 1
-    assert not chosen or most == 1 or chosen[0] == 0

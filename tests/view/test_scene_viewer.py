@@ -78,9 +78,16 @@ def seen(viewer):
     return [handle.visible for handle in viewer.map.objects]
 
 
-def test_it_serves_a_page(viewer):
+def test_it_serves_a_page_with_paths_modes_and_relations(viewer):
     with urllib.request.urlopen(viewer.address) as page:  # noqa: S310  # our own
         assert b"<html" in page.read()[:2000].lower()
+    assert list(viewer.map.paths) == ["walk", "run"]
+    assert len(viewer.map.paths["walk"].points) == 3 + 4 * 8
+    assert len(viewer.run.modes) == 2  # of the third there is next to nothing
+    relations = viewer.map.relations
+    assert {kind: len(lines.points) for kind, lines in relations.items()} == {"next to": 1, "on": 2}
+    assert not any(lines.visible for lines in relations.values())
+    assert relations["next to"].points[0] == pytest.approx(viewer.map.scene.graph.positions[[2, 3]])
 
 
 def test_ceilings_are_hidden_at_first_and_things_have_names(viewer):
@@ -117,19 +124,6 @@ def test_one_alone_and_all(viewer):
     viewer.map.hide([0, 4])
     assert seen(viewer) == [False, True, True, True, False]
     assert not viewer.map.visible.value  # of the object that is picked
-
-
-def test_relations_are_lines_by_kind(viewer):
-    relations = viewer.map.relations
-    assert {kind: len(lines.points) for kind, lines in relations.items()} == {"next to": 1, "on": 2}
-    assert not any(lines.visible for lines in relations.values())
-    assert relations["next to"].points[0] == pytest.approx(viewer.map.scene.graph.positions[[2, 3]])
-
-
-def test_camera_paths_and_modes(viewer):
-    assert list(viewer.map.paths) == ["walk", "run"]
-    assert len(viewer.map.paths["walk"].points) == 3 + 4 * 8
-    assert len(viewer.run.modes) == 2  # of the third there is next to nothing
 
 
 def test_slider_and_play_go_through_frames_and_passes(viewer, run, monkeypatch):

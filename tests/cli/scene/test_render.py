@@ -131,7 +131,7 @@ def test_poses_of_a_tum_file(run, world, tmp_path):
     fails(told("--camera", world.camera, "--row", 5), 7, "--row is 5", "0 to 4")
 
 
-def test_an_empty_picture_says_so(run, world, tmp_path):
+def test_an_empty_picture_says_so_and_what_is_too_far_has_no_depth(run, world, tmp_path):
     result = run("scene", "render", world.map, "-o", tmp_path, "--pose", "500,0,1,0",
                  "--camera", world.camera)  # fmt: skip
     assert result.code == 0
@@ -139,9 +139,6 @@ def test_an_empty_picture_says_so(run, world, tmp_path):
     assert not read(tmp_path / "depth.png").any()
     assert not read(tmp_path / "objects.png").any()
     assert json.loads((tmp_path / "objects.json").read_text(encoding="utf-8")) == {}
-
-
-def test_what_is_too_far_for_sixteen_bits(run, world, tmp_path):
     far = world.truth[0][:2, 3]
     result = run("scene", "render", world.map, "-o", tmp_path, "--pose",
                  f"{far[0] + 80},{far[1]},1.3,180", "--camera", world.camera, "--json")  # fmt: skip

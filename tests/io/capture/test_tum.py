@@ -160,14 +160,11 @@ def test_both_kinds_of_file(tmp_path):
         '{"trajectory": [[[NaN, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]}',
     ],
 )  # fmt: skip
-def test_what_is_no_estimate(tmp_path, text):
+def test_what_is_no_estimate_or_missing(tmp_path, text):
     path = tmp_path / "a.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"a\.json"):
         read_camera_path(path)
-
-
-def test_a_missing_file(tmp_path):
-    for name in ("a.json", "a.tum"):
+    for name in ("no.json", "no.tum"):
         with pytest.raises(InputError, match="does not exist"):
             read_camera_path(tmp_path / name)

@@ -71,7 +71,7 @@ def written(tmp_path, text, name="a.obj"):
     return path
 
 
-def test_objects_are_things(room):
+def test_objects_are_things_that_a_table_names(room):
     model = read_obj(room)
     found = [(t.id, t.label, t.name) for t in model.objects]
     assert found == [("floor.001", "floor", "floor.001"), ("chair", "chair", "chair")]
@@ -79,6 +79,10 @@ def test_objects_are_things(room):
     corners = model.vertices[model.triangles]
     assert corners[1].tolist() == [[0, 0, 0], [2, 2, 0], [0, 2, 0]]  # the rest of the fan
     assert corners[2].tolist() == corners[3].tolist() == [[0, 0, 1], [1, 0, 1], [1, 1, 1]]
+    table = {"chair": LabelEntry("armchair", "mine", {"colour": "red"})}
+    chair = read_obj(room, table=table).objects[1]
+    assert (chair.id, chair.label, chair.name) == ("chair", "armchair", "mine")
+    assert chair.attributes == {"colour": "red"}
 
 
 def test_textures_and_colours(room):
@@ -122,13 +126,6 @@ def test_auto_takes_the_first_keyword_that_parts(tmp_path):
     assert [(t.id, t.label) for t in bare.objects] == [("unknown", "unknown")]
     again = head.replace("o all\n", "o a\nf 1 2 3\no b\nf 1 2 3\no a\nf 1 2 3\n")
     assert read_obj(written(tmp_path, again)).object_of.tolist() == [0, 1, 0]
-
-
-def test_a_table_names_things(room):
-    table = {"chair": LabelEntry("armchair", "mine", {"colour": "red"})}
-    chair = read_obj(room, table=table).objects[1]
-    assert (chair.id, chair.label, chair.name) == ("chair", "armchair", "mine")
-    assert chair.attributes == {"colour": "red"}
 
 
 def test_a_vertex_of_two_texture_coordinates_is_two(tmp_path):

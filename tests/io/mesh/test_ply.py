@@ -206,10 +206,9 @@ def test_what_cannot_be_read_says_why(content, says, tmp_path):
 
 
 def test_missing_files(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        read_ply(tmp_path / "no.ply")
-    with pytest.raises(InputError, match="cannot be read"):
-        read_ply(tmp_path)
+    for path, says in ((tmp_path / "no.ply", "does not exist"), (tmp_path, "cannot be read")):
+        with pytest.raises(InputError, match=says):
+            read_ply(path)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -256,22 +255,15 @@ def test_tables_in_every_shape(content, tmp_path):
     path = tmp_path / "labels.json"
     path.write_text(json.dumps(content))
     for given_ in (path, str(path)):
-        assert {k: e.label for k, e in read_label_table(given_).items()} == {
-            "3": "chair",
-            "4": "table",
-        }
+        assert read_label_table(given_) == {"3": Entry("chair"), "4": Entry("table")}
 
 
-def test_tables_in_memory_and_attributes(tmp_path):
+def test_tables_in_memory_with_attributes_and_of_several_scans(tmp_path):
     assert read_label_table({3: "chair"}) == {"3": Entry("chair")}
     path = tmp_path / "objects.json"
     entry = {"id": 1, "label": "sofa", "name": "S"}
     path.write_text(json.dumps([entry | {"attributes": {"color": ["red", "blue"], "n": 2}}]))
     assert read_label_table(path)["1"] == Entry("sofa", "S", {"color": "red, blue", "n": "2"})
-
-
-def test_the_right_scan_of_several(tmp_path):
-    path = tmp_path / "objects.json"
     scans = [{"scan": s, "objects": [{"id": 1, "label": s}]} for s in ("a", "b")]
     path.write_text(json.dumps({"scans": scans}))
     assert read_label_table(path, scan="b")["1"].label == "b"
@@ -344,8 +336,5 @@ def test_columns_that_do_not_fit(tmp_path, change, name):
     with pytest.raises(OptionError, match=name):
         write_ply(tmp_path / "a.ply", **(columns | change))
     assert not list(tmp_path.iterdir())
-
-
-def test_where_it_cannot_be_written(tmp_path):
     with pytest.raises(MapError, match="cannot be written"):
         write_ply(tmp_path / "no" / "a.ply", np.zeros((4, 3)), FACES)

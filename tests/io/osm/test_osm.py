@@ -183,7 +183,7 @@ def test_is_area(tags, expected):
     assert is_area(tags) is expected
 
 
-def test_ways_are_cut_where_nodes_are_missing(tmp_path):
+def test_ways_are_cut_where_nodes_are_missing_and_buildings_stay_closed_if_they_are(tmp_path):
     lines = ([1, 2, 99], [98, 1, 99], [97, 98, 99], [1, 1])
     road = tag("highway", "residential")
     ways = "".join(way(i, refs, road) for i, refs in enumerate(lines, 1))
@@ -195,9 +195,6 @@ def test_ways_are_cut_where_nodes_are_missing(tmp_path):
     assert left_out["ways without positions"] >= 2
     assert (WAY, 2) not in found
     assert (WAY, 3) not in found
-
-
-def test_a_building_that_lost_its_corner_node_stays_closed_only_if_it_is(tmp_path):
     house = tag("building", "yes")
     ways = way(1, [1, 2, 99, 3, 1], house) + way(2, [99, 1, 2, 3, 99], house)
     path = raw(tmp_path / "building.osm", corners(*SQUARE) + ways)
@@ -207,7 +204,16 @@ def test_a_building_that_lost_its_corner_node_stays_closed_only_if_it_is(tmp_pat
     assert left_out == {"ways cut where members are missing": 2}
 
 
-def test_multipolygons_with_missing_or_crossing_members_are_counted(tmp_path):
+def test_nodes_without_a_position_and_multipolygons_without_members_are_counted(tmp_path):
+    path = raw(
+        tmp_path / "nowhere.osm",
+        f'<node id="1" version="1">{tag("shop", "bakery")}</node>'
+        + node(2, 200, 95, tag("shop", "bakery"))
+        + node(3, 10, 50, tag("shop", "bakery")),
+    )
+    found, left_out = read(path)
+    assert set(found) == {(NODE, 3)}
+    assert left_out == {"nodes without a position": 2}
     nodes = corners((0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1))
     path = raw(
         tmp_path / "clipped.osm",
@@ -222,18 +228,6 @@ def test_multipolygons_with_missing_or_crossing_members_are_counted(tmp_path):
     assert left_out == {"multipolygons with missing or crossing members": 2}
     assert "2 multipolygons" in str(LeftOut(left_out))
     assert str(LeftOut()) == "nothing"
-
-
-def test_nodes_without_a_position_are_counted(tmp_path):
-    path = raw(
-        tmp_path / "nowhere.osm",
-        f'<node id="1" version="1">{tag("shop", "bakery")}</node>'
-        + node(2, 200, 95, tag("shop", "bakery"))
-        + node(3, 10, 50, tag("shop", "bakery")),
-    )
-    found, left_out = read(path)
-    assert set(found) == {(NODE, 3)}
-    assert left_out == {"nodes without a position": 2}
 
 
 def test_clipped_real_extract(shared):
