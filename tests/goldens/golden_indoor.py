@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from golden_adapter import private
 from golden_answers import (
     changes,
     findings,
@@ -12,6 +11,7 @@ from golden_answers import (
     scene_content,
     scene_estimate,
 )
+from golden_worlds import home_scene
 
 import placegraph as pg
 
@@ -44,7 +44,6 @@ def few(worlds):
 
 def windows(worlds):
     """Names, captures and options of windows of the house."""
-    p = private()
     at = lambda s, n: slice((3 * s + 2 * n) % 18, (3 * s + 2 * n) % 18 + n)  # noqa: E731
     for s in range(8):
         for n in (1, 2, 3, 5):
@@ -57,16 +56,16 @@ def windows(worlds):
         yield f"classes {s}", worlds.classes(s)[at(s, 2)], COARSE
         said = ("I am next to the sofa.", "I see a fridge. I am facing the window.")[s // 2 % 2]
         yield f"told {s}", worlds.capture(s)[at(s, 1)], COARSE | {"description": said}
-        coarse = COARSE | {"options": p.FilterOptions.coarse()}
+        coarse = COARSE | {"options": pg.FilterOptions.coarse()}
         yield f"coarse {s}", worlds.capture(s)[at(s, 3)], coarse
     for s, only in ((1, {"depth": True}), (3, {"colour": True}), (6, {"semantic": True})):
-        options = p.PoseSearchOptions().only(**only)
+        options = pg.PoseSearchOptions().only(**only)
         yield f"only {next(iter(only))}", worlds.capture(s)[at(s, 3)], {"options": options}
     for s in (0, 7):
-        paper = COARSE | {"options": p.FilterOptions.paper()}
+        paper = COARSE | {"options": pg.FilterOptions.paper()}
         yield f"paper {s}", worlds.capture(s)[at(s, 2)], paper
         x, y, z = worlds.truth(s)[at(s, 2)].odometry[0, :3, 3]
-        prior = p.Prior(x + 0.4, y - 0.3, z=z, spread=0.8)
+        prior = pg.Prior(x + 0.4, y - 0.3, z=z, spread=0.8)
         yield f"prior {s}", worlds.capture(s)[at(s, 2)], COARSE | {"prior": prior}
     pnp = {"refine": pg.RefineOptions.paper(), "matcher": "guided"}
     yield "refined as in the paper", worlds.capture(4)[5:7], pnp
@@ -87,7 +86,7 @@ def house(worlds):
         tracker = scene.tracker(capture.camera, seed=1)
         told = [pose_estimate(tracker.update(frame), 1) for frame in capture[:10]]
         yield f"tracker {s}", told[2::3]
-    home = private().home_scene(1)
+    home = home_scene(1)
     merged = pg.merge_scenes({"home": home, "house": scene})
     for shares in (None, (0.3, 0.7)):
         estimate = merged.localize(worlds.capture(1)[4:6], shares=shares, refine=False, seed=0)
@@ -112,7 +111,7 @@ def maps(worlds):
         scene, file = worlds.scene(name)
         yield f"{name} map", scene_content(scene) | {"kB": file.stat().st_size / 1e3}
         yield f"{name} check", {"found": findings(scene)}
-    yield "home", scene_content(private().home_scene(3))
+    yield "home", scene_content(home_scene(3))
     scene, _ = worlds.scene("house")
     for s in (2, 5):
         capture = worlds.capture(s)

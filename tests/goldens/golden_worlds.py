@@ -3,10 +3,13 @@
 from functools import cache
 from pathlib import Path
 
-from golden_adapter import private
+import numpy as np
 from golden_answers import read
 
 import placegraph as pg
+from placegraph.indoor.mapping.from_capture import FromCapture
+from placegraph_lab.worlds.home.home import home, scene_of
+from placegraph_lab.worlds.town.town import Town
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data"
 EXTRACTS = {
@@ -14,6 +17,12 @@ EXTRACTS = {
     "toronto": "toronto_downtown_2020.osm.bz2",
     "manhattan": "manhattan_2025.osm.pbf",
 }
+
+
+def home_scene(seed):
+    """Scene map of a drawn home."""
+    rng = np.random.default_rng(seed)
+    return scene_of(home(rng).furnish(rng))
 
 
 class Worlds:
@@ -30,14 +39,14 @@ class Worlds:
         """City map and its file."""
         file = self.folder / f"{name}.city"
         source = DATA / "osm" / EXTRACTS[name] if name in EXTRACTS else None
-        pg.build_city(source or private().town_osm(self.folder / "town.osm"), file)
+        pg.build_city(source or Town.load("hafenstadt").write_osm(self.folder / "town.osm"), file)
         return pg.open_map(file), file
 
     def _scene(self, name):
         """Scene map and its file."""
         file = self.folder / f"{name}.scene"
         if name == "office":
-            first = private().FromCapture(frames=slice(0, 186, 3))
+            first = FromCapture(frames=slice(0, 186, 3))
             pg.build_scene(DATA / "office", file, capture=first)
         else:
             detail = "small" if name == "small" else "default"
@@ -47,7 +56,7 @@ class Worlds:
     def _home(self, seed):
         """File of a drawn home's map."""
         file = self.folder / f"home{seed}.scene"
-        private().home_scene(seed).save(file)
+        home_scene(seed).save(file)
         return file
 
     def capture(self, number, **options):

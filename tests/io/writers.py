@@ -1,6 +1,7 @@
 """Writers of small files: PLY meshes, depth packed by RVL."""
 
 import struct
+from itertools import groupby
 
 CODES = {
     "float": "f", "double": "d", "uchar": "B", "int": "i", "uint": "I", "short": "h", "ushort": "H",
@@ -37,22 +38,15 @@ def ply(form, *elements):
 
 def rvl(image):
     """Return width, height and the stream of an image (h, w) uint16, as `rvl_codec.cpp` packs depth."""
-    values, previous = [], 0
-    flat = image.ravel().tolist()
-    at = 0
-    while at < len(flat):
-        start = at
-        while at < len(flat) and flat[at] == 0:
-            at += 1
-        values.append(at - start)
-        start = at
-        while at < len(flat) and flat[at] != 0:
-            at += 1
-        values.append(at - start)
-        for current in flat[start:at]:
+    values, previous, filled = [], 0, True
+    for filled, group in groupby(image.ravel().tolist(), bool):
+        run = list(group)
+        values += [len(run)] if values or not filled else [0, len(run)]  # zeros come first
+        for current in run if filled else ():
             delta = current - previous
             values.append((delta << 1) ^ (delta >> 31))
             previous = current
+    values += [] if filled else [0]
     nibbles = []
     for value in values:
         left = value
