@@ -33,6 +33,12 @@ def world(room, tmp_path_factory):
     )  # fmt: skip
 
 
+@pytest.fixture
+def draw(run, world, tmp_path):
+    """Render the map into the folder `out`."""
+    return lambda *options: run("scene", "render", world.map, "-o", tmp_path / "out", *options)
+
+
 def read(path):
     with Image.open(path) as image:
         return np.asarray(image)
@@ -76,10 +82,9 @@ def test_pictures_from_a_pose(run, world, tmp_path):
     assert not (out / "overlay.png").exists()
 
 
-def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
+def test_a_pose_is_laid_over_its_frame(draw, world, tmp_path):
     def told(*options):
-        result = run("scene", "render", world.map, "-o", tmp_path, "--capture", world.walk,
-                     "--json", *options)  # fmt: skip
+        result = draw("--capture", world.walk, "--json", *options)
         assert (result.code, result.err) == (0, "")
         return result.json
 
@@ -87,11 +92,11 @@ def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
     assert answer["frame"] == 5
     np.testing.assert_allclose(answer["map_from_camera"], world.truth[5])
     assert [*FILES, "overlay.png"] == [f.rsplit("/", 1)[-1] for f in answer["files"]]
-    sheet = read(tmp_path / "overlay.png")
+    sheet = read(tmp_path / "out/overlay.png")
     query = read(sorted((world.walk / "rgb").iterdir())[5])
     band = (sheet.shape[0] - 8) // 2 - 90
     np.testing.assert_array_equal(sheet[band : band + 90, :160], query)
-    np.testing.assert_array_equal(sheet[band : band + 90, 168:], read(tmp_path / "colour.png"))
+    np.testing.assert_array_equal(sheet[band : band + 90, 168:], read(tmp_path / "out/colour.png"))
 
     for options, frame, row in (
         (("--estimate", world.estimate, "--frame", 1), 1, 1),
@@ -108,13 +113,10 @@ def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
     assert answer["objects"][0]["share"] >= answer["objects"][-1]["share"]
 
 
-def test_poses_of_a_tum_file(run, world, tmp_path):
+def test_poses_of_a_tum_file(draw, world, tmp_path):
     tum = tmp_path / "walk.tum"
     stamps = [frame.stamp for frame in open_capture(world.walk)]
     write_tum(tum, stamps[1:], world.truth[1:])
-
-    def told(*options):
-        return run("scene", "render", world.map, "-o", tmp_path, "--tum", tum, "--json", *options)
 
     for options, row in (
         (("--capture", world.walk, "--frame", 2), 2),
@@ -124,27 +126,28 @@ def test_poses_of_a_tum_file(run, world, tmp_path):
         (("--camera", world.camera, "--row", -2), 4),
         (("--capture", world.walk, "--frame", 0, "--row", 1), 2),
     ):
-        answer = told(*options).json
+        answer = draw("--tum", tum, "--json", *options).json
         np.testing.assert_allclose(answer["map_from_camera"], world.truth[row], atol=1e-6)
     assert answer["frame"] == 0
-    fails(told("--capture", world.walk, "--frame", 0), 3, "walk.tum", "stamp", "--row")
-    fails(told("--camera", world.camera, "--row", 5), 7, "--row is 5", "0 to 4")
+    refused = draw("--tum", tum, "--capture", world.walk, "--frame", 0)
+    fails(refused, 3, "walk.tum", "stamp", "--row")
+    fails(draw("--tum", tum, "--camera", world.camera, "--row", 5), 7, "--row is 5", "0 to 4")
 
 
-def test_an_empty_picture_says_so_and_what_is_too_far_has_no_depth(run, world, tmp_path):
-    result = run("scene", "render", world.map, "-o", tmp_path, "--pose", "500,0,1,0",
-                 "--camera", world.camera)  # fmt: skip
+def test_an_empty_picture_says_so_and_what_is_too_far_has_no_depth(draw, world, tmp_path):
+    out = tmp_path / "out"
+    result = draw("--pose", "500,0,1,0", "--camera", world.camera)
     assert result.code == 0
     assert "empty" in result.out
-    assert not read(tmp_path / "depth.png").any()
-    assert not read(tmp_path / "objects.png").any()
-    assert json.loads((tmp_path / "objects.json").read_text(encoding="utf-8")) == {}
+    assert not read(out / "depth.png").any()
+    assert not read(out / "objects.png").any()
+    assert json.loads((out / "objects.json").read_text(encoding="utf-8")) == {}
     far = world.truth[0][:2, 3]
-    result = run("scene", "render", world.map, "-o", tmp_path, "--pose",
-                 f"{far[0] + 80},{far[1]},1.3,180", "--camera", world.camera, "--json")  # fmt: skip
+    pose = f"{far[0] + 80},{far[1]},1.3,180"
+    result = draw("--pose", pose, "--camera", world.camera, "--json")
     assert result.json["depth_m"][0] > 65.5
-    assert read(tmp_path / "objects.png").any()
-    assert not read(tmp_path / "depth.png").any()
+    assert read(out / "objects.png").any()
+    assert not read(out / "depth.png").any()
 
 
 @pytest.mark.parametrize(
@@ -175,7 +178,7 @@ def test_no_poses(text):
         map_from_camera_of(text)
 
 
-def test_options_that_contradict(run, world, tmp_path):
+def test_options_that_contradict(draw, world, tmp_path):
     pose, camera = ("--pose", "1,2,1,0"), ("--camera", world.camera)
     for options, *words in (
         ((*camera,), "--pose", "--tum", "--estimate"),
@@ -196,8 +199,8 @@ def test_options_that_contradict(run, world, tmp_path):
             "last",
         ),
     ):
-        fails(run("scene", "render", world.map, "-o", tmp_path / "no", *options), 7, *words)
-    assert not (tmp_path / "no").exists()
+        fails(draw(*options), 7, *words)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -208,34 +211,27 @@ def test_options_that_contradict(run, world, tmp_path):
         {"frames": [1, 1e999]},
     ],
 )  # fmt: skip
-def test_what_is_no_estimate(change, run, world, tmp_path):
+def test_what_is_no_estimate(change, draw, world, tmp_path):
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(world.told | change), encoding="utf-8")
-    result = run("scene", "render", world.map, "-o", tmp_path, "--estimate", path,
-                 "--camera", world.camera)  # fmt: skip
-    fails(result, 3, "bad.json", "")
+    fails(draw("--estimate", path, "--camera", world.camera), 3, "bad.json", "")
 
 
-def test_files_that_are_none(run, world, tmp_path):
-    def tell(*options):
-        return run("scene", "render", world.map, "-o", tmp_path / "out", *options)
-
+def test_files_that_are_none(draw, world, tmp_path):
     lost = tmp_path / "lost.json"
     lost.write_text(
         json.dumps(world.told | {"status": "LOST", "modes": [], "frames": [], "trajectory": []}),
         encoding="utf-8",
     )
     camera = "--camera", world.camera
-    fails(tell("--estimate", lost, *camera), 3, "lost.json", "LOST", "Drawn.")
-    fails(tell("--estimate", tmp_path / "none.json", *camera), 3, "none.json")
-    fails(tell("--estimate", world.map, *camera), 3, "room.scene")
-    fails(tell("--tum", tmp_path / "none.tum", *camera), 3, "none.tum")
-    fails(tell("--pose", "1,2,1,0", "--camera", tmp_path / "none.json"), 3, "none.json")
+    fails(draw("--estimate", lost, *camera), 3, "lost.json", "LOST", "Drawn.")
+    fails(draw("--estimate", tmp_path / "none.json", *camera), 3, "none.json")
+    fails(draw("--estimate", world.map, *camera), 3, "room.scene")
+    fails(draw("--tum", tmp_path / "none.tum", *camera), 3, "none.tum")
+    fails(draw("--pose", "1,2,1,0", "--camera", tmp_path / "none.json"), 3, "none.json")
     broken = json.loads(world.estimate.read_text(encoding="utf-8"))
     broken["modes"][0]["map_from_camera"][0][0] = 7.0
     (tmp_path / "bent.json").write_text(json.dumps(broken), encoding="utf-8")
-    fails(tell("--estimate", tmp_path / "bent.json", *camera), 7, "not rigid")
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    result = run("scene", "render", world.map, "-o", tmp_path / "file/out", "--pose", "1,2,1,0",
-                 *camera)  # fmt: skip
-    fails(result, 3, "--out")
+    fails(draw("--estimate", tmp_path / "bent.json", *camera), 7, "not rigid")
+    (tmp_path / "out").write_text("", encoding="utf-8")
+    fails(draw("--pose", "1,2,1,0", *camera), 3, "--out")
