@@ -37,14 +37,11 @@ def test_a_missing_distribution_is_named(brought, name):
     assert command.help == extensions.KNOWN[name][1]
 
 
-def test_what_is_installed_takes_its_place(brought):
+def test_what_is_installed_takes_its_place_or_joins(brought):
     ours = EntryPoint("city.train", "mine.trainings:train", GROUP)
     other = EntryPoint("scene.train", "mine.trainings:scene", GROUP)
     found = brought("city", ours, other)
     assert found["train"] == "mine.trainings:train"  # imported when it is asked for
     assert isinstance(found["evaluate"], click.Command)
     assert found.keys() == {n[5:] for n in extensions.KNOWN if n.startswith("city.")}
-
-
-def test_another_command_joins(brought):
     assert brought("scene", EntryPoint("scene.sing", "mine:sing", GROUP))["sing"] == "mine:sing"

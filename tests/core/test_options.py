@@ -51,7 +51,7 @@ def test_values_out_of_range(wrong):
         More(**wrong)
 
 
-def test_messages_name_the_range():
+def test_messages_name_the_range_and_good_values_are_taken():
     with pytest.raises(
         OptionError, match=r"^share is 2; it must be a number above 0 and below 1\.$"
     ):
@@ -60,13 +60,10 @@ def test_messages_name_the_range():
         Noise(-1.0)
     with pytest.raises(OptionError, match="it must be True or False or 'auto'"):
         Base(kind="no")
-
-
-def test_good_values_are_taken():
     More(share=0.5, count=3, kind=False, pair=(0, 1), names=("a",), file="a.txt", free=[])
 
 
-def test_tables_and_bounds():
+def test_tables_bounds_and_units():
     assert write_table(More).splitlines() == [
         "| `More` | default | values | meaning |",
         "|---|---|---|---|",
@@ -77,7 +74,4 @@ def test_tables_and_bounds():
     ]
     assert option_info(Base, "share").bounds == {"gt": 0, "lt": 1}
     assert option_info(Noise, "floor").text == "Least deviation. [m]"
-
-
-def test_degrees_become_radians():
     assert in_radians({"yaw_deg": 180, "x": 1, "z": None}) == {"yaw": math.pi, "x": 1}

@@ -259,16 +259,14 @@ def test_what_a_killed_writer_left_is_no_obstacle(path):
     assert alone(path)
 
 
-def test_a_missing_or_empty_file(path):
+def test_missing_or_empty_files_and_things_that_are_not_files(path, tmp_path):
     for call in (open_map, read_header):
         with pytest.raises(InputError, match=r"a\.city does not exist; build it with"):
             call(path)
     path.touch()
     with pytest.raises(InputError, match="is empty; build the map again"):
         open_map(path)
-
-
-def test_things_that_are_not_files(tmp_path):
+    path.unlink()
     os.mkfifo(tmp_path / "pipe")
     for name in (tmp_path / "pipe", "/dev/zero"):
         with pytest.raises(InputError, match="not a plain file"):
@@ -303,15 +301,12 @@ def test_a_file_that_went_through_a_text_transfer(written):
         open_map(written)
 
 
-def test_another_kind(path):
+def test_other_kinds_and_newer_versions_are_refused_and_older_ones_read(path):
     write_map(path, "moon", 1, {}, {})
     with pytest.raises(MapError, match="is a moon map, not a city map"):
         read_map(path, "city", 1)
     with pytest.raises(MapError, match="moon map, which this placegraph does not know"):
         open_map(path)
-
-
-def test_newer_versions_are_refused_and_older_ones_read(path):
     write_map(path, "city", 99, {}, {})
     with pytest.raises(MapError, match=r"version 99.*reads up to 1; update placegraph"):
         read_map(path, "city", 1)

@@ -145,15 +145,12 @@ def test_a_name_is_placed_beside_its_point_where_nothing_else_is():
     assert text.anchor == "r"
 
 
-def test_a_street_is_named_along_it_and_reads_from_the_left():
+def test_a_street_is_named_along_it_from_the_left_and_again_where_it_is_long():
     for angle in np.linspace(0.0, 2.0 * np.pi, 13):
         line = np.array([(0.0, 0.0), (400.0 * np.cos(angle), 400.0 * np.sin(angle))])
         [text] = named([Line([line], "street", 0)], "Long Street")
         assert -np.pi / 2 - 1e-9 <= text.angle <= np.pi / 2 + 1e-9
         assert abs(np.sin(text.angle - angle)) < 1e-6
-
-
-def test_a_long_street_is_named_again():
     line = np.array([(0.0, 0.0), (3000.0, 0.0)])
     texts = named([Line([line], "street", 0)], "Long Street")
     x = sorted(text.at[0] for text in texts)
@@ -327,15 +324,12 @@ def test_paint_of(labels, kind, paint):
     assert find_paint(labels, kind) == paint
 
 
-def test_rules_name_paints_of_their_kind():
+def test_rules_name_paints_of_their_kind_which_use_the_palette():
     forms = {AREA: {"area"}, LINE: {"line"}, POINT: {"crown", "disc", "square", "cross"}}
     for kind, rules in RULES.items():
         for line in rules.splitlines():
             if line and not line.startswith(" "):
                 assert PAINTS[line.split()[0]].form in forms[kind]
-
-
-def test_paints_use_the_palette():
     for paint in PAINTS.values():
         assert {paint.fill, paint.ink, paint.edge or paint.fill} <= PALETTE.keys()
     for colors in PALETTE.values():

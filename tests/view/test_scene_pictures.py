@@ -92,16 +92,13 @@ def test_a_map_stands_on_its_building_north_up(building, tmp_path):
     assert len(count(both, "soft-ink")) > len(count(alone, "soft-ink")) + 100
 
 
-def test_far_candidates_are_told_and_not_drawn(tmp_path):
+def test_far_candidates_are_not_drawn_and_a_map_that_stands_nowhere_is_refused(tmp_path):
     far = Anchor(9.9, 53.55, 0.0, 0.4, probability=0.4)
     scene = scene_of(BOXES).anchored(HERE, far)
     drawn = draw_anchors(scene, tmp_path / "a.png")
     alone = draw_anchors(scene.anchored(HERE), tmp_path / "b.png")
     assert size(drawn) == size(alone)
     assert len(count(drawn, "mode")) == 0
-
-
-def test_a_map_that_stands_nowhere_is_refused(tmp_path):
     with pytest.raises(GeoPoseError, match="scene anchor"):
         draw_anchors(scene_of(BOXES), tmp_path / "a.png")
 
@@ -299,13 +296,16 @@ def columns(marked):
     return set(np.nonzero(marked.any(axis=0))[0].tolist())
 
 
-def test_walls_meet_in_one_line():
+def test_walls_meet_in_one_line_and_a_hole_in_the_map_is_no_edge():
     drawn, normals = corner()
     found = find_creases(normals)
     assert columns(found) <= {W // 2 - 1, W // 2}
     assert found[REACH:-REACH].any(axis=1).all(), "from top to bottom"
     assert found.sum(axis=1).max() == 1, "a thin line"
     assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
+    drawn, normals = corner(hole=True)
+    assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
+    assert not find_colour_borders(drawn).any()
 
 
 def test_objects_and_jumps_are_outlined():
@@ -315,12 +315,6 @@ def test_objects_and_jumps_are_outlined():
         assert columns(found) <= {W // 2 - 1, W // 2}
         assert found.any(axis=1).mean() > 0.9
     assert not find_edges(corner(step=0.02)[0], flat)[:, : W // 2 - 4].any()
-
-
-def test_a_hole_in_the_map_is_no_edge():
-    drawn, normals = corner(hole=True)
-    assert columns(find_edges(drawn, normals)) <= {W // 2 - 1, W // 2}
-    assert not find_colour_borders(drawn).any()
 
 
 def test_borders_of_colours_and_no_specks():

@@ -235,20 +235,17 @@ def test_settings_of_osmnx_are_used_and_kept(servers, out, monkeypatch, tmp_path
     assert list(tmp_path.iterdir()) == [out]  # no cache is left lying about
 
 
-def test_progress_is_told(servers, out):
-    steps = []
-    servers.answers = [(429, b""), (200, TOWN)]
-    fetch_osm("Mühlenend", out, progress=lambda *step: steps.append(step))
-    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass.PAUSES[0]),
-                     ("downloading", 0), ("downloading", len(TOWN)), ("writing", 0)]  # fmt: skip
-
-
-def test_a_busy_server_is_asked_again(servers, out):
+def test_a_busy_server_is_asked_again_and_progress_reported(servers, out):
     out.write_bytes(b"old")
     servers.answers = [(429, HTML), (504, HTML), (200, TOWN)]
     fetch_osm("Mühlenend", out)
     assert [p for p in servers.pauses if p in overpass.PAUSES] == list(overpass.PAUSES)
     assert len(raw(out)) == 31
+    steps = []
+    servers.answers = [(429, b""), (200, TOWN)]
+    fetch_osm("Mühlenend", out, progress=lambda *step: steps.append(step))
+    assert steps == [("finding", 0), ("downloading", 0), ("waiting", overpass.PAUSES[0]),
+                     ("downloading", 0), ("downloading", len(TOWN)), ("writing", 0)]  # fmt: skip
 
 
 def test_a_server_that_stays_busy(servers, out):

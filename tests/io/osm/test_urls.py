@@ -228,13 +228,10 @@ def test_nothing_is_fetched_where_another_is_missing(remote, tmp_path):
     assert not list((tmp_path / "W").rglob("*.osm"))
 
 
-def test_it_changed_while_it_was_fetched(remote, tmp_path):
+def test_an_extract_that_changed_while_it_was_fetched_and_a_folder_that_is_none(remote, tmp_path):
     with pytest.raises(InputError, match="changed while"):
         fetch_file(remote, tmp_path, lambda *_: memory(remote, b"<osm>another one</osm>"))
     assert not list(tmp_path.rglob("*.part"))
-
-
-def test_a_full_disk(remote, tmp_path):
     (tmp_path / "W").write_bytes(b"no folder")
     with pytest.raises(MapError, match="cannot be written"):
         fetch_file(remote, tmp_path / "W")
