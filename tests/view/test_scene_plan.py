@@ -364,7 +364,11 @@ def test_pictures_of_all_kinds(case, scene, tmp_path):
 def test_the_way_is_drawn_where_it_went(scene, tmp_path):
     estimate = CASES["no history"]
     image = pixels(write_plan(scene, estimate, tmp_path / "plan.png"))
-    assert image.shape[1] == 1200
+    row = pixels(write_plan(scene, CASES["coarse"], tmp_path / "row.png"))
+    assert image.shape[1] == row.shape[1] == 1200
+    assert row.shape[0] > image.shape[0], "a row of particles above the plan"
+    rows = pixels(write_plan(scene, CASES["OK"], tmp_path / "rows.png"))
+    assert rows.shape[1] == 1600, "a row for each of several passes"
     plan = RoomPlan(scene)
     layout = Layout.of(plan.bounds, [])
     frame = Frame.around(plan.bounds, *layout.large)
