@@ -55,7 +55,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_written_is_said(tmp_path):
-    with pytest.raises(MapError, match="not a plain file"):
+    with pytest.raises(MapError, match="not a regular file"):
         write_file(tmp_path, [b""])
     with pytest.raises(MapError, match="cannot be written"):
         write_file(tmp_path / "no" / "a.bin", [b""])
@@ -79,7 +79,7 @@ def test_what_may_never_end_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("/dev/zero")
     for name in ("pipe", "link"):
-        with pytest.raises(InputError, match=f"{name} is not a plain file"):
+        with pytest.raises(InputError, match=f"{name} is not a regular file"):
             check_regular(tmp_path / name)
     assert check_regular(tmp_path) == tmp_path
     assert check_regular(tmp_path / "none") == tmp_path / "none"
@@ -137,7 +137,7 @@ def test_no_reader_of_weights_words_or_maps_reads_a_device(tmp_path):
         (hash_file, ".scene"),
     ):
         (tmp_path / f"a{ending}").symlink_to("/dev/null")  # as /dev/zero, but it ends
-        with pytest.raises(InputError, match="is not a plain file"):
+        with pytest.raises(InputError, match="is not a regular file"):
             read(tmp_path / f"a{ending}")
 
 

@@ -269,7 +269,7 @@ def test_missing_or_empty_files_and_things_that_are_not_files(path, tmp_path):
     path.unlink()
     os.mkfifo(tmp_path / "pipe")
     for name in (tmp_path / "pipe", "/dev/zero"):
-        with pytest.raises(InputError, match="not a plain file"):
+        with pytest.raises(InputError, match="not a regular file"):
             open_map(name)
     with pytest.raises(InputError, match="holds no scene map"):
         open_map(tmp_path)

@@ -428,8 +428,8 @@ def test_an_animation_ends_with_the_result_and_needs_a_history(scene, tmp_path):
     assert durations[-1] > 5 * durations[0]
     assert share(last, "mode", 24) > 60
     with pytest.raises(OptionError, match="record=True"):
-        write_plan_animation(scene, CASES["no history"], tmp_path / "plan.gif")
-    assert not (tmp_path / "plan.gif").exists()
+        write_plan_animation(scene, CASES["no history"], tmp_path / "no.gif")
+    assert not (tmp_path / "no.gif").exists()
 
 
 @pytest.mark.parametrize("write", [write_plan, write_plan_animation])

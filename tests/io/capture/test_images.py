@@ -83,5 +83,5 @@ def test_a_pipe_is_refused_wherever_a_file_belongs(tmp_path, name):
     os.mkfifo(path)
     readers = {".tum": read_tum, ".json": read_json, ".ply": read_ply, ".glb": read_glb}
     read = readers.get(path.suffix, lambda at: read_rgb(at, (4, 3)))
-    with pytest.raises(InputError, match="is not a plain file"):
+    with pytest.raises(InputError, match="is not a regular file"):
         read(path)
