@@ -167,7 +167,7 @@ def test_candidates_are_ranked_and_add_up_to_one():
     assert sort_anchors([other, likely], ["flat"]) == (likely, other)
     with pytest.raises(OptionError, match=r"add up to 1\.20"):
         sort_anchors([likely, likely], ["flat"])
-    with pytest.raises(OptionError, match="'attic' is no scene"):
+    with pytest.raises(OptionError, match="'attic' is not a scene"):
         sort_anchors([Anchor(1, 2, 3, 0, scene="attic")], ["flat"])
 
 
@@ -274,12 +274,12 @@ def test_a_sentence_pretends_neither_height_nor_orientation():
 @pytest.mark.parametrize(
     ("estimate", "named"),
     [
-        (posed(), r"'flat' has no place on Earth.*`placegraph scene anchor`"),
+        (posed(), r"'flat' is not georeferenced.*`placegraph scene anchor`"),
         (
             SceneEstimate(Status.OK, (SceneMode("flat", 0.9, 3.0),), "It fits."),
-            "'flat' has no place",
+            "'flat' is not georeferenced",
         ),
-        (PoseEstimate(Status.LOST, (), "It is dark."), "no pose: It is dark"),
+        (PoseEstimate(Status.LOST, (), "It is dark."), "There is no pose. It is dark"),
     ],
 )
 def test_no_pose_on_earth_is_said_with_its_mend(estimate, named):
