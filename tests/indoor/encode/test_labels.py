@@ -173,7 +173,7 @@ def test_segmenters_that_do_not_keep_their_word():
         def labels(self, rgb):
             return np.zeros(rgb.shape)
 
-    with pytest.raises(OptionError, match=r"labels (height, width"):
+    with pytest.raises(OptionError, match=r"labels \(height, width\)"):
         LabelsEncoder(segmenter=Broken()).patches(image)
 
 
