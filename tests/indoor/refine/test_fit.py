@@ -32,6 +32,16 @@ HALL = ((0, 0, 0), (6, 4, 3))
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.fixture(scope="module")
+def problem(kit, hall, walked):
+    return kit.problem(hall, walked)
+
+
+@pytest.fixture(scope="module")
+def solution(problem, way):
+    return solve(problem, way, DEPTH_WIDTHS)
+
+
 def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
     """PointMatches of what the frames' depth shows at true poses, a share of them wrong."""
     out = []
@@ -54,16 +64,16 @@ def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
     st.tuples(*[st.floats(-0.1, 0.1)] * 2, st.floats(-0.04, 0.04)),
     st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-4.0, 4.0)),
 )
-def test_a_disturbed_way_through_the_hall_is_found_again(kit, hall, walked, way, shift, turn):
+def test_a_disturbed_way_through_the_hall_is_found_again(kit, problem, way, shift, turn):
     start = kit.moved(way, shift, turn)
     before = start.copy()
-    solution = solve(kit.problem(hall, walked), start, DEPTH_WIDTHS, 6)
+    solution = solve(problem, start, DEPTH_WIDTHS, 6)
     np.testing.assert_array_equal(start, before)
     kit.check_near(solution.poses, way, 0.005, 0.1)
 
 
-def test_one_frame(kit, hall, walked, way):
-    start = kit.moved(way[:1], (0.06, -0.05, 0.01), (0, 0, 3.0))
+def test_one_frame(kit, hall, walked, way, solution):
+    start, five = kit.moved(way[:1], (0.06, -0.05, 0.01), (0, 0, 3.0)), solution
     problem = kit.problem(hall, walked[:1])
     solution = solve(problem, start, DEPTH_WIDTHS, 6)
     assert kit.off(solution.poses[0], way[0])[0] < 0.005
@@ -74,8 +84,7 @@ def test_one_frame(kit, hall, walked, way):
     shift, away = common_error(problem, solution)
     assert shift >= ALONE
     assert 0.5 < away < 6.0
-    five = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS).covariance()
-    assert np.trace(five[:3, :3]) < np.trace(solution.covariance()[:3, :3])
+    assert np.trace(five.covariance()[:3, :3]) < np.trace(solution.covariance()[:3, :3])
 
 
 def test_a_furnished_room(kit, room, exact):
@@ -138,8 +147,7 @@ def test_gravity_is_a_prior_not_a_cage(kit, hall, walked, way, tilt_deg):
     assert np.degrees(np.arccos(np.clip(up[:, 2], -1, 1))).max() < 0.05
 
 
-def test_covariances_are_positive_definite(kit, hall, walked, way):
-    solution = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS)
+def test_covariances_are_positive_definite(solution):
     whole = np.linalg.inv(solution.information)
     for t in range(5):
         np.testing.assert_allclose(
@@ -217,16 +225,6 @@ def test_errors_of_odometry_do_not_depend_on_the_frames_of_reference(kit, way, s
     np.testing.assert_allclose(nothing, 0.0, atol=1e-6)
     way_of = np.linalg.norm(np.diff(way[:, :3, 3], axis=0), axis=1)
     np.testing.assert_allclose(deviations[:, 0], 0.01 + 0.1 * way_of, atol=1e-9)
-
-
-@pytest.fixture(scope="module")
-def problem(kit, hall, walked):
-    return kit.problem(hall, walked)
-
-
-@pytest.fixture(scope="module")
-def solution(problem, way):
-    return solve(problem, way, DEPTH_WIDTHS)
 
 
 def test_frames_that_pull_apart_say_how_far_the_map_is_off(kit, problem, solution, way):
