@@ -75,7 +75,7 @@ def test_build_options(run, ply, tmp_path):
         (["--frames", "::0"], 7, ["--frames", "1 or more"]),
         *((option, 7, ["room.ply is not a capture"])
           for option in (["--frames", "1:2"], ["--voxel", "0.1"], ["--poses", "odometry"])),
-        (["--landmarks"], 7, ["room.ply is not a capture: landmarks can only be used"]),
+        (["--landmarks"], 7, ["room.ply is not a capture, but landmarks applies only to captures"]),
         (["--reader", "x"], 7, ["--reader", "name=value"]),
         (["--reader", "x=1"], 7, ["x: not an option of .ply"]), (["--floor", "nan"], 7, ["floor"]),
     ],

@@ -88,7 +88,7 @@ def test_update_from_a_later_map_in_place(run, place, tmp_path):
     [
         (("update", "room.scene"), "--from"),
         (("update", "room.scene", "d.json"), "No output is given"),
-        (("update", "room.scene", "d.json", "-o", "x.scene", "--in-place"), "contradict"),
+        (("update", "room.scene", "d.json", "-o", "x.scene", "--in-place"), "exclude each other"),
         (("diff", "room.scene", "later.scene", "--b-from-a", "1,2"), "--b-from-a is '1,2'"),
         (("diff", "room.scene", "later.scene", "--frames", "1:2"), "is a map"),
         (("diff", "room.scene", "walk", "--b-from-a", "1,2,0,0"), "applies only to a second map"),

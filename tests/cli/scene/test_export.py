@@ -107,7 +107,7 @@ def test_view_serves_the_map_and_a_run(run, two, way, served, tmp_path):
 
 
 def test_view_refuses(run, two, way, tmp_path):
-    fails(run("scene", "view", two, "--capture", tmp_path, "--run", way), 7, "give one")
+    fails(run("scene", "view", two, "--capture", tmp_path, "--run", way), 7, "remove one")
     fails(run("scene", "view", two, "--frames", "3"), 7, "--capture")
     fails(run("scene", "view", two, "--run", tmp_path / "a.run"), 3, "a.run", "does not exist")
     fails(run("scene", "view", two, "--port", "0"), 7, "port is 0")

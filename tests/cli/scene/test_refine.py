@@ -137,7 +137,7 @@ def test_options_that_contradict(run, world):
     pose, estimate = ("--pose", "1,2,1.5,0"), ("--estimate", world.estimate)
     for options, *words in (
         ((), "--pose", "--estimate"),
-        ((*pose, *estimate), "one of"),
+        ((*pose, *estimate), "must be given once"),
         ((*pose, "--mode", 2), "--mode"),
         (("--pose", "1,2,1.5"), "--pose is"),
         (("--pose", "1e12,0,0,0"), "map_from_camera"),

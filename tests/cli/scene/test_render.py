@@ -61,7 +61,7 @@ def test_pictures_from_a_pose(run, world, tmp_path):
     assert (result.code, result.err) == (0, "")
     assert sorted(f.name for f in out.iterdir()) == sorted(FILES)
     assert all(name in result.out for name in FILES)
-    assert "The map fills 100% of it" in result.out
+    assert "The map fills 100% of the picture" in result.out
 
     scene, camera = open_map(world.map), open_capture(world.walk).camera
     drawn = render(scene, pose, camera)
@@ -182,9 +182,9 @@ def test_options_that_contradict(draw, world, tmp_path):
     pose, camera = ("--pose", "1,2,1,0"), ("--camera", world.camera)
     for options, *words in (
         ((*camera,), "--pose", "--tum", "--estimate"),
-        ((*pose, *camera, "--estimate", world.estimate), "one of"),
+        ((*pose, *camera, "--estimate", world.estimate), "pose must be given once"),
         (pose, "--camera", "--capture"),
-        ((*pose, *camera, "--capture", world.walk), "one of"),
+        ((*pose, *camera, "--capture", world.walk), "camera must be given once"),
         ((*pose, *camera, "--frame", 1), "--frame"),
         ((*pose, *camera, "--row", 1), "--row"),
         ((*pose, *camera, "--mode", 2), "--mode"),
