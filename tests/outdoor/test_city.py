@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import placegraph as pg
 from placegraph.core.mapfile import read_map, write_map
-from placegraph.errors import InputError, MapError, PlacegraphError, StoreError
+from placegraph.errors import MapError, PlacegraphError, StoreError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.city import KIND, VERSION
@@ -46,19 +44,6 @@ def changed(column, index, value):
     column = column.copy()
     column.flat[index] = value
     return column
-
-
-# --- sound maps ---
-
-
-def test_what_the_map_says_of_itself(harbour, stored):
-    meta, arrays = stored
-    assert meta["cell_size"] == 50.0
-    assert meta["source"] == "town.osm"
-    assert meta["left_out"] == {}
-    assert len(arrays["osm_id"]) == len(harbour.objects) > 200
-    assert "town.osm" in repr(harbour)
-    assert f"{len(harbour.cells)} cells" in repr(harbour)
 
 
 def test_every_object_can_be_asked(real_city):
@@ -102,12 +87,6 @@ def test_objects_of_a_token(real_city):
             assert row in names
 
 
-def test_a_map_is_what_open_map_opens(harbour_file):
-    assert isinstance(pg.open_map(harbour_file), pg.CityMap)
-    assert isinstance(pg.open_map(str(harbour_file)), pg.CityMap)
-    assert pg.open_map(harbour_file).locate(TEXT).best is not None
-
-
 def test_an_index_is_stored_where_it_is_worth_it(harbour, tmp_path):
     harbour.save(tmp_path / "small.city")
     harbour.save(tmp_path / "quick.city", index=True)
@@ -118,40 +97,6 @@ def test_an_index_is_stored_where_it_is_worth_it(harbour, tmp_path):
     assert quick.fingerprint == small.fingerprint
     assert quick.locate(TEXT).to_dict() == small.locate(TEXT).to_dict()
     assert replace(quick, objects=harbour.objects).index is None, "the index of other objects"
-
-
-def test_every_opening_and_thread_gives_the_same_answer(harbour, harbour_file):
-    with ThreadPoolExecutor(8) as pool:
-        city = open_map(harbour_file)
-        answers = list(pool.map(lambda _: city.locate(TEXT).to_dict(), range(8)))
-    answers.append(open_map(harbour_file).locate(TEXT).to_dict())
-    assert all(answer == harbour.locate(TEXT).to_dict() for answer in answers)
-
-
-def test_columns_of_an_open_map_cannot_be_written(harbour_file):
-    city = open_map(harbour_file)
-    with pytest.raises(AttributeError):
-        city.source = "other"
-    with pytest.raises(AttributeError):
-        city.objects.labels = ()
-
-
-# --- damaged and foreign maps ---
-
-
-def test_damage_anywhere_is_refused(harbour_file, tmp_path, rng):
-    whole = harbour_file.read_bytes()
-    path = tmp_path / "damaged.city"
-    for at in rng.integers(0, len(whole), 25):
-        content = bytearray(whole)
-        content[at] ^= 1 << int(rng.integers(8))
-        path.write_bytes(content)
-        with pytest.raises((MapError, InputError), match=r"damaged\.city"):
-            open_map(path)
-    for end in [*range(1, 30, 3), *rng.integers(30, len(whole), 10).tolist()]:
-        path.write_bytes(whole[:end])
-        with pytest.raises(MapError, match=r"damaged\.city"):
-            open_map(path)
 
 
 def test_a_damaged_column_is_named(harbour_file, tmp_path):
@@ -264,15 +209,6 @@ def test_any_change_is_refused_or_harmless(data, stored, tmp_path_factory):
         city.graph(cell)
 
 
-def test_checks_name_the_column(harbour):
-    o = harbour.objects
-    for column, name in (("kind", "kind"), ("points", "points"), ("osm_type", "osm_type")):
-        with pytest.raises(ValueError, match=name):
-            replace(o, **{column: getattr(o, column)[:-1]}).check()
-    with pytest.raises(ValueError, match="label_values point outside"):
-        replace(o, labels=o.labels[:-1]).check()
-
-
 def test_tables_of_more_texts_than_are_used(forge):
     with pytest.raises(MapError, match=r"'names': The column holds more than"):
         open_map(forge(names=np.zeros(1_000_000, np.uint8)))
@@ -284,25 +220,3 @@ def test_vectors_of_cells_that_the_map_has_not(harbour, tmp_path):
     EmbeddedStore.of(ids, encoded.embeddings, origin=encoded.origin).save(tmp_path / "a.vectors")
     with open_store(tmp_path / "a.vectors") as store, pytest.raises(StoreError, match="cells that"):
         harbour.locate(TEXT, by="dense", store=store)
-
-
-def test_other_kinds_and_newer_versions(stored, tmp_path):
-    meta, arrays = stored
-    path = tmp_path / "a.city"
-    write_map(path, "moon", 1, meta, arrays)
-    with pytest.raises(MapError, match=r"a\.city is a moon map"):
-        open_map(path)
-    with pytest.raises(MapError, match=r"a\.city is a moon map, not a city map"):
-        CityMap.open(path)
-    write_map(path, KIND, VERSION + 1, meta, arrays)
-    with pytest.raises(MapError, match="update placegraph"):
-        open_map(path)
-
-
-def test_no_map_at_all(tmp_path):
-    (tmp_path / "empty.city").touch()
-    (tmp_path / "text.city").write_text("hello, map")
-    (tmp_path / "folder.city").mkdir()
-    for name in ("missing", "empty", "folder", "text"):
-        with pytest.raises(MapError if name == "text" else InputError, match=rf"{name}\.city"):
-            open_map(tmp_path / f"{name}.city")

@@ -75,9 +75,6 @@ def sound(estimate, city):
     json.dumps(estimate.to_dict())
 
 
-# --- places ---
-
-
 @pytest.mark.parametrize(("text", "row", "column"), HARBOUR)
 def test_places_in_the_harbour(text, row, column, harbour, hafenstadt):
     estimate = harbour.locate(text)
@@ -141,9 +138,6 @@ def test_the_way_from_a_known_listener(harbour, hafenstadt):
         assert metres(harbour, estimate.best, hafenstadt.lonlat(row + 0.5, column + 0.5)) < 40
     unknown = harbour.locate(text.format("north"))
     assert any("position of the listener" in e.note for e in unknown.evidence)
-
-
-# --- what cannot be found ---
 
 
 @pytest.mark.parametrize(
@@ -223,14 +217,6 @@ def test_any_order_of_words_is_answered(harbour, words, heading):
         sound(estimate, harbour)
         question = estimate.next_question(harbour)
         assert (question is None) or question.options
-
-
-def test_many_sentences_take_no_long_time(monaco):
-    text = " ".join(f"There is a bench {w} of a tree." for w in ("north", "south", "east") * 60)
-    sound(monaco.locate(text), monaco)
-
-
-# --- options ---
 
 
 def test_top(harbour):
@@ -334,9 +320,6 @@ def test_a_description_may_come_ready_made(harbour, hafenstadt):
     assert harbour.locate(Description("")).status == Status.LOST
 
 
-# --- evidence ---
-
-
 def test_evidence_names_real_objects(monaco, shared):
     import osmium
 
@@ -379,9 +362,6 @@ def test_support_is_the_posterior(harbour):
     assert within == pytest.approx(best.probability, abs=0.05)
 
 
-# --- nothing else happens ---
-
-
 def test_the_map_file_is_never_written(harbour_file, tmp_path):
     path = tmp_path / "a.city"
     shutil.copy(harbour_file, path)
@@ -414,11 +394,12 @@ def test_an_open_map_does_not_change(harbour_file):
         assert getattr(city.objects, name).tobytes() == content, name
 
 
-def test_threads_give_the_same_answers(monaco):
+def test_threads_that_share_an_opened_map_give_the_same_answers(monaco, monaco_file):
     texts = [text for text, _, _ in MONACO] * 8
     expected = {text: monaco.locate(text) for text in set(texts)}
+    opened = open_map(monaco_file)
     with ThreadPoolExecutor(8) as pool:
-        for text, estimate in zip(texts, pool.map(monaco.locate, texts), strict=True):
+        for text, estimate in zip(texts, pool.map(opened.locate, texts), strict=True):
             assert estimate.to_dict() == expected[text].to_dict()
             np.testing.assert_array_equal(estimate.support, expected[text].support)
 
@@ -479,8 +460,3 @@ def test_swapped_degrees_are_told(harbour, hafenstadt):
     with pytest.raises(OptionError, match="longitude comes first"):
         harbour.track(near=(latitude, longitude))
     assert "Swapped" not in harbour.locate(TEXT, near=(0.0, 0.0)).reason
-
-
-def test_no_answers_may_be_none(harbour):
-    text = "I am next to a bench."
-    assert harbour.locate(text, answers=None).to_dict() == harbour.locate(text).to_dict()

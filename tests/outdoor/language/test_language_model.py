@@ -91,9 +91,8 @@ def test_a_recorded_answer_becomes_a_query_graph(service):
     assert benches.count == 2
     same, along, north, no, far = description.statements
     assert (same.relation, same.source, same.target) == (Relation.SAME, 0, bakery.id)
-    assert (along.relation, along.source, along.target, along.certainty) == (
-        Relation.ALONG, bakery.id, avenue.id, 0.9,
-    )  # fmt: skip
+    assert (along.relation, along.source, along.target) == (Relation.ALONG, bakery.id, avenue.id)
+    assert along.certainty == 0.9
     assert (north.bearing, north.text) == (0.0, "Two benches are north of me")
     assert no.negated
     assert no.source == trees.id
@@ -147,17 +146,8 @@ def test_nonsense_is_refused_by_its_field(service):
 
 
 def test_no_json_is_refused(service):
-    bodies = (
-        b"",
-        b"<html>",
-        b"{}",
-        b'{"choices": []}',
-        b"[1]",
-        b"\xff\xfe",
-        reply("Sure!"),
-        reply(None),
-    )
-    for body in bodies:
+    bodies = (b"", b"<html>", b"{}", b'{"choices": []}', b"[1]", b"\xff\xfe")
+    for body in (*bodies, reply("Sure!"), reply(None)):
         with pytest.raises(ServiceError, match="is no JSON"):
             ask(service, body)
 

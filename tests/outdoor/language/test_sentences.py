@@ -99,10 +99,8 @@ def test_adjectives_tell_things_apart():
 
 def test_statements_quote_the_text():
     description = describe("A bakery is north of me, and a church is south of it.")
-    assert [s.text for s in description.statements] == [
-        "A bakery is north of me",
-        "a church is south of it",
-    ]
+    texts = [s.text for s in description.statements]
+    assert texts == ["A bakery is north of me", "a church is south of it"]
 
 
 @pytest.mark.parametrize(

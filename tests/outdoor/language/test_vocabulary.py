@@ -8,23 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.outdoor.language.vocabulary import LONGEST, Vocabulary
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.vocabulary.tables import Lexicon, weighted
 from placegraph.outdoor.language.words import folded, normal, singular
 
 DATA = files("placegraph.outdoor.language.vocabulary").joinpath("data")
 
 
-@pytest.fixture(scope="module")
-def vocabulary():
-    return Vocabulary.default()
-
-
 def labels(senses):
     return [sense.label for sense in senses]
-
-
-# --- tags to labels
 
 
 LABELS_OF = [
@@ -89,9 +81,6 @@ def test_labels_are_well_formed_and_come_from_an_object(tags):
         assert not vocabulary.keys.isdisjoint(tags)
 
 
-# --- normal forms
-
-
 @given(st.text(max_size=40))
 def test_normal_forms_are_idempotent(text):
     once = normal(text)
@@ -126,8 +115,6 @@ def test_singular():
     for many, one in SINGULAR:
         assert singular(many) == one
 
-
-# --- words to labels
 
 EVERYDAY = """
 road highway=residential|street highway=residential|main road highway=primary
@@ -320,9 +307,6 @@ def test_any_text_gives_ordered_weights(text):
     assert len(set(labels(found))) == len(found)
 
 
-# --- labels to words
-
-
 def shipped_labels(vocabulary):
     tables = [vocabulary._words.english, vocabulary._words.foreign]
     presets = [label for text in vocabulary._english.presets for label, _ in weighted(text)]
@@ -368,9 +352,6 @@ def test_spoken_words_lead_back(vocabulary):
 )  # fmt: skip
 def test_spoken(vocabulary, label, language, word):
     assert vocabulary.spoken(label, language=language) == word
-
-
-# --- in a text
 
 
 def match(vocabulary, text, start=0):
@@ -448,9 +429,6 @@ def test_closest_is_not_over_eager(vocabulary, word):
 def test_closest_obeys_its_cutoff(vocabulary):
     _, score = vocabulary.closest("bakrey", cutoff=0.5)
     assert vocabulary.closest("bakrey", cutoff=score + 1e-6) is None
-
-
-# --- tables
 
 
 def test_shipped_tables_are_small():
@@ -562,9 +540,3 @@ def test_landmarks_of_people_are_known(shared, vocabulary):
     assert len(plain) > 150
     known = [w for w in plain if vocabulary.senses(w)]
     assert len(known) >= 0.98 * len(plain)
-
-
-def test_longest_phrase_is_bounded(vocabulary):
-    assert LONGEST == 5
-    words = ["parking"] * 50
-    assert vocabulary.longest_match(words)[0] <= LONGEST

@@ -5,6 +5,7 @@ import pytest
 
 from placegraph.outdoor.likelihood import bound_kernels as promise_kernels
 from placegraph.outdoor.likelihood.bound_kernels import find_views_by_bound
+from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, REJECTED, score_views
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.request import parse
 
@@ -27,6 +28,15 @@ def promising(query, city, weights, most, drawn=0, least=0.0):
     return find_views_by_bound(
         query.statements, query.mentions, city.views.columns, weights, most, drawn, least
     )
+
+
+def score(query, city, rows, prior, together, cutoff):
+    views, s = city.views, query.statements
+    return score_views(
+        s, city.columns, views.columns, query.token_weights(len(views.share)), rows,
+        np.full(len(rows), 1e290), prior, np.zeros((len(rows), len(s.op)), np.float32),
+        together, cutoff,
+    )[0]  # fmt: skip
 
 
 @pytest.mark.parametrize("most", [5, 60, 400])
@@ -76,34 +86,18 @@ def test_of_small_bounds_some_stand_for_all(query, monaco, rng, weighed, drawn):
 
 def test_bounds_are_bounds(query, monaco):
     """No viewpoint scores above its bound."""
-    from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, score_views
-
     rows, bounds, _ = promising(query, monaco, np.zeros(0), 2000)
-    s = query.statements
-    none = np.zeros((len(rows), len(s.op)), np.float32)
-    scores, _ = score_views(
-        s, monaco.columns, monaco.views.columns, query.token_weights(len(monaco.views.share)), rows,
-        np.full(len(rows), 1e290), np.zeros(len(rows)), none, 0.0, 1e9,
-    )  # fmt: skip
-    noise = np.log(s.noise[~s.negated]).sum()
+    scores = score(query, monaco, rows, np.zeros(len(rows)), 0.0, 1e9)
+    noise = np.log(query.statements.noise[~query.statements.negated]).sum()
     assert (scores <= np.log(bounds) + noise + BOUND_SLACK).all()
 
 
 def test_what_is_given_up_does_not_depend_on_the_order(query, monaco, rng):
-    from placegraph.outdoor.likelihood.match_kernels import REJECTED, score_views
-
     rows, _, _ = promising(query, monaco, np.zeros(0), 300)
-    s, prior = query.statements, np.log(rng.random(len(rows)))
-
-    def scores(order):
-        return score_views(
-            s, monaco.columns, monaco.views.columns, query.token_weights(len(monaco.views.share)),
-            rows[order], np.full(len(rows), 1e290), prior[order],
-            np.zeros((len(rows), len(s.op)), np.float32), 0.3, 3.0,
-        )[0]  # fmt: skip
-
-    ordered, order = scores(np.arange(len(rows))), rng.permutation(len(rows))
-    np.testing.assert_array_equal(scores(order), ordered[order])
+    prior, order = np.log(rng.random(len(rows))), rng.permutation(len(rows))
+    ordered = score(query, monaco, rows, prior, 0.3, 3.0)
+    shuffled = score(query, monaco, rows[order], prior[order], 0.3, 3.0)
+    np.testing.assert_array_equal(shuffled, ordered[order])
     assert 0 < (ordered > REJECTED).sum() < len(rows)
 
 

@@ -1,5 +1,8 @@
 """How statements move the score of a place: each the right way, and together."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,10 +10,11 @@ from hypothesis import strategies as st
 
 from placegraph.outdoor.likelihood.match_kernels import MAX_OBJECTS
 from placegraph.outdoor.map.directions_kernels import direction_table
+from placegraph_lab.worlds.town.town import Town
 
 FOUNTAIN, BENCH, BAKERY = "amenity=fountain", "amenity=bench", "shop=bakery"
 CHURCH, TREE, STOP = "amenity=place_of_worship", "natural=tree", "highway=bus_stop"
-ROAD, PARK, PATH = "highway=primary", "leisure=park", "highway=path"
+ROAD, PARK = "highway=primary", "leisure=park"
 
 
 def tags(label, **more):
@@ -45,9 +49,6 @@ def weight(score):
         return float(score(city, description, position)[0][0])
 
     return of
-
-
-# --- directions ---
 
 
 @pytest.mark.parametrize("target", ["me", BAKERY])
@@ -94,9 +95,6 @@ def test_no_direction_where_two_things_are_one_place(around, said, weight):
     heard = [weight(city, said((FOUNTAIN, w, "me")), p(0, 0)) for w in ("north", "south", "east")]
     assert np.ptp(heard) < 0.05
     assert np.isfinite(heard).all()
-
-
-# --- one thing for all statements ---
 
 
 def test_one_road_for_two_sentences_beats_two(around, said, weight):
@@ -153,9 +151,6 @@ def test_served_are_the_right_things(around, said, score):
     [[fountain, _], [bench, _]] = served[0]
     np.testing.assert_allclose(city.objects.center[fountain] - p(0, 0), (0, -15), atol=1)
     np.testing.assert_allclose(city.objects.center[bench] - p(0, 0), (-15, 0), atol=1)
-
-
-# --- other relations ---
 
 
 def test_near(around, said, weight):
@@ -240,19 +235,11 @@ def test_distances(around, said, weight):
     assert direction[0] > direction[1] + 0.5
 
 
-# --- negation and numbers ---
-
-
 NEGATIONS = [
-    (BAKERY, "visible", "me"),
-    (BAKERY, "near", "me"),
-    ("me", "near", BAKERY),
-    ("me", "same", BAKERY),
-    (BAKERY, "north", "me"),
-    ("me", "south", BAKERY),
-    (BAKERY, "near", BENCH),
-    (BAKERY, "north", BENCH),
-]
+    (BAKERY, "visible", "me"), (BAKERY, "near", "me"), ("me", "near", BAKERY),
+    ("me", "same", BAKERY), (BAKERY, "north", "me"), ("me", "south", BAKERY),
+    (BAKERY, "near", BENCH), (BAKERY, "north", BENCH),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("statement", NEGATIONS, ids=str)
@@ -289,9 +276,6 @@ def test_numbers(there, around, said, weight):
         assert four > one
 
 
-# --- rarity, names, certainty ---
-
-
 def test_rare_things_say_more(around, said, weight):
     city, p = around([(0, 10, tags(BAKERY)), (0, 12, tags(BENCH))])
     rare = weight(city, said((BAKERY, "north", "me")), p(0, 0))
@@ -311,13 +295,12 @@ def test_names_say_more_than_kinds(around, said, weight):
 
 def test_hedged_statements_say_less(around, said, weight):
     city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
-    right, wrong = (
-        [
-            weight(city, said((what, "north", "me", {"certainty": c})), p(0, 0))
-            for c in (1.0, 0.5, 0.1)
-        ]
-        for what in (BAKERY, STOP)
-    )
+
+    def weights(what):
+        texts = (said((what, "north", "me", {"certainty": c})) for c in (1.0, 0.5, 0.1))
+        return [weight(city, text, p(0, 0)) for text in texts]
+
+    right, wrong = weights(BAKERY), weights(STOP)
     assert right == sorted(right, reverse=True)
     assert wrong == sorted(wrong)
     assert right[-1] > 0 > wrong[-1]
@@ -332,14 +315,7 @@ def test_statements_add_up(around, said, weight):
     assert weight(city, said(two, one), p(0, 0)) == pytest.approx(both, abs=1e-3)
 
 
-# --- invariance ---
-
-
 def test_moving_the_world_changes_nothing(make_city, said, score):
-    from dataclasses import replace
-
-    from placegraph_lab.worlds.town.town import Town
-
     here = Town.load("hafenstadt")
     text = said(
         (BENCH, "near", "me"), ("amenity=cafe", "east", BENCH), ("me", "inside", "place=square")
@@ -348,9 +324,8 @@ def test_moving_the_world_changes_nothing(make_city, said, score):
     for center in (here.center, (-58.4, -53.0), (179.9999, 53.5511)):
         town = replace(here, center=center)
         city = make_city(town)
-        at = [
-            city.plane.to_plane(town.lonlat(r, c)) for r in range(0, 40, 6) for c in range(0, 88, 8)
-        ]
+        spots = itertools.product(range(0, 40, 6), range(0, 88, 8))
+        at = [city.plane.to_plane(town.lonlat(*spot)) for spot in spots]
         totals.append(score(city, text, at)[0])
     # coordinates are stored in steps of half a metre, and so differ a little
     for moved in totals[1:]:

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError, OptionError
+from placegraph.maps import open_map
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.map.cells import Grid, find_visible
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
@@ -40,9 +42,6 @@ C area: amenity=place_of_worship building=church name=St. Marien
 """
 
 
-# --- brute force ---
-
-
 def nearest(kind, parts, p):
     """Vector from p to the nearest point of a thing."""
     best, inside = np.array([np.inf, np.inf]), False
@@ -57,9 +56,9 @@ def nearest(kind, parts, p):
     return np.zeros(2) if kind == 2 and inside else best
 
 
-def graph_of(city, cell):
-    """Nodes {id: position} and edges {(source, relation, target)} of a cell, slowly."""
-    o, center, half = city.objects, city.cells.center(cell), city.cells.size / 2
+def graph_of(city, center):
+    """Nodes {id: position} and edges {(source, relation, target)} of a square, slowly."""
+    o, half = city.objects, city.cells.size / 2
     at = {}
     for i in range(len(o)):
         offset = nearest(o.kind[i], o.parts(i), center)
@@ -108,42 +107,24 @@ def edges_of(graph):
 )
 def test_graphs_are_those_of_brute_force(options, make_city):
     city = make_city(TOWN, **options)
-    grid, occupied = city.cells.grid, 0
+    grid, occupied, relations = city.cells.grid, 0, set()
     for row, column in itertools.product(range(grid.rows), range(grid.columns)):
         cell = f"c{column}r{row}"
+        center = np.array([grid.east, grid.north]) + grid.stride * np.array([column, row])
+        nodes, edges = graph_of(city, center)
+        assert (cell in city.cells) == (len(nodes) >= 2)
         if cell not in city.cells:
             continue
         occupied += 1
-        nodes, edges = graph_of(city, cell)
         graph = city.graph(cell)
-        assert len(nodes) >= 2
+        relations |= set(graph.relations)
         assert set(graph.ids) == set(nodes)
         for i, name in enumerate(graph.ids):
             np.testing.assert_allclose(graph.positions[i], nodes[name], atol=1e-3)
         assert edges_of(graph) == edges
         assert len(graph.sources) == len(edges), "no edge comes twice"
     assert occupied == len(city.cells) >= 3
-
-
-def test_every_square_with_two_things_is_a_cell(make_city):
-    city = make_city(TOWN)
-    o, grid = city.objects, city.cells.grid
-    for row, column in itertools.product(range(grid.rows), range(grid.columns)):
-        center = np.array([grid.east, grid.north]) + grid.stride * np.array([column, row])
-        held = sum(
-            np.abs(nearest(o.kind[i], o.parts(i), center)).max() <= 25.0 for i in range(len(o))
-        )
-        assert (f"c{column}r{row}" in city.cells) == (held >= 2)
-
-
-def test_every_thing_with_a_neighbour_stands_in_a_cell(make_city):
-    city = make_city(TOWN)
-    seen = set(itertools.chain.from_iterable(city.graph(cell).ids for cell in city.cells))
-    everything = {city.objects.osm(i) for i in range(len(city.objects))}
-    assert len(everything - seen) <= 2
-
-
-# --- relations ---
+    assert relations >= {*OPPOSITE, "near", "along"}
 
 
 @pytest.mark.parametrize(
@@ -161,13 +142,6 @@ def test_compass_of_eq_6(delta, expected):
 OPPOSITE = {"north": "south", "south": "north", "east": "west", "west": "east"}
 
 
-@given(st.integers(-50, 50), st.integers(-50, 50))
-def test_opposite_directions(dx, dy):
-    if dx or dy:
-        delta = np.array([dx, dy], np.float64)
-        assert name_direction(-delta) == OPPOSITE[name_direction(delta)]
-
-
 def test_relations_of_a_real_city_mirror_each_other(real_city):
     cells = list(real_city.cells)
     for cell in cells[:: max(1, len(cells) // 40)]:
@@ -177,21 +151,6 @@ def test_relations_of_a_real_city_mirror_each_other(real_city):
                 assert (target, OPPOSITE[relation], source) in edges
             if relation == "near":
                 assert (target, "near", source) in edges
-
-
-def test_what_stands_in_stands_inside_and_at_along(build_world):
-    square = [(0, 0, {}), (60, 0, {}), (60, 60, {}), (0, 60, {})]
-    city = build_world(
-        [*square, (30, 30, {"amenity": "fountain"}), (70, 8, {"amenity": "bench"})],
-        [([0, 1, 2, 3, 0], {"leisure": "park"}), ([0, 1], {"highway": "path"})],
-        cell_size=200.0,
-    )
-    edges = set().union(*(edges_of(city.graph(cell)) for cell in city.cells))
-    assert ("node/5", "inside", "way/1") in edges
-    assert ("node/6", "along", "way/2") in edges
-    assert ("node/5", "along", "way/2") not in edges
-    assert ("way/1", "inside", "node/5") not in edges
-    assert ("node/6", "inside", "way/1") not in edges
 
 
 def test_the_smaller_area_is_inside_the_larger(build_world):
@@ -217,28 +176,6 @@ def test_houses_that_share_a_wall_are_not_inside_each_other(build_world):
     )
     relations = [relation for cell in city.cells for relation in city.graph(cell).relations]
     assert set(relations) == {"west", "east"}
-
-
-def test_a_road_stands_in_each_cell_where_it_is_nearest(build_world):
-    road = [(-200, 3, {}), (200, 3, {})]
-    benches = [(x, -8, {"amenity": "bench"}) for x in range(-200, 201, 50)]
-    city = build_world([*road, *benches], [([0, 1], {"highway": "residential"})])
-    found = 0
-    for cell in city.cells:
-        graph, center = city.graph(cell), city.cells.center(cell)
-        if "way/1" not in graph.ids:
-            continue
-        found += 1
-        at = graph.positions[graph.ids.index("way/1")]
-        assert at[0] == pytest.approx(center[0], abs=0.01)
-        bench = next(i for i, osm in enumerate(graph.ids) if osm != "way/1")
-        assert ("way/1", "north", graph.ids[bench]) in edges_of(graph) or abs(
-            at[0] - graph.positions[bench][0]
-        ) > abs(at[1] - graph.positions[bench][1])
-    assert found >= 8
-
-
-# --- the grid ---
 
 
 def test_cells_as_a_mapping(real_city):
@@ -284,9 +221,6 @@ def test_a_column_beyond_the_grid_is_not_the_next_row(harbour):
 
 
 def test_ids_are_stable_over_opening_and_building(harbour, harbour_file, hafenstadt, tmp_path):
-    from placegraph.maps import open_map
-    from placegraph.outdoor.city import build_city
-
     again = build_city(hafenstadt.write_osm(tmp_path / "t.osm"), tmp_path / "t.city")
     for other in (again, open_map(harbour_file)):
         assert list(other.cells) == list(harbour.cells)
@@ -327,14 +261,6 @@ def test_far_away_no_cell_covers_anything_but_one_is_nearest(lonlat, harbour):
     assert harbour.cells.nearest(harbour.plane.to_plane(lonlat)) in harbour.cells
 
 
-def test_overlapping_cells_share_their_things(make_city):
-    wide = make_city(TOWN, cell_size=60.0, stride=20.0)
-    apart = make_city(TOWN, cell_size=60.0)
-    assert len(wide.cells) > 4 * len(apart.cells)
-    holding = [c for c in wide.cells if any("bakery" in x for x in wide.graph(c).labels)]
-    assert len(holding) >= 4
-
-
 def test_a_map_of_one_thing_has_no_cells(build_world):
     city = build_world([(0, 0, {"amenity": "bench"})])
     assert len(city.cells) == 0
@@ -372,49 +298,13 @@ class Things:
         return np.concatenate(([0], np.cumsum(np.array(lengths, np.int32)))).astype(np.int32)
 
     def seen(self, grid, radius, rows=None):
-        return find_visible(
-            self.kind,
-            self.part_starts,
-            self.point_starts,
-            self.points,
-            grid=grid,
-            radius=radius,
-            rows=rows,
-        )
+        columns = (self.kind, self.part_starts, self.point_starts, self.points)
+        return find_visible(*columns, grid=grid, radius=radius, rows=rows)
 
     def nearest(self, row, position):
         kind = self.kind[row]
         columns = (self.part_starts, self.point_starts, self.points)
         return nearest_on_parts(*columns, kind, row, *map(float, position))
-
-
-def inside(rings, p):
-    """Even-odd rule, by brute force."""
-    crossed = 0
-    for ring in rings:
-        for (x0, y0), (x1, y1) in pairwise(ring):
-            if (y0 > p[1]) != (y1 > p[1]):
-                crossed += x0 + (p[1] - y0) / (y1 - y0) * (x1 - x0) > p[0]
-    return crossed % 2 == 1
-
-
-def distance(parts, at):
-    """Distance of a position to lines, by brute force."""
-    best = np.inf
-    for part in (p.astype(np.float64) for p in parts):
-        best = min(best, np.hypot(*(part - at).T).min())
-        a, d = part[:-1], np.diff(part, axis=0)
-        length2 = (d**2).sum(axis=1)
-        t = np.clip(((at - a) * d).sum(axis=1) / np.maximum(length2, 1e-12), 0, 1)
-        if len(a):
-            best = min(best, np.hypot(*(a + t[:, None] * d - at).T).min())
-    return best
-
-
-def expected(thing, p):
-    kind, parts = thing
-    rings = [part.astype(np.float64) for part in parts]
-    return 0.0 if kind == AREA and inside(rings, p) else distance(parts, p)
 
 
 spot = st.tuples(st.integers(-60, 60), st.integers(-60, 60))
@@ -436,26 +326,25 @@ grids = st.builds(
 
 
 def positions(grid):
-    return {
-        row * grid.columns + column: np.array(
-            [grid.east + grid.stride * column, grid.north + grid.stride * row]
-        )
-        for row in range(grid.rows)
-        for column in range(grid.columns)
-    }
+    row, column = np.divmod(np.arange(grid.rows * grid.columns), grid.columns)
+    origin = np.array([grid.east, grid.north])
+    return dict(enumerate(origin + grid.stride * np.column_stack([column, row])))
 
 
 @given(things, grids, st.sampled_from([3.0, 20.0, 75.0]))
 def test_sightings_are_those_of_brute_force(drawn, grid, radius):
     world = Things(*drawn)
     seen = world.seen(grid, radius)
+    assert (np.diff(seen.points) > 0).all()
+    assert seen.starts[-1] == len(seen.objects) == len(seen.offsets)
     found = {}
-    for i, at in enumerate(seen.points):
-        for e in range(seen.starts[i], seen.starts[i + 1]):
+    for at, (start, end) in zip(seen.points, pairwise(seen.starts), strict=True):
+        assert (np.diff(seen.objects[start:end]) > 0).all()
+        for e in range(start, end):
             found[int(at), int(seen.objects[e])] = seen.offsets[e]
     for at, p in positions(grid).items():
-        for row, thing in enumerate(world.things):
-            d = expected(thing, p)
+        for row, (kind, parts) in enumerate(world.things):
+            d = np.hypot(*nearest(kind, parts, p))
             if abs(d - radius) < 1e-3:
                 continue
             assert ((at, row) in found) == (d <= radius), (at, row, d)
@@ -464,26 +353,16 @@ def test_sightings_are_those_of_brute_force(drawn, grid, radius):
             offset = found[at, row].astype(np.float64)
             assert np.hypot(*offset) == pytest.approx(d, abs=1e-3)
             if d > 0:  # the nearest point lies on the thing
-                assert distance(thing[1], p + offset) < 1e-3
-
-
-@given(things, grids)
-def test_sightings_are_sorted_and_each_thing_comes_once(drawn, grid):
-    seen = Things(*drawn).seen(grid, 30.0)
-    assert (np.diff(seen.points) > 0).all()
-    assert (np.diff(seen.starts) > 0).all()
-    assert seen.starts[-1] == len(seen.objects) == len(seen.offsets)
-    for a, b in pairwise(seen.starts):
-        assert (np.diff(seen.objects[a:b]) > 0).all()
+                assert np.hypot(*nearest(LINE, parts, p + offset)) < 1e-3
 
 
 @given(things, spot)
 def test_nearest_is_that_of_brute_force(drawn, at):
     world = Things(*drawn)
     p = np.add(at, (0.25, 0.375))
-    for row, thing in enumerate(world.things):
+    for row, (kind, parts) in enumerate(world.things):
         east, north, d2 = world.nearest(row, p)
-        assert np.sqrt(d2) == pytest.approx(expected(thing, p), abs=1e-3)
+        assert np.sqrt(d2) == pytest.approx(np.hypot(*nearest(kind, parts, p)), abs=1e-3)
         assert east**2 + north**2 == pytest.approx(d2, abs=1e-3)
 
 
@@ -495,31 +374,11 @@ def test_rows_restrict_to_these_things(drawn, grid):
     assert set(seen.objects.tolist()) == set(rows.tolist()) & set(everything.objects.tolist())
 
 
-SQUARE = [(0, 0), (100, 0), (100, 100), (0, 100), (0, 0)]
-HOLE = [(40, 40), (60, 40), (60, 60), (40, 60), (40, 40)]
-
-
-def test_inside_an_area_and_in_its_hole():
-    seen = Things((AREA, [SQUARE, HOLE])).seen(Grid(-15.0, 50.5, 10.0, 15, 1), 4.0)
-    offsets = dict(zip(seen.points.tolist(), seen.offsets.tolist(), strict=True))
-    # 0, 1 and 12 lie outside, 6 and 7 in the hole, 5 m from its walls
-    assert set(offsets) == {2, 3, 4, 5, 8, 9, 10, 11}
-    assert all(offset == [0.0, 0.0] for offset in offsets.values())
-    seen = Things((AREA, [SQUARE, HOLE])).seen(Grid(50.0, 50.0, 10.0, 1, 1), 15.0)
-    assert np.hypot(*seen.offsets[0]) == pytest.approx(10.0)
-
-
 def test_a_long_road_is_seen_where_it_is_nearest():
     road = Things((LINE, [[(-5000, 7), (5000, 7)]]))
     seen = road.seen(Grid(-200.0, 0.0, 50.0, 9, 1), 10.0)
     np.testing.assert_array_equal(seen.points, np.arange(9))
     np.testing.assert_allclose(seen.offsets, np.tile((0.0, 7.0), (9, 1)), atol=1e-4)
-
-
-def test_nothing_in_reach():
-    seen = Things((POINT, [[(0, 0)]])).seen(Grid(100.0, 100.0, 10.0, 3, 3), 50.0)
-    assert len(seen.points) == len(seen.objects) == 0
-    np.testing.assert_array_equal(seen.starts, [0])
 
 
 def test_more_sightings_than_expected():

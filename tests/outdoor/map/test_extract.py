@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geo import Box
+from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import map_writer, read_header
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError, PlacegraphError
 from placegraph.maps import open_map
@@ -59,9 +60,6 @@ def columns(city):
     return found
 
 
-# --- same input, same bytes ---
-
-
 def test_same_input_same_bytes(hafenstadt, tmp_path):
     osm = hafenstadt.write_osm(tmp_path / "town.osm")
     one, two = tmp_path / "one.city", tmp_path / "two.city"
@@ -98,16 +96,6 @@ def test_what_was_built_is_what_is_opened(real_city, tmp_path):
     opened.objects.check()
 
 
-def test_building_returns_what_opening_does(hafenstadt, tmp_path):
-    osm = hafenstadt.write_osm(tmp_path / "town.osm")
-    built, opened = build_city(osm, tmp_path / "a.city"), open_map(tmp_path / "a.city")
-    for name, column in columns(built).items():
-        np.testing.assert_array_equal(columns(opened)[name], column, strict=True, err_msg=name)
-
-
-# --- size ---
-
-
 @pytest.mark.parametrize("extract", EXTRACTS)
 def test_bytes_a_cell_and_left_out(extract, shared, tmp_path):
     city = build_city(shared / "data/osm" / extract, tmp_path / "a.city")
@@ -126,9 +114,6 @@ def test_bytes_a_cell_and_left_out(extract, shared, tmp_path):
     assert (low < 0).all()
     assert (high > 0).all()
     assert np.ptp(city.objects.points, axis=0).max() < 100_000
-
-
-# --- what becomes of things ---
 
 
 def test_plane_stands_in_the_city(build_world):
@@ -198,13 +183,8 @@ def test_all_names_count(build_world):
     city = build_world([(0, 0, tags), (15, 0, BENCH)])
     found = names(city, "node/1")
     assert found[0] == "Bäckerei Kern"
-    assert sorted(found[1:]) == [
-        "Boulangerie Kern",
-        "Chez Kern",
-        "Kern",
-        "Kern's Bakery",
-        "Kernbrot",
-    ]
+    assert set(found[1:]) == {"Boulangerie Kern", "Chez Kern", "Kern", "Kern's Bakery", "Kernbrot"}
+    assert len(found) == 6
     for name in found:
         estimate = city.locate(f"I am next to {name}.")
         assert estimate.evidence[0].objects[0].id == "node/1", name
@@ -268,13 +248,8 @@ def test_kinds_and_geometry(build_world):
         [([(0, "outer"), (1, "inner")], {"leisure": "park"})],
     )
     o, row = city.objects, rows_by_id(city)
-    assert {k: o.kind[i] for k, i in row.items()} == {
-        "node/9": POINT,
-        "way/3": LINE,
-        "way/4": LINE,
-        "way/5": AREA,
-        "relation/1": AREA,
-    }
+    kinds = {"node/9": POINT, "way/3": LINE, "way/4": LINE, "way/5": AREA, "relation/1": AREA}
+    assert {k: o.kind[i] for k, i in row.items()} == kinds
     assert [len(part) for part in o.parts(row["relation/1"])] == [5, 5]
     bench = o.center[row["node/9"]]
     np.testing.assert_allclose(o.center[row["relation/1"]] - bench, (-150, 50), atol=1)
@@ -290,15 +265,9 @@ def test_an_edited_vocabulary_is_used(write_world, tmp_path):
             return ("amenity=bench",) if tags.get("amenity") == "bench" else ()
 
     path = write_world([(0, 0, BENCH), (5, 5, TREE), (9, 9, {"amenity": "cafe"})])
-    city = build_city(path, tmp_path / "b.city", vocabulary=Benches())
-    assert len(city.objects) == 1
-    assert (
-        build_city(path, tmp_path / "b.city", vocabulary=Vocabulary.default()).objects.kind.size
-        == 3
-    )
-
-
-# --- options and refusals ---
+    for vocabulary, count in ((Benches(), 1), (Vocabulary.default(), 3)):
+        city = build_city(path, tmp_path / "b.city", vocabulary=vocabulary)
+        assert len(city.objects) == count
 
 
 @pytest.mark.parametrize("name", ["cell_size", "stride", "edge_distance"])
@@ -313,11 +282,10 @@ def test_sizes_out_of_range(name, value, harbour_file, hafenstadt, tmp_path):
 
 def test_nothing_worth_naming(write_world, tmp_path):
     path = write_world([(0, 0, {"source": "survey"}), (5, 5, {})])
-    with pytest.raises(InputError, match=r"world\.osm holds nothing worth naming"):
-        build_city(path, tmp_path / "a.city")
-    path.write_text('<osm version="0.6"/>')
-    with pytest.raises(InputError, match=r"world\.osm holds nothing worth naming"):
-        build_city(path, tmp_path / "a.city")
+    for text in (path.read_text(), '<osm version="0.6"/>'):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"world\.osm holds nothing worth naming"):
+            build_city(path, tmp_path / "a.city")
     assert not (tmp_path / "a.city").exists()
 
 
@@ -401,9 +369,6 @@ def test_any_town_builds(tmp_path_factory, drawing):
         assert len(city.graph(cell)) >= 2
 
 
-# --- fewer points for the same shape ---
-
-
 def parts_of(draw_lines):
     starts = np.concatenate(([0], np.cumsum([len(p) for p in draw_lines]))).astype(np.int64)
     return np.concatenate([np.array(p, float).reshape(-1, 2) for p in draw_lines]), starts
@@ -439,13 +404,6 @@ def test_simplified_lines_stay_within_the_tolerance(drawn, tolerance, rings):
             assert all(distance_to(new, p) < 1e-9 for p in old)
 
 
-def test_a_ring_keeps_its_farthest_corner():
-    ring = [(0, 0), (100, 0), (100, 100), (0, 100), (0, 0)]
-    before, starts = parts_of([ring])
-    after, _ = simplify(before, starts, 90.0)
-    assert (100.0, 100.0) in {*map(tuple, after)}
-
-
 def test_stored_shapes_are_those_of_the_extract(build_world, rng):
     line = np.cumsum(rng.normal(0, 5, (200, 2)), axis=0)
     nodes = [(e, n, {}) for e, n in line]
@@ -453,8 +411,6 @@ def test_stored_shapes_are_those_of_the_extract(build_world, rng):
     [stored] = city.objects.parts(0)
     assert len(stored) < 200
     lonlat = city.plane.to_lonlat(stored)
-    from placegraph.core.geometry import LocalPlane
-
     back = LocalPlane(10.0, 50.0).to_plane(lonlat)
     bound = TOLERANCE + GRAIN * np.sqrt(0.5) + 0.02
     assert max(distance_to(back, p) for p in line) < bound

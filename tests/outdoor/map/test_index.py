@@ -25,7 +25,7 @@ from placegraph.outdoor.map.index import (
     build,
     fade,
 )
-from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, grade_of, pack, slot_of, unpack
+from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, pack, slot_of, unpack
 
 ANY = st.floats(-REACH, REACH, width=32)
 
@@ -197,15 +197,6 @@ def test_nearest_is_what_near_finds_first(real_city, rng):
     assert -1 in one_by_one
 
 
-def test_fade_falls_from_one_to_nothing():
-    d = np.arange(0, 200, 5, dtype=np.float32)
-    sight = fade(d)
-    assert (np.diff(sight) <= 0).all()
-    assert sight[0] > 0.99
-    assert sight[-1] < 1e-6
-    assert fade(np.array([SIGHT], np.float32))[0] == pytest.approx(0.5)
-
-
 @given(mass=st.floats(1e-3, 200.0), ends=st.tuples(ANY, ANY, ANY, ANY))
 def test_postings_hold_what_they_were_made_of(mass, ends):
     west, south, east, north = ends
@@ -225,17 +216,6 @@ def test_bits_are_counted(slots):
     assert slot_of(bits) == min(slots)
     for slot in (0, 31, 63):
         assert below(bits, slot) == sum(s < slot for s in slots)
-
-
-def test_grades_round_up():
-    for mass in (1e-4, 0.02, 0.5, 3.0, 200.0):
-        assert LEVELS[grade_of(mass)] >= mass * 0.9999
-
-
-def test_same_map_same_index(harbour):
-    one, two = (ViewIndex.build(harbour.objects)[0].arrays() for _ in range(2))
-    for name, column in one.items():
-        np.testing.assert_array_equal(column, two[name], err_msg=name)
 
 
 def test_band_by_band_is_all_at_once(real_city):
@@ -291,50 +271,34 @@ def test_an_index_travels(harbour):
         assert not again.arrays()["postings"].flags.writeable
 
 
-SHORT = ("present", "things", "total", "pairs", "run_tiles", "run_slots", "run_pairs", "share")
-
-
-@pytest.mark.parametrize("name", SHORT)
-def test_columns_of_other_lengths_are_refused(harbour, name):
-    columns = harbour.views.arrays()
-    with pytest.raises(ValueError, match="entries"):
-        ViewIndex.of(columns | {name: columns[name][:-1]}, harbour.views.grid)
-
-
 @pytest.mark.parametrize(
-    ("name", "change"),
+    ("name", "change", "says"),
     [
-        ("tiles", lambda a: a[::-1].copy()),
-        ("tiles", lambda a: a - 1),
-        ("present", lambda a: a * 0),
-        ("share", lambda a: a * np.nan),
-        ("share", lambda a: -a),
+        ("tiles", lambda a: a[::-1].copy(), "viewpoints|tile"),
+        ("tiles", lambda a: a - 1, "viewpoints|tile"),
+        ("present", lambda a: a * 0, "viewpoints|tile"),
+        ("share", lambda a: a * np.nan, "share"),
+        ("share", lambda a: -a, "share"),
+        *((name, lambda a: a[:-1], "entries") for name in (
+            "present", "things", "total", "pairs", "run_tiles", "run_slots", "run_pairs", "share"
+        )),
+        *(("grid", lambda _, grid=grid: grid, "grid") for grid in (
+            (np.nan, 0.0, 4), (0.0, 1e12, 4), (0.0, 0.0, 0)
+        )),
     ],
-)
-def test_columns_that_make_no_sense_are_refused(harbour, name, change):
-    columns = harbour.views.arrays()
-    with pytest.raises(ValueError, match=r"viewpoints|tile|share"):
-        ViewIndex.of(columns | {name: change(columns[name])}, harbour.views.grid)
-
-
-@pytest.mark.parametrize("grid", [(np.nan, 0.0, 4), (0.0, 1e12, 4), (0.0, 0.0, 0)])
-def test_a_grid_that_is_none_is_refused(harbour, grid):
-    with pytest.raises(ValueError, match="grid"):
-        ViewIndex.of(harbour.views.arrays(), grid)
+)  # fmt: skip
+def test_columns_that_make_no_sense_are_refused(harbour, name, change, says):
+    columns = harbour.views.arrays() | {"grid": harbour.views.grid}
+    columns[name] = change(columns[name])
+    with pytest.raises(ValueError, match=says):
+        ViewIndex.of(columns, columns.pop("grid"))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
     rng, columns = np.random.default_rng(seed), harbour.views.arrays()
-    for name in (
-        "things",
-        "run_tiles",
-        "run_slots",
-        "run_first",
-        "postings",
-        "run_pairs",
-        "run_total",
-    ):
+    names = "things run_tiles run_slots run_first postings run_pairs run_total"
+    for name in names.split():
         raw = rng.integers(0, 256, columns[name].nbytes, np.uint8)
         columns[name] = raw.view(columns[name].dtype)
     forged = replace(harbour)
@@ -353,27 +317,25 @@ def stored(harbour, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("how", ["cut short", "written to"])
 def test_a_file_that_is_changed_while_its_index_is_used_is_refused(how, harbour, stored):
-    path = stored
-    city = City.open(path, shard=True)
+    city = City.open(stored, shard=True)
     assert isinstance(city.views.columns.postings.base.base, mmap)
     sent = pickle.loads(pickle.dumps(city))  # noqa: S301  # our own
     if how == "cut short":
-        os.truncate(path, 100)
+        os.truncate(stored, 100)
     else:
-        with path.open("r+b") as file:
+        with stored.open("r+b") as file:
             file.write(b"x")
-        os.utime(path, (0, 0))
+        os.utime(stored, (0, 0))
     with pytest.raises(MapError, match="changed while it was open"):
         city.views  # noqa: B018
     np.testing.assert_array_equal(sent.views.columns.postings, harbour.views.columns.postings)
 
 
 def test_a_file_may_be_replaced_or_removed_while_its_index_is_used(harbour, stored):
-    path = stored
-    city = City.open(path, shard=True)
-    harbour.save(path, index=False)
+    city = City.open(stored, shard=True)
+    harbour.save(stored, index=False)
     np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
-    path.unlink()
+    stored.unlink()
     np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
 
 

@@ -61,12 +61,10 @@ def relations_of(places, k=0):
     return place_relations(places.starts, places.offsets, places.kinds, rows, size)[0]
 
 
-def said_of(texts, q=0):
+def statements_of(texts, q=0):
     size = int(texts.starts[q + 1] - texts.starts[q])
-    rows = np.array([q])
-    return text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size)[
-        0
-    ]
+    columns = (texts.edge_starts, texts.ends, texts.channels, texts.negated)
+    return text_relations(*columns, np.array([q]), size)[0]
 
 
 def things_of(places, k=0):
@@ -74,9 +72,6 @@ def things_of(places, k=0):
     first = places.starts[k]
     rows = range(first, places.starts[k + 1])
     return {places.vocabulary[places.words[places.word_starts[i]]]: i - first + 1 for i in rows}
-
-
-# --- places ---
 
 
 def test_things_of_a_drawn_place_stand_as_drawn(make_city):
@@ -178,9 +173,6 @@ def test_any_scene_graph_becomes_a_place(spots, center):
     assert np.count_nonzero(total[0]) >= min(np.count_nonzero(far), MAX_OBJECTS)
 
 
-# --- texts ---
-
-
 def test_a_text_is_its_speaker_and_what_statements_speak_of(said):
     text = said(
         (BAKERY, "north", "me"),
@@ -194,7 +186,7 @@ def test_a_text_is_its_speaker_and_what_statements_speak_of(said):
     assert graphs.word_starts[:2].tolist() == [0, 0]  # and has no words
     assert graphs.vocabulary == (BAKERY, "~kern", FOUNTAIN, BENCH)
     assert graphs.counts.tolist() == pytest.approx([0, 0, 0, np.log(3), 0])
-    r = said_of(graphs)
+    r = statements_of(graphs)
     assert r[NORTH, 1, 0] == r[SOUTH, 0, 1] == pytest.approx(1.0)
     assert r[NEAR, 2, 1] == r[NEAR, 1, 2] == 1.0
     assert r[PRESENT, 3, 0] == 1.0
@@ -210,22 +202,19 @@ def test_the_speaker_is_there_whatever_is_said(said):
 
 
 def test_bearings_between_two_winds_are_half_each(said):
-    r = said_of(TextGraphs.of([said((BAKERY, "northeast", "me"))]))
+    r = statements_of(TextGraphs.of([said((BAKERY, "northeast", "me"))]))
     assert r[[NORTH, EAST], 1, 0] == pytest.approx(0.5, abs=1e-5)
-    r = said_of(TextGraphs.of([said((BAKERY, np.radians(20.0), "me"))]))
+    r = statements_of(TextGraphs.of([said((BAKERY, np.radians(20.0), "me"))]))
     assert r[NORTH, 1, 0] > 0.97
     assert r[NORTH, 1, 0] + r[EAST, 1, 0] == pytest.approx(1.0)
 
 
 def test_words_are_senses_then_names_then_the_bare_word():
     both = (Sense("amenity=cafe", 1.0), Sense("shop=coffee", 0.5))
-    assert weigh_words(Mention(2, "coffee shop", both)) == [
-        ("amenity=cafe", pytest.approx(2 / 3)),
-        ("shop=coffee", pytest.approx(1 / 3)),
-    ]
-    assert weigh_words(Mention(2, "the cafe", both)) == [
-        ("amenity=cafe", 1.0)
-    ]  # the tag's own value
+    shares = {"amenity=cafe": pytest.approx(2 / 3), "shop=coffee": pytest.approx(1 / 3)}
+    assert weigh_words(Mention(2, "coffee shop", both)) == list(shares.items())
+    # the tag's own value
+    assert weigh_words(Mention(2, "the cafe", both)) == [("amenity=cafe", 1.0)]
     assert weigh_words(Mention(2, "Rex", (), "Rex  Theater")) == [("~rex theater", 1.0)]
     assert weigh_words(Mention(2, "Zwirbel")) == [("zwirbel", 1.0)]
 
@@ -248,21 +237,10 @@ def descriptions(draw):
     mentions = [
         Mention(i, f"word {i % 5}", (), "", draw(st.none() | st.integers(0, 9))) for i in range(n)
     ]
-    node = st.integers(0, n - 1)
-    statements = draw(
-        st.lists(
-            st.builds(
-                Statement,
-                st.sampled_from(list(Relation)),
-                node,
-                node,
-                bearing=st.none() | st.floats(-10.0, 10.0),
-                negated=st.booleans(),
-            ),
-            max_size=40,
-        )
-    )
-    return Description("", tuple(mentions), tuple(statements))
+    node, bearings = st.integers(0, n - 1), st.none() | st.floats(-10.0, 10.0)
+    ends = (st.sampled_from(list(Relation)), node, node)
+    statement = st.builds(Statement, *ends, bearing=bearings, negated=st.booleans())
+    return Description("", tuple(mentions), tuple(draw(st.lists(statement, max_size=40))))
 
 
 @given(st.lists(descriptions(), min_size=1, max_size=3))
@@ -283,16 +261,13 @@ def test_any_description_becomes_a_graph(found):
         known = texts.mentions[texts.starts[q] : texts.starts[q + 1]]
         assert len(set(known.tolist())) == len(known)
         assert set(known.tolist()) <= set(range(len(description.mentions)))
-        r = said_of(texts, q)
+        r = statements_of(texts, q)
         assert np.allclose(r, r[OPPOSITE].transpose(0, 2, 1))
 
 
 # Weights that were shipped mean these rows: a change here makes all of them worthless.
 GOLDEN = {
-    "amenity=cafe": (
-        [5134, 5695, 1994, 5964, 5912, 7017, 167, 997, 3426, 1817, 1562],
-        0.3333333432674408,
-    ),
+    "amenity=cafe": ([5134, 5695, 1994, 5964, 5912, 7017, 167, 997, 3426, 1817, 1562], 1 / 3),
     "~rex": ([4169, 1357, 3467, 3381, 3256, 7654, 3009], 0.40824830532073975),
     "": ([1025], 1.0),
     "öl_": ([4281, 5016, 6338, 1813], 0.5773502588272095),
@@ -368,9 +343,8 @@ def cosine(a, b, width=256):
 
 def test_unseen_words_resemble_what_is_spelled_alike():
     assert cosine("bakery", "bakeries") > cosine("bakery", "fountain") + 0.2
-    assert (
-        cosine("shop=bicycle_repair", "bicycle repair") > cosine("shop=bicycle_repair", "bar") + 0.2
-    )
+    repair = "shop=bicycle_repair"
+    assert cosine(repair, "bicycle repair") > cosine(repair, "bar") + 0.2
     assert cosine("~bäckerei kern", "~bäckerei kerner") > cosine("~bäckerei kern", "~rathaus") + 0.2
 
 

@@ -180,9 +180,6 @@ def test_unknown_words_have_vectors(network):
     assert network.word_vectors(()).shape == (0, network.shape.width)
 
 
-# --- PyTorch ---
-
-
 @pytest.fixture(scope="module")
 def batch(harbour, pool):
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
@@ -207,22 +204,17 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     return tuple(np.asarray(score.cpu()) for score in scores)
 
 
+SIZES = [{}, {"heads": 1, "subwords": 2.0}, {"known": WORD_VECTORS}, {"statements": False}]
+MORE_SIZES = [{"layers": 0}, {"crossings": 0}, {"statements": False, "crossings": 0}]
+
+
 @pytest.mark.parametrize(
-    "sizes",
-    [
-        {},
-        pytest.param({"layers": 0}, marks=pytest.mark.all),
-        pytest.param({"crossings": 0}, marks=pytest.mark.all),
-        {"heads": 1, "subwords": 2.0},
-        {"known": WORD_VECTORS},
-        {"statements": False},
-        pytest.param({"statements": False, "crossings": 0}, marks=pytest.mark.all),
-    ],
+    "sizes", [*SIZES, *(pytest.param(more, marks=pytest.mark.all) for more in MORE_SIZES)]
 )
 def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
     ours = make_network(**sizes)
     lessons, rows, made = batch
-    lessons = replace(lessons, subwords=ours.shape.subwords, known=ours.word_table)
+    lessons = replace(lessons, subwords=ours.shape.subwords, word_vectors=ours.word_table)
     logit, cosine, embedding, residual = torch_scores(ours, lessons, made)
     texts = lessons.pool.texts
     places = PlaceGraphs.of_views(harbour, lessons.pool.views[lessons.pool.views >= 0])
@@ -267,11 +259,8 @@ def test_a_gpu_says_the_same(network, batch):
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     lessons, _, made = batch
-    for cpu, gpu in zip(
-        torch_scores(network, lessons, made),
-        torch_scores(network, lessons, made, "cuda"),
-        strict=True,
-    ):
+    devices = (torch_scores(network, lessons, made, device) for device in ("cpu", "cuda"))
+    for cpu, gpu in zip(*devices, strict=True):
         assert gpu == pytest.approx(cpu, rel=1e-3, abs=1e-3)
 
 
@@ -387,6 +376,12 @@ def test_the_shipped_network_is_sound():
     assert network.fingerprint == "b912c5c859e73f93"  # vectors that were kept are told by it
 
 
+BAD_SHAPES = (
+    None, [], {"width": "wide"}, {"width": 1 << 40}, {"depth": 3}, {"heads": 0},
+    {"width": 48, "heads": 5}, {"layers": -1},
+)  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -395,19 +390,7 @@ def test_the_shipped_network_is_sound():
         ({"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}}, r"other labels.*city train"),
         ({"meta": {"labels": None}}, r"other labels"),
         ({"meta": {"graphs": {"channels": ["north"]}}}, r"other graphs"),
-        *(
-            ({"meta": {"shape": shape}}, r"do not fit together")
-            for shape in (
-                None,
-                [],
-                {"width": "wide"},
-                {"width": 1 << 40},
-                {"depth": 3},
-                {"heads": 0},
-                {"width": 48, "heads": 5},
-                {"layers": -1},
-            )
-        ),
+        *(({"meta": {"shape": shape}}, r"do not fit together") for shape in BAD_SHAPES),
         ({"meta": {"training": 3}}, r"do not fit together"),
         ({"arrays": {"table": None}}, r"'table' is missing"),
         ({"arrays": {"table": np.zeros((64, 4), np.float16)}}, r"table has shape \(64, 4\)"),

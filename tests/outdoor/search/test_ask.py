@@ -77,9 +77,6 @@ def probability(estimate, city, position):
     return float(estimate.support[np.hypot(*(at - position).T) <= 50.0, 2].sum())
 
 
-# --- information ---
-
-
 def entropy(p):
     return -sum(x * np.log(x) for x in p if x > 0)
 
@@ -121,20 +118,14 @@ def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
         assert question.gain == pytest.approx(compute_gain(weights, np.stack([yes, 1.0 - yes])))
 
 
-# --- questions ---
-
-
 def test_the_best_question_is_asked(harbour):
     estimate = harbour.locate(SQUARES)
     question = estimate.next_question(harbour)
     everything = list(rank_questions(estimate, harbour))
     assert question.gain == everything[0].gain > 0.02
     assert [q.gain for q in everything] == sorted((q.gain for q in everything), reverse=True)
-    assert (
-        question
-        == next_question(estimate, harbour)
-        == harbour.locate(SQUARES).next_question(harbour)
-    )
+    assert question == next_question(estimate, harbour)
+    assert question == harbour.locate(SQUARES).next_question(harbour)
     for q in everything:
         assert q.text.endswith("?")
         assert q.gain >= -1e-9
@@ -161,8 +152,6 @@ def test_nothing_to_ask(harbour):
     assert clear.next_question(harbour) is None
     assert CityEstimate(Status.LOST, (), "Nothing.").next_question(harbour) is None
 
-
-# --- answers ---
 
 CHOICE = Question("Which?", ("Kern", "Brot", NONE), (Subject("Kern"), Subject("Brot")), 0.5)
 BENCH = Question("Is there a bench?", (YES, NO), (Subject("bench", "amenity=bench", "north"),), 0.5)
@@ -222,7 +211,7 @@ def test_not_knowing_changes_nothing_but_the_question(harbour):
 
 @pytest.mark.parametrize("answer", ["yes", ("question", "yes"), None, 5])
 def test_what_is_no_answer(answer, harbour):
-    with pytest.raises(OptionError, match="answers"):
+    with pytest.raises(OptionError, match=r"question\.answer"):
         harbour.locate(SQUARES, answers=[answer])
 
 
@@ -246,8 +235,6 @@ def test_the_answers_stand_in_the_evidence(harbour):
     answered = harbour.locate(SQUARES, answers=[Speaker(harbour, position).answer(question)])
     assert any(question.text in e.statement for e in answered.evidence)
 
-
-# --- a dialogue ---
 
 PLACES = [(text, cell) for text, cells in VAGUE for cell in cells]
 

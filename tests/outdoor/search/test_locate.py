@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.locate import (
-    describe_object,
     find_evidence,
     name_bearing,
+    quote_statement,
     score_positions,
 )
-from placegraph.outdoor.search.locate import quote_statement as in_words
 from placegraph.outdoor.search.request import parse
 
 BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
@@ -30,14 +29,14 @@ def world(build_world, at):
 
 
 @pytest.fixture
-def told(world, said):
+def judge(world, said):
     """Evidence of statements at the viewpoint."""
     city, position = world
     return lambda *statements: find_evidence(position, city, compile_query(said(*statements), city))
 
 
-def test_what_is_true_speaks_for(told):
-    north, west, inside = told(
+def test_what_is_true_speaks_for(judge):
+    north, west, inside = judge(
         (BAKERY, "north", "me"), (BENCH, "west", "me"), ("me", "inside", PARK)
     )
     for evidence, osm in ((north, "node/5"), (west, "node/6"), (inside, "way/1")):
@@ -48,23 +47,23 @@ def test_what_is_true_speaks_for(told):
     assert (north.objects[0].label, north.objects[0].name) == (BAKERY, "Kern")
 
 
-def test_what_lies_elsewhere_speaks_against(told):
-    south, between = told((BAKERY, "south", "me"), (BENCH, "north", BAKERY))
+def test_what_lies_elsewhere_speaks_against(judge):
+    south, between = judge((BAKERY, "south", "me"), (BENCH, "north", BAKERY))
     assert south.verdict == between.verdict == "against"
     assert south.note == "from here it lies to the north"
     assert between.note == "from here it lies to the southwest"
     assert {o.id for o in between.objects} == {"node/5", "node/6"}
 
 
-def test_what_is_not_there_speaks_against(told):
-    [missing] = told((FOUNTAIN, "near", BENCH))
+def test_what_is_not_there_speaks_against(judge):
+    [missing] = judge((FOUNTAIN, "near", BENCH))
     assert missing.verdict == "against"
     assert missing.objects == ()
     assert missing.note == "nothing in sight fits it"
 
 
-def test_what_is_denied(told):
-    false, true = told(
+def test_what_is_denied(judge):
+    false, true = judge(
         (BAKERY, "visible", "me", {"negated": True}), (FOUNTAIN, "visible", "me", {"negated": True})
     )
     assert false.verdict == "against"
@@ -73,11 +72,11 @@ def test_what_is_denied(told):
     assert true.verdict in ("for", "silent")
 
 
-def test_what_cannot_be_used_is_silent_and_comes_last(told):
+def test_what_cannot_be_used_is_silent_and_comes_last(judge):
     zoo = ("tourism=zoo", "north", "me")
-    bakery, last = told(zoo, (BAKERY, "north", "me"))
+    bakery, last = judge(zoo, (BAKERY, "north", "me"))
     assert bakery.verdict == "for"
-    assert [e.verdict for e in told(zoo)] == ["silent"]
+    assert [e.verdict for e in judge(zoo)] == ["silent"]
     assert (last.verdict, last.weight, last.objects) == ("silent", 0.0, ())
     assert "not on the map" in last.note
 
@@ -99,20 +98,11 @@ def test_statements_in_words(world, said):
         (BENCH, "southwest", "Kern", {"text": "The bench is south-west of Kern"}),
     )
     query = compile_query(description, city)
-    words = [in_words(s, query) for s in description.statements]
+    words = [quote_statement(s, query) for s in description.statements]
     assert words == [
         "bakery is north of me", "I am not near bench", "bench is between Kern and bakery",
         "The bench is south-west of Kern",
     ]  # fmt: skip
-
-
-def test_references_are_those_of_the_map(harbour):
-    o = harbour.objects
-    for row in range(0, len(o), 9):
-        ref = describe_object(row, harbour)
-        assert (ref.id, ref.label, ref.name) == (o.osm(row), o.label(row), o.name(row))
-        at = harbour.plane.to_plane((ref.longitude, ref.latitude))
-        np.testing.assert_allclose(at, o.center[row], atol=0.01)
 
 
 @given(st.floats(-10, 10))

@@ -113,17 +113,17 @@ def test_what_is_claimed(text, claim):
 CLEAR = "I am on Speicherweg. The museum is south of me."
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        "",
-        " I am on King Street West.",
-        " Xyzal Motors is next to me.",
-        " The Golden Dragon Restaurant is west.",
-    ],
+MORE = (
+    "",
+    "I am on King Street West.",
+    "Xyzal Motors is next to me.",
+    "The Golden Dragon is west.",
 )
+
+
+@pytest.mark.parametrize("more", MORE)
 def test_what_the_map_lacks_is_named(harbour, more):
-    estimate = harbour.locate(CLEAR + more)
+    estimate = harbour.locate(f"{CLEAR} {more}")
     assert (estimate.status is Status.OK) == (not more)
     assert ("not on this map" in estimate.reason) == bool(more)
 

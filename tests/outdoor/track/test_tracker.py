@@ -43,9 +43,6 @@ def off(city, estimate, at, east_north):
     return float(np.hypot(*(place_of(city, estimate) - at(city, east_north))))
 
 
-# --- two places alike ---
-
-
 def test_answers_are_read_with_what_was_said_here(twins):
     tracker = CityTracker(twins)
     tracker.walk(10.0)
@@ -124,9 +121,6 @@ def test_measured_motion_is_sharper_than_told(twins):
     assert spread[0] < 0.7 * spread[1]
 
 
-# --- the first sentence, and more of them at one place ---
-
-
 @pytest.mark.parametrize("text", [text for text, _, _ in HARBOUR])
 def test_the_first_sentence_is_located(text, harbour):
     told, located = CityTracker(harbour).tell(text), harbour.locate(text)
@@ -181,9 +175,6 @@ def test_a_description_ready_made(harbour):
     first = tracker.tell(describe(HARBOUR[0][0], names=harbour.name_index))
     assert first.best.cell == harbour.locate(HARBOUR[0][0]).best.cell
     assert tracker.tell("There is a fountain west of me.").status is Status.OK
-
-
-# --- getting lost and found ---
 
 
 def test_over_the_border_and_back(harbour):
@@ -251,9 +242,6 @@ def test_a_contradiction_is_lost(harbour):
     assert "contradicts itself" in estimate.reason
 
 
-# --- heading, evidence, reset ---
-
-
 def test_the_way_tells_left_from_right(twins, at):
     tracker = CityTracker(twins)
     tracker.tell(TEXT)
@@ -306,8 +294,6 @@ def test_near_is_where_it_starts(twins, at):
     assert away.elsewhere > 0.5
 
 
-# --- what is refused ---
-
 BAD = [float("nan"), float("inf"), "ten", None, (1, 2), object, True]
 
 
@@ -358,8 +344,6 @@ def test_negative_motion(harbour):
     with pytest.raises(OptionError):
         tracker.move(1.0, 1.0, sigma=-1.0)
 
-
-# --- anything may be said ---
 
 STEP = st.one_of(
     st.sampled_from([*SENTENCES, "I walked 80 m north-west.", "I turned left.", "I went on.",
