@@ -1,5 +1,3 @@
-"""A grammar's table: made once, kept, and equal to what lark parses."""
-
 from __future__ import annotations
 
 import pytest

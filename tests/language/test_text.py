@@ -1,5 +1,3 @@
-"""What both wings share of reading English: phrases, islands of a grammar, sentences of words."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The city map: what is saved is what is opened, and what is damaged is refused."""
-
 import json
 import subprocess
 import sys

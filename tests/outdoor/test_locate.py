@@ -1,5 +1,3 @@
-"""A sentence finds its place; what cannot be found is said to be LOST; nothing else happens."""
-
 import itertools
 import json
 import math

@@ -1,5 +1,3 @@
-"""A sentence passes few files on its way to an estimate: who reads them once has read it all."""
-
 import sys
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""Faults that a hostile reading found, each pinned down."""
-
 import itertools
 
 import pytest

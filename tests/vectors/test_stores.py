@@ -1,5 +1,3 @@
-"""Rows of vectors, the embedded store against numpy, its file, stores by their address, and city embed."""
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -333,17 +331,6 @@ def test_files_that_are_none(file, harbour_file):
         EmbeddedStore.open(harbour_file)
     with pytest.raises(MapError, match="holds vectors of a city's cells and is no map"):
         open_map(file)
-
-
-@given(place=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
-def test_a_damaged_file_is_refused(tmp_path_factory, place, bit):
-    path = tmp_path_factory.mktemp("damaged") / "a.vectors"
-    EmbeddedStore.of([1, 2], [[1.0, 0.0], [0.5, 1.0]], [[0.0, 0.0], [1.0, 1.0]]).save(path)
-    data = bytearray(path.read_bytes())
-    data[int(place * len(data))] ^= 1 << bit
-    path.write_bytes(data)
-    with pytest.raises((MapError, InputError)):
-        EmbeddedStore.open(path)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ def known(tmp_path_factory):
     return {p.name: p for p in quick(tmp_path_factory.mktemp("locales"))}
 
 
+@pytest.mark.all
 def test_a_turkish_machine_of_one_core_in_the_far_east(first, known):
     names = ("one core", "TZ far east", "locale tr_TR.UTF-8")
     assert check_platform(combine(*(known[n] for n in names if n in known)), first) == ""
@@ -30,10 +31,13 @@ def test_a_machine_without_embree_and_poselib(first, known):
     assert check_platform(known["no Embree, no PoseLib"], first) == ""
 
 
-def test_what_differs_is_told(first):
-    other = first | {"texts": first["texts"][::-1]}
-    assert compare_poses(first, other) == "texts differs"
-    assert "moved by" in compare_poses(first, first | {"pose": first["pose"] | {"status": "LOST"}})
+def test_what_differs_is_described():
+    pose = {"status": "OK", "modes": [{"map_from_camera": [[1.0, 0.0], [0.0, 1.0]]}]}
+    first = {"texts": ["a", "b"], "pose": pose}
+    assert compare_poses(first, first | {"texts": ["b", "a"]}) == "texts differs"
+    assert "moved by" in compare_poses(first, first | {"pose": pose | {"status": "LOST"}})
+    moved = pose | {"modes": [{"map_from_camera": [[1.0, 0.0], [9.0, 1.0]]}]}
+    assert "moved by 9.0000, OK" in compare_poses(first, first | {"pose": moved})
 
 
 def test_platforms_add_up():

@@ -1,15 +1,12 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.campaign import platforms as processes
-from placegraph_lab.campaign import properties, town_properties
-from placegraph_lab.campaign import properties as room_properties
+from placegraph_lab.campaign import platforms, properties, town_properties
 from placegraph_lab.campaign.properties import Property, try_property
+from placegraph_lab.campaign.row import Effort
 
-OUTDOORS, INDOORS, OVER_PROCESSES = (
-    list(world[2].items())
-    for world in (town_properties.TOWNS, room_properties.ROOMS, processes.PROCESSES)
-)
+WORLDS = (town_properties.TOWNS, properties.ROOMS, platforms.PROCESSES)
+OUTDOORS, INDOORS, OVER_PROCESSES = (list(world[2].items()) for world in WORLDS)
 
 
 @pytest.fixture(scope="module")
@@ -19,12 +16,12 @@ def town(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    return room_properties.furnish_room(tmp_path_factory.mktemp("room"))
+    return properties.furnish_room(tmp_path_factory.mktemp("room"))
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    return processes.Reference(tmp_path_factory.mktemp("processes"))
+    return platforms.Reference(tmp_path_factory.mktemp("processes"))
 
 
 @pytest.mark.parametrize(("name", "trial"), OUTDOORS)
@@ -53,14 +50,8 @@ def test_a_broken_property_is_counted_and_told():
 
 
 def test_rows_are_one_a_property(tmp_path, monkeypatch):
-    holds = Property(
-        "always", lambda folder: folder.is_dir(), lambda there, _: "" if there else "no"
-    )
+    holds = Property("always", lambda folder: folder.is_dir(), lambda made, _: "" if made else "no")
     monkeypatch.setattr(properties, "PROPERTIES", (holds, holds))
-    from placegraph_lab.campaign.row import Effort
-
     effort = Effort(0.0, 5, tmp_path / "room", tmp_path, lambda _: None)
-    found = list(properties.rows(effort))
-    assert [(r.part, r.what, r.tried, r.accepted) for r in found] == [
-        ("properties", "always", 1, 1)
-    ] * 2
+    found = [(r.part, r.what, r.tried, r.accepted) for r in properties.rows(effort)]
+    assert found == [("properties", "always", 1, 1)] * 2

@@ -89,17 +89,10 @@ def test_poses_and_what_was_said(folder, data):
                 np.testing.assert_allclose(column[i], 30.0 * finished(hint[name]), rtol=1e-6)
 
 
-# --- spoiled ---
-
-
 def spoil(where, **changes):
     def edit(module, cells, poses):
-        things = {
-            "cell": cells[0],
-            "object": cells[0].objects[0],
-            "pose": poses[0],
-            "description": poses[0].descriptions[0],
-        }
+        things = {"cell": cells[0], "object": cells[0].objects[0], "pose": poses[0]}
+        things["description"] = poses[0].descriptions[0]
         for name, value in changes.items():
             if value is None:
                 delattr(things[where], name)
@@ -193,9 +186,6 @@ def test_damage_gives_a_file_or_a_sentence(small, data):
         assert SYNC.format("0003") in str(error)  # noqa: PT017
     finally:
         path.write_bytes(files[path])
-
-
-# --- the command ---
 
 
 def test_the_command(run, folder, tmp_path):

@@ -1,5 +1,3 @@
-"""Reading bags beside other readers: that all of them read the same, and what is told of it."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The benchmark itself, with answers that cost nothing: what it asks, writes and asks again."""
-
 import json
 from types import SimpleNamespace
 

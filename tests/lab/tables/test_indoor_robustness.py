@@ -1,5 +1,3 @@
-"""The table of perturbations with answers that cost nothing: what it asks, writes and asks again."""
-
 import json
 import math
 

@@ -1,5 +1,3 @@
-"""Answers survive an interruption, and not a change of the code."""
-
 import pytest
 
 from placegraph_lab.tables import runner as journal

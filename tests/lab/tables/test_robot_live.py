@@ -1,5 +1,3 @@
-"""Walks that are drawn, what is counted on them, and a clock that nobody waits for."""
-
 from itertools import islice, pairwise
 from types import SimpleNamespace
 
@@ -55,11 +53,9 @@ def test_walks_of_four_recordings(recordings):
         np.testing.assert_allclose(np.delete(gone, [9, 19, 29]), 0.1, atol=1e-9)
         np.testing.assert_allclose(gone[[9, 19, 29]], 0.0, atol=1e-9)
         assert np.linalg.norm(walk.truth[10, :3, 3] - walk.truth[9, :3, 3]) > 1
-        ends = [samples[-1] for samples in walk.pieces()]
-        assert [stamp for stamp, _ in ends] == [f.stamp for f in walk.frames]
-        np.testing.assert_allclose(
-            [p for _, p in ends], [f.odometry for f in walk.frames], atol=1e-9
-        )
+        stamps, poses = zip(*(samples[-1] for samples in walk.pieces()), strict=True)
+        assert list(stamps) == [f.stamp for f in walk.frames]
+        np.testing.assert_allclose(poses, [f.odometry for f in walk.frames], atol=1e-9)
     (quarters,) = walks(recordings[:1], 0.0, 1)
     assert (len(quarters.frames), len(quarters.kidnapped)) == (10, 3)
     drifting = walks(recordings, 1.0, 1)[0]
@@ -85,11 +81,8 @@ def seen(text):
             kidnapped = True
             continue
         sure = letter in "omF"
-        out.append(
-            FrameResult(
-                "OK" if sure else "LOST", letter == "o", True, letter == "F", 5.0, kidnapped
-            )
-        )
+        status, right, false = "OK" if sure else "LOST", letter == "o", letter == "F"
+        out.append(FrameResult(status, right, True, false, 5.0, kidnapped))
         kidnapped = False
     return out
 

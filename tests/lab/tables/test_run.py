@@ -1,5 +1,3 @@
-"""Tables by their names: listed, run on drawn data, written with what they were run on."""
-
 import json
 
 import osmium
@@ -18,13 +16,7 @@ def test_every_table_is_listed(measure):
     assert listed.exit_code == 0, listed.output
     shown = dict(line.split(maxsplit=1) for line in listed.output.splitlines())
     assert list(shown) == names()
-    assert {
-        "human_text",
-        "indoor_filter",
-        "statuses",
-        "outdoor_recall",
-        "scene_maps",
-    } <= shown.keys()
+    assert {"human_text", "indoor_filter", "outdoor_recall", "scene_maps"} <= shown.keys()
     for name, asks in shown.items():
         assert asks.startswith(load(name).asks)
         assert len(load(name).asks) > 20

@@ -1,5 +1,3 @@
-"""wrk asks what it is told to ask, and what it saw is told."""
-
 import http.server
 import os
 import shutil

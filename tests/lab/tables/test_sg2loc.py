@@ -1,5 +1,3 @@
-"""The tables of the SG2Loc paper on tiny 3RScan and ScanNet, in the layouts of their authors."""
-
 import json
 import re
 

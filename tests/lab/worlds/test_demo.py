@@ -46,6 +46,7 @@ def text(data):
     return [float(x) for x in re.findall(rb"-?\d+\.?\d*(?:e-?\d+)?", data)]
 
 
+@pytest.mark.all
 def test_the_same_files_ship(drawn):
     assert {p.name for p in DATA.iterdir()} == {p.name for p in drawn.iterdir()}
     for path in drawn.iterdir():
@@ -53,6 +54,7 @@ def test_the_same_files_ship(drawn):
             assert alike(content(DATA / path.name), content(path)), path.name
 
 
+@pytest.mark.all
 @pytest.mark.parametrize("number", range(1, HOMES + 1))
 def test_the_same_homes_ship(drawn, number):
     ours, theirs = (SceneMap.open(folder / f"home{number}.scene") for folder in (DATA, drawn))

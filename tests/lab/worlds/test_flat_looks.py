@@ -8,8 +8,6 @@ from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.render import GeometryImage, measured
 from placegraph_lab.worlds.flat.textures import PAINTERS, Material, paint
 
-# ------------------------------------------------------------------------------------- textures
-
 
 @pytest.mark.parametrize("kind", PAINTERS)
 def test_a_look_has_its_size_its_colour_and_some_pattern(kind):
@@ -22,21 +20,13 @@ def test_a_look_has_its_size_its_colour_and_some_pattern(kind):
         assert mean[0] > mean[1] > mean[2]
 
 
-# -------------------------------------------------------------------------------- parts, models
-
-
 @pytest.mark.parametrize("name", MODELS)
 @settings(max_examples=10)
 @given(st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.floats(0.2, 2.0))
 def test_furniture_keeps_to_its_body(name, width, depth, stretch):
     model = MODELS[name]
-    body = Body(
-        width,
-        depth,
-        model.height * stretch,
-        read_material(model.material, ""),
-        read_material(model.trim, ""),
-    )
+    looks = (read_material(look, "") for look in (model.material, model.trim))
+    body = Body(width, depth, model.height * stretch, *looks)
     parts = model.made(body)
     points = np.concatenate([part.vertices for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -46,9 +36,6 @@ def test_furniture_keeps_to_its_body(name, width, depth, stretch):
     for part in parts:
         assert part.triangles.max() < len(part.vertices) == len(part.uv)
         assert np.isfinite(part.uv).all()
-
-
-# -------------------------------------------------------------------------------------- sensors
 
 
 def flat_wall(distance, shape=(90, 160)):

@@ -1,5 +1,3 @@
-"""What is refused, names of a map, and contradictions."""
-
 from __future__ import annotations
 
 from math import cos, pi, radians, sin

@@ -1,5 +1,3 @@
-"""A language model as parser: a recorded answer, and every way to fail, from a local server."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Every language's own examples, which say in its table what they mean; and how one is recognised."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""Properties: sentences of the paper's form come back exactly; no text breaks the parser."""
-
 from __future__ import annotations
 
 import unicodedata

@@ -1,5 +1,3 @@
-"""Tables of sentences: what is understood of them, what is left out, and turns of phrase."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The vocabulary: which tags are named, which words name them, and the tables behind both."""
-
 import json
 from importlib.resources import files
 

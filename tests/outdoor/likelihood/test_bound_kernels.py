@@ -1,5 +1,3 @@
-"""Passing tiles over loses nothing: what is found tile by tile is what looking at all of them finds."""
-
 import numpy as np
 import pytest
 

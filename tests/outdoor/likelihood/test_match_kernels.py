@@ -1,5 +1,3 @@
-"""How statements move the score of a place: each the right way, and together."""
-
 import itertools
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Descriptions compiled against a map: what it knows of the names said."""
-
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query

@@ -1,5 +1,3 @@
-"""Cells, their graphs, and what stands around the points of a grid."""
-
 import itertools
 import math
 from itertools import pairwise

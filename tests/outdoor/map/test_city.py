@@ -1,5 +1,3 @@
-"""Checks of a city map, and its objects and cells as GeoJSON."""
-
 import json
 import re
 import sys

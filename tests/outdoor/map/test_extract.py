@@ -1,5 +1,3 @@
-"""From an extract to a map: labels, names, geometry, options and refusals; things cut at a box."""
-
 import itertools
 import os
 import shutil

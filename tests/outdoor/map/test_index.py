@@ -1,5 +1,3 @@
-"""The index of viewpoints: what is seen from where, and how its columns lie in a file."""
-
 import os
 import pickle
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Proper names of a map, as people write them."""
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -182,10 +180,3 @@ def test_every_name_is_found_as_written(names):
         assert i in index.named(name)
         if len(words) <= LONGEST:
             assert index.longest_name([*words, "zzz"], 0) == len(words)
-
-
-def test_names_of_a_real_city(monaco):
-    index, names = monaco.name_index, monaco.objects.names
-    for i in range(0, len(names), 17):
-        if tokens(names[i]):
-            assert i in index.named(names[i])

@@ -1,5 +1,3 @@
-"""Length of a block."""
-
 from math import radians
 
 import numpy as np

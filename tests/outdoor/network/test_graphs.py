@@ -1,5 +1,3 @@
-"""Texts and places as graphs, and vectors of their words."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""Asking back: the question tells most, and a true answer leads to the true place."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""The paper's pipeline on cells: all matchers, all ways to candidates."""
-
 from dataclasses import replace
 from functools import partial
 from typing import get_args
@@ -19,7 +17,6 @@ from placegraph.outdoor.search.posterior import (
     find_candidate_cells,
     find_candidates,
     find_dense_cells,
-    find_dense_views,
     find_views_in_cells,
     score_candidates,
 )
@@ -107,20 +104,6 @@ def test_the_transformer_and_the_embedding_are_those_of_the_network(harbour, enc
     assert set(dense.rows.tolist()) == set(found.rows.tolist())
 
 
-def test_fused_is_relational_shifted(harbour, make_network, text):
-    plain = retrieve(
-        harbour, text, matcher="relational", by="sparse", top=8,
-        encoded=EncodedCity(harbour, make_network()),
-    )  # fmt: skip
-    scores = {}
-    for fusion in (0.0, 0.8):
-        city = EncodedCity(harbour, make_network(fusion=fusion))
-        found = retrieve(harbour, text, matcher="fused", by="sparse", top=8, encoded=city)
-        scores[fusion] = dict(zip(found.cells, found.scores, strict=True))
-    assert scores[0.0] == pytest.approx(dict(zip(plain.cells, plain.scores, strict=True)))
-    assert any(abs(scores[0.8].get(c, 9.0) - s) > 0.01 for c, s in scores[0.0].items())
-
-
 def test_both_takes_turns(harbour, encoded, query):
     dense, sparse, both = (
         find_candidate_cells(asking(harbour, query, 8, by, encoded)).tolist()
@@ -131,13 +114,6 @@ def test_both_takes_turns(harbour, encoded, query):
     assert both[:2] == [dense[0], sparse[0]] or dense[0] == sparse[0]
     turns = [row for pair in zip(dense, sparse, strict=False) for row in pair]
     assert both == list(dict.fromkeys(turns))[:8]
-
-
-def test_all_are_all(harbour, encoded, query):
-    found = find_candidate_cells(asking(harbour, query, 3, "all", encoded))
-    assert found.tolist() == list(range(len(harbour.cells)))
-    views = find_dense_views(asking(harbour, query, 3, "all", encoded))
-    assert len(views) == len(harbour.views)
 
 
 def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
@@ -159,22 +135,6 @@ def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
     ((vectors, n, asked),) = store.asked
     assert vectors.shape == (1, encoded.network.shape.dimension)
     assert (n, asked) == (4, region)
-
-
-def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
-    west, south, east, north = whole(harbour)
-    half = Region(west, south, (west + east) / 2, north)
-    for by in WAYS:
-        rows = find_candidate_cells(asking(harbour, query, 12, by, encoded, region=half))
-        assert len(rows)
-        lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
-        # viewpoints of a cell may lie in the region though its centre does not
-        slack = 0.0 if by == "dense" else 25.0 / 70_000.0
-        assert (lonlat[:, 0] <= half.east + slack).all()
-    nowhere = Region(0.0, 0.0, 1.0, 1.0)
-    found = retrieve(harbour, text, by="dense", region=nowhere, encoded=encoded)
-    assert found.cells == ()
-    assert found.scores.shape == (0,)
 
 
 def test_views_in_cells_are_those_that_lie_there(harbour):

@@ -1,5 +1,3 @@
-"""Edit distances by hand, as a metric, against brute force, and when time is up."""
-
 import itertools
 import math
 import sys
@@ -100,14 +98,6 @@ def test_costs_by_hand(mentions, statements, cost):
     found = edit_distance(said(mentions, statements), SQUARE)
     assert found.cost == pytest.approx(cost)
     assert found.exact
-
-
-def test_plain_distance_by_hand():
-    # both things and one relation are kept; the bench and the five other relations are inserted
-    assert edit_distance(TEXT, SQUARE, plain=True).cost == 1.0 + 5.0
-    # south instead of north: that relation serves the church as seen from the bakery, the other way
-    turned = said([BAKERY, CHURCH], [toward(2, "south", 3)])
-    assert edit_distance(turned, SQUARE, plain=True).cost == 1.0 + 5.0 + 1.0
 
 
 def test_names_are_names():

@@ -1,5 +1,3 @@
-"""Evidence of an estimate."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""Scores, re-ranking, the posterior and its modes."""
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +10,6 @@ from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.search.locate import search_views
 from placegraph.outdoor.search.posterior import (
-    MODE_RADIUS,
     MODE_SEPARATION,
     NUM_RERANKED,
     PRIOR_ELSEWHERE,
@@ -93,30 +90,11 @@ def test_a_mode_is_where_its_probability_is():
     assert second.probability == pytest.approx(0.2)
 
 
-def test_probability_is_of_lying_within():
-    ring = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 60)])
-    rings = np.concatenate([0.5 * MODE_RADIUS * ring, 2.5 * MODE_RADIUS * ring])
-    found = Posterior(rings, np.full(120, 1 / 120), 0.0)
-    best = find_modes(found, 20, SPACING)[0]
-    distance = np.hypot(*(found.positions - best.position).T)
-    assert best.probability == pytest.approx(
-        found.probabilities[distance <= MODE_RADIUS].sum(), abs=0.02
-    )
-
-
 def test_no_place_at_all():
     nothing = Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
     assert find_modes(nothing, 5, SPACING) == []
     none = Posterior(np.zeros((3, 2)), np.zeros(3), 1.0)
     assert find_modes(none, 5, SPACING) == []
-
-
-def test_what_was_not_scored_counts():
-    sure = [(-50, 0, 12.0), (50, 50, 0.0)]
-    best = find_modes(found_of(sure), 1, SPACING)[0].probability
-    assert best > 0.9
-    doubtful = find_modes(found_of(sure, unscored=12.0), 1, SPACING)[0].probability
-    assert doubtful < 0.5
 
 
 @given(places, st.floats(-1e3, 1e3))

@@ -1,5 +1,3 @@
-"""Priors of the place."""
-
 import numpy as np
 import pytest
 

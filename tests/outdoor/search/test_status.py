@@ -1,5 +1,3 @@
-"""What an answer claims, when it is sure, and what forbids that."""
-
 import numpy as np
 import pytest
 from hypothesis import given

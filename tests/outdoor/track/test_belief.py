@@ -1,5 +1,3 @@
-"""Beliefs on a grid, and scores under a belief."""
-
 import numpy as np
 import pytest
 from hypothesis import given

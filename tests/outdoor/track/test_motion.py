@@ -1,5 +1,3 @@
-"""Sentences about the way: how far, where to, and what they say of the place they lead to."""
-
 import math
 
 import pytest

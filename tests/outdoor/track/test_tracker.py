@@ -1,5 +1,3 @@
-"""A speaker is followed: by what they say of places, and of the way between them."""
-
 import json
 import math
 

@@ -1,5 +1,3 @@
-"""Meshes of a given number of triangles."""
-
 import numpy as np
 
 from placegraph.indoor.map.mesh import Mesh
@@ -13,11 +11,6 @@ def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
     b, c, d = a + n + 1, a + n + 2, a + 1
     return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-
-
-def area(points, triangles):
-    a, b, c = np.moveaxis(points[triangles].astype(float), 1, 0)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 def test_coarse_meshes_are_painted_as_the_surface_is(rng):

@@ -1,5 +1,3 @@
-"""Labels that are wrong as often as said, and wrong in the same way every time."""
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,8 +30,6 @@ def test_as_many_are_wrong_as_said_and_all_others_equally_often(rng):
     assert share[3] == pytest.approx(0.7, abs=0.01)
     assert share[[0, 1, 2, 4]] == pytest.approx(0.075, abs=0.006)
 
-
-# -------------------------------------------------------------------- encoders that know no map
 
 NAMES = {0: "chair", 1: "desk", 2: "floor", 3: "elephant", 4: "unknown"}
 VOCABULARY = ("chair", "desk", "floor", "sofa", "couch", "unknown")

@@ -1,5 +1,3 @@
-"""Maps of the indoor benchmark: made once, made anew when the code that makes them changes."""
-
 import numpy as np
 import pytest
 
@@ -21,12 +19,9 @@ def box(low, high):
 def scene():
     """A floor and a table on it."""
     floor, table = box((-3, -3, -0.1), (3, 3, 0)), box((0, 0, 0), (1, 0.6, 0.7))
-    mesh = Mesh.plain(
-        np.vstack([floor[0], table[0]]),
-        np.vstack([floor[1], table[1] + 8]),
-        np.repeat([0, 1], 12),
-        np.repeat([[90, 90, 90], [200, 120, 40]], 8, axis=0),
-    )
+    points, triangles = np.vstack([floor[0], table[0]]), np.vstack([floor[1], table[1] + 8])
+    colours = np.repeat([[90, 90, 90], [200, 120, 40]], 8, axis=0)
+    mesh = Mesh.plain(points, triangles, np.repeat([0, 1], 12), colours)
     return SceneMap.create(
         mesh, ["f", "t"], ["floor", "table"], floor=0.0, names=["", "oak table"],
         attributes=[{}, {"material": "oak"}], relations=[(1, "on", 0)],

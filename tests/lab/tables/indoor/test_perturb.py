@@ -1,5 +1,3 @@
-"""Perturbations: what they change of what is told, and what they leave as it is."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Rows of the refinement's benchmark, and what is asked for them; the refiner is a stand-in."""
-
 import json
 
 import numpy as np
@@ -96,9 +94,6 @@ def test_a_disturbed_start_is_the_same_for_all_and_the_truth_is_not_told(window)
     assert (first["options"].images, second["options"].images) == ("auto", False)
     assert position_error(first["start"], TRUTH) == pytest.approx(0.2)
     assert rotation_error(first["start"], TRUTH) == pytest.approx(10.0)
-
-
-# ---------------------------------------------------------------------------------- the script
 
 
 @pytest.fixture

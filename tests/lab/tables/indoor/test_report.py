@@ -1,5 +1,3 @@
-"""Tables of the indoor benchmark."""
-
 import math
 
 from placegraph.indoor.options import PoseSearchOptions

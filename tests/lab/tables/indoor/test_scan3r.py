@@ -1,5 +1,3 @@
-"""Splits of 3RScan and its cross-temporal pairs, of a tiny 3RScan.json and its lists."""
-
 import io
 import json
 
@@ -115,10 +113,8 @@ def test_windows(rooms, tmp_path):
     windows = drifting_windows(
         pair.name, *recorded(tmp_path, pair, every=2), 5, np.random.default_rng(0)
     )
-    assert [[f.index for f in w.capture] for w in windows] == [
-        [0, 2, 4, 6, 8],
-        [10, 12, 14, 16, 18],
-    ]
+    indices = [[f.index for f in w.capture] for w in windows]
+    assert indices == [[0, 2, 4, 6, 8], [10, 12, 14, 16, 18]]
     for window in windows:
         last = window.capture[-1].index
         assert np.allclose(window.truth[:3, 3], (transform(1.0, 1, -1) @ poses[last])[:3, 3])

@@ -1,5 +1,3 @@
-"""Pairs of ScanNet's scans, and queries of one in the map of the other."""
-
 import numpy as np
 import pytest
 
@@ -42,9 +40,6 @@ def test_pairs_are_read_with_what_registers_them(tmp_path):
     assert plain.map_from_query is None
     assert (registered.map, registered.query) == ("scene0001_01", "scene0001_00")
     np.testing.assert_allclose(registered.map_from_query, MAP_FROM_QUERY, atol=1e-6)
-
-
-# ---------------------------------------------------------------------------------------- queries
 
 
 @pytest.fixture

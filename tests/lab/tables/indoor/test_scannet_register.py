@@ -1,5 +1,3 @@
-"""Two scans of a room find to each other, or nobody pretends that they did."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The benchmark of encoders: what each is asked with, what it writes, and what it is worth in a room."""
-
 import numpy as np
 import pytest
 

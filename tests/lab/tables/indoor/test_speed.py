@@ -1,5 +1,3 @@
-"""What localizing costs: the columns of the table, and the paper's figures beside them."""
-
 from placegraph_lab.tables.named import indoor_speed as script
 from placegraph_lab.tables.runner import Run, render
 

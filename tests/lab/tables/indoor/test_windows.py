@@ -1,5 +1,3 @@
-"""Which frames are asked about, where they truly were, and how much of them the map holds."""
-
 import json
 
 import numpy as np
@@ -13,11 +11,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.tum import write_tum
-from placegraph_lab.tables.indoor.windows import (
-    Window,
-    covered,
-    house_windows,
-)
+from placegraph_lab.tables.indoor.windows import Window, covered, house_windows
 
 CAMERA = Camera(60, 40, 40.0, 40.0, 30.0, 20.0)
 LEVEL = level_from_camera([0.0, 1.0, 0.0])

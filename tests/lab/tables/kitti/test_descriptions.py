@@ -1,5 +1,3 @@
-"""`descriptions.jsonl`: what it may hold, and sentences about what it may not."""
-
 import json
 from math import pi
 

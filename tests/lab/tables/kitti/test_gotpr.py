@@ -1,5 +1,3 @@
-"""GOTPR's network by the names of its weights, beside an independent reading of its code."""
-
 import json
 
 import numpy as np
@@ -23,9 +21,6 @@ def cells(folder):
 @pytest.fixture(scope="module")
 def texts(folder):
     return read_graphs(file_of(folder, "scene_graphs/osm_test_text_graphs_*.pkl"))
-
-
-# --- the published forward pass, edge by edge, the crossed graph and all ---
 
 
 def transformer_conv(state, name, x, ends, features, heads):

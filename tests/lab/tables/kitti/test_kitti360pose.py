@@ -1,5 +1,3 @@
-"""KITTI360Pose as graphs, its matchers, and the protocol, on a tiny world in the published layout."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The OSM half of KITTI360Pose, on a drawn Karlsruhe where the tiny world's drives are."""
-
 import json
 import re
 

@@ -1,14 +1,10 @@
-"""A folder of one's own: map and descriptions in, recall and calibration out."""
-
 import json
 import shutil
 
 import pytest
 
-from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
 from placegraph_lab.tables.outdoor.metrics import HIT
-from placegraph_lab.worlds.town.town import Town
 
 CLEAR = "I am on Speicherweg. The museum is south of me."
 TRUE = (9.9918, 53.5496)
@@ -25,16 +21,9 @@ def rows(*more):
     ]
 
 
-@pytest.fixture(scope="module")
-def city(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("own")
-    build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")
-    return folder / "town.city"
-
-
 @pytest.fixture
-def folder(tmp_path, city):
-    shutil.copy(city, tmp_path)
+def folder(tmp_path, harbour_file):
+    shutil.copy(harbour_file, tmp_path)
     return write(tmp_path, rows())
 
 

@@ -1,5 +1,3 @@
-"""The ceiling and the oracle in worlds where they can be worked out by hand."""
-
 import pytest
 
 from placegraph_lab.tables.outdoor.ceiling import Contest, ceiling, oracle

@@ -1,15 +1,6 @@
-"""Parts and copies of a city are cities: their objects, cells and graphs are those of the whole."""
-
 import numpy as np
-import pytest
 
-from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.outdoor.extracts import tile
-
-
-@pytest.fixture(scope="module")
-def city(town, tmp_path_factory):
-    return build_city(town, tmp_path_factory.mktemp("map") / "town.city")
 
 
 def rows_of(city):
@@ -21,7 +12,8 @@ def rows_of(city):
     }
 
 
-def test_copies_stand_apart_and_differ(city):
+def test_copies_stand_apart_and_differ(harbour):
+    city = harbour
     three = tile(city, 3, np.random.default_rng(0))
     three.objects.check()
     n = len(city.objects)

@@ -1,5 +1,3 @@
-"""The simulated speaker answers from the raw data, and answers help."""
-
 import numpy as np
 import pytest
 
@@ -51,15 +49,9 @@ def test_the_speaker_sees_things_in_their_direction_and_areas_around(world):
     assert speaker.answer(yes_or_no("amenity=fountain", "east")).option == NO
     assert speaker.answer(yes_or_no("amenity=pub")).option == NO
     assert speaker.answer(yes_or_no("leisure=park")).option == YES
-    names = Question(
-        "Which?",
-        ("Volkspark", "Elsewhere", NONE),
-        (Subject("Volkspark"), Subject("Elsewhere")),
-        1.0,
-    )
-    assert speaker.answer(names).option == "Volkspark"
-    none = Question("Which?", ("A", "B", NONE), (Subject("A"), Subject("B")), 1.0)
-    assert speaker.answer(none).option == NONE
+    for options, answer in ((("Volkspark", "Elsewhere"), "Volkspark"), (("A", "B"), NONE)):
+        question = Question("Which?", (*options, NONE), tuple(map(Subject, options)), 1.0)
+        assert speaker.answer(question).option == answer
 
 
 @pytest.mark.parametrize("asking", ["best", "random"])

@@ -1,5 +1,3 @@
-"""Records of human text, the map of their landmarks, and the three baselines."""
-
 import json
 
 import pytest

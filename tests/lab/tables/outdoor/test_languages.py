@@ -1,16 +1,12 @@
-"""The statements of a query, said in every language, are read as the statements that they are."""
-
 import pytest
 
 from placegraph.outdoor.language import describe
 from placegraph_lab.tables.named.languages import spoken, translate_queries
-from placegraph_lab.worlds.town.town import Town
 
 
 @pytest.fixture(scope="module")
-def texts(tmp_path_factory):
-    osm = Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("town") / "town.osm")
-    return dict(translate_queries(osm, 5, 0))
+def texts(town):
+    return dict(translate_queries(town, 5, 0))
 
 
 @pytest.mark.parametrize("code", spoken())

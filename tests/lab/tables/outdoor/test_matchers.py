@@ -1,12 +1,10 @@
-"""Every matcher answers by one protocol, in cells of the map, and finds what is there."""
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from placegraph.outdoor.city import build_city
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
+from placegraph.outdoor.network.network import EncodedCity
 from placegraph_lab.tables.named.outdoor_matchers import Asking
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import (
@@ -25,16 +23,11 @@ from placegraph_learn.city.descriptions import evaluated
 
 
 @pytest.fixture(scope="module")
-def city(town, tmp_path_factory):
+def city(harbour, network):
     """The shipped town, read by a network of random weights: this is about what goes where."""
-    made = build_city(town, tmp_path_factory.mktemp("map") / "town.city")
-    shape, rng = Shape(width=16, dimension=16, heads=2, evidence=8), np.random.default_rng(0)
-    arrays = {
-        name: rng.normal(scale=0.2, size=size).astype(np.float32)
-        for name, size in shape.arrays().items()
-    }
-    made.__dict__["encoded"] = EncodedCity(made, GraphTransformer(shape, arrays, "random"))
-    return made
+    city = replace(harbour)
+    city.__dict__["encoded"] = EncodedCity(city, network)
+    return city
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,3 @@
-"""Tables say what the rows say."""
-
 import numpy as np
 import pytest
 

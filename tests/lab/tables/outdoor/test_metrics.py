@@ -1,5 +1,3 @@
-"""Recall, distance, status and time of outdoor answers; and the tables they stand in."""
-
 import json
 
 import numpy as np
@@ -39,14 +37,9 @@ def test_an_estimate_is_measured():
 
 
 def test_recall_counts_ranks_and_radii():
-    s = score(
-        [
-            answer(5.0, 400.0),
-            answer(30.0, 20.0),
-            answer(90.0, 80.0, 70.0, 60.0, 40.0),
-            answer(status="LOST", probability=0.0, seconds=0.009),
-        ]
-    )
+    lost = answer(status="LOST", probability=0.0, seconds=0.009)
+    found = [answer(5.0, 400.0), answer(30.0, 20.0), answer(90.0, 80.0, 70.0, 60.0, 40.0)]
+    s = score([*found, lost])
     assert s.exact == {1: 0.25, 3: 0.25, 5: 0.25}
     assert s.within[25.0] == {1: 0.25, 3: 0.5, 5: 0.5}
     assert s.within[50.0] == {1: 0.5, 3: 0.5, 5: 0.75}

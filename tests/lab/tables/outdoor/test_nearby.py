@@ -1,5 +1,3 @@
-"""Objects around a viewpoint, checked against brute force."""
-
 import numpy as np
 import pytest
 from hypothesis import given

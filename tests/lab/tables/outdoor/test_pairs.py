@@ -1,19 +1,15 @@
-"""Pairs are counted as they are judged."""
-
 import time
 
 import numpy as np
 import pytest
 
-from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.named.outdoor_pairs import Pairs, rate
 from placegraph_lab.tables.outdoor.queries import make_queries
 
 
 @pytest.fixture(scope="module")
-def pairs(town, tmp_path_factory):
-    city = build_city(town, tmp_path_factory.mktemp("map") / "town.city")
-    return Pairs.of(city, make_queries(town, n=3), 7, np.random.default_rng(0))
+def pairs(harbour, town):
+    return Pairs.of(harbour, make_queries(town, n=3), 7, np.random.default_rng(0))
 
 
 def test_rates_are_pairs_over_time(monkeypatch):

@@ -1,5 +1,3 @@
-"""The evaluation's own reader: labels, lines and areas, centres."""
-
 import pytest
 
 from placegraph.core.geometry import LocalPlane

@@ -1,10 +1,6 @@
-"""The pipeline takes its stages in turn, and what it ranks is what it was given."""
-
 import numpy as np
 import pytest
 
-from placegraph.outdoor.city import build_city
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
 from placegraph_lab.tables.named.outdoor_ablation import (
     GIVEN,
     OURS,
@@ -18,47 +14,26 @@ from placegraph_lab.tables.outdoor.queries import load, make_queries
 
 
 @pytest.fixture(scope="module")
-def city(town, tmp_path_factory):
-    return build_city(town, tmp_path_factory.mktemp("map") / "town.city")
-
-
-@pytest.fixture(scope="module")
-def network():
-    """Weights drawn at random: these tests are about what goes where."""
-    shape, rng = Shape(width=16, dimension=16, heads=2, evidence=8), np.random.default_rng(0)
-    arrays = {
-        name: rng.normal(scale=0.2, size=size).astype(np.float32)
-        for name, size in shape.arrays().items()
-    }
-    return GraphTransformer(shape, arrays, "random")
-
-
-@pytest.fixture(scope="module")
-def encoded(city, network):
-    return EncodedCity(city, network)
-
-
-@pytest.fixture(scope="module")
 def asked(town):
     return make_queries(town, n=4)
 
 
-def test_stages_are_timed_and_rank_candidates(encoded, city, asked):
+def test_stages_are_timed_and_rank_candidates(encoded, harbour, asked):
     runs = [run(encoded, q.text, 7) for q in asked]
     for found in runs:
         assert tuple(found.seconds) == STAGES
         assert all(seconds >= 0.0 for seconds in found.seconds.values())
         assert found.total == pytest.approx(sum(found.seconds.values()))
         assert len(set(found.rows.tolist())) == 7
-        assert found.rows.max() < len(city.cells)
+        assert found.rows.max() < len(harbour.cells)
     table = medians(runs)
     assert table["total"] == pytest.approx(np.median([r.total for r in runs]))
 
 
-def test_a_network_is_evaluated_on_given_cells_and_its_own(city, network, town, asked):
-    task = Task.of(city, load(town), asked)
+def test_a_network_is_evaluated_on_given_cells_and_its_own(harbour, network, town, asked):
+    task = Task.of(harbour, load(town), asked)
     for truth, others, query in zip(task.truth, task.distractors, task.queries, strict=True):
-        assert city.cells.id_of(truth) == city.cells.at(query.longitude, query.latitude)
+        assert harbour.cells.id_of(truth) == harbour.cells.at(query.longitude, query.latitude)
         assert truth not in others
         assert len(set(others.tolist())) == len(others) >= max(GIVEN) - 1
     table = evaluate(task, network)

@@ -1,5 +1,3 @@
-"""Text sets for statuses: traps name nothing that the map knows, rates count what they say."""
-
 import tomllib
 
 import numpy as np
@@ -24,12 +22,8 @@ def test_every_gap_is_filled_with_what_the_map_lacks(harbour):
 
 
 def test_rates():
-    verdicts = [
-        Verdict("OK", 0.9, 10.0),
-        Verdict("OK", 0.8, 60.0),
-        Verdict("AMBIGUOUS", 0.4, 20.0),
-        Verdict("LOST", 0.0, np.inf),
-    ]
+    verdicts = [Verdict("OK", 0.9, 10.0), Verdict("OK", 0.8, 60.0)]
+    verdicts += [Verdict("AMBIGUOUS", 0.4, 20.0), Verdict("LOST", 0.0, np.inf)]
     found = rates(verdicts, 50.0)
     assert (found["ok"], found["wrong_of_ok"], found["ok_and_right"]) == (0.5, 0.5, 0.25)
     assert (found["right_not_ok"], found["lost"], found["right"]) == (0.25, 0.25, 0.5)

@@ -1,5 +1,3 @@
-"""Copies of an extract side by side."""
-
 from collections import Counter
 
 import numpy as np

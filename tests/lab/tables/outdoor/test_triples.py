@@ -1,4 +1,4 @@
-"""Relations by Eq. 6 and the pairs that have one."""
+import itertools
 
 import numpy as np
 import pytest
@@ -14,15 +14,10 @@ METRES = st.floats(-100.0, 100.0, allow_subnormal=False)
 @pytest.mark.parametrize(
     ("delta", "expected"),
     [
-        ((0.0, 5.0), NORTH),
-        ((4.9, 5.0), NORTH),
-        ((5.0, 5.0), NORTH),
-        ((-5.0, 5.0), NORTH),
-        ((5.0, -5.0), SOUTH),
-        ((5.1, 5.0), EAST),
-        ((-5.1, -5.0), WEST),
+        ((0.0, 5.0), NORTH), ((4.9, 5.0), NORTH), ((5.0, 5.0), NORTH), ((-5.0, 5.0), NORTH),
+        ((5.0, -5.0), SOUTH), ((5.1, 5.0), EAST), ((-5.1, -5.0), WEST),
     ],
-)
+)  # fmt: skip
 def test_direction_of_a_seen_from_b(delta, expected):
     assert relations(delta) == expected
 
@@ -33,16 +28,11 @@ def test_pairs_are_those_of_brute_force(points):
     around = Around(np.array([0, 0, len(points)]), np.arange(len(points), dtype=np.int32), points)
     triples = Triples.of(around, 30.0)
     assert triples.starts[1] == 0
-    found = {
-        (a, b): r
-        for a, b, r in zip(
-            triples.source.tolist(), triples.target.tolist(), triples.relation.tolist(), strict=True
-        )
-    }
+    columns = (triples.source, triples.target, triples.relation)
+    found = {(a, b): r for a, b, r in zip(*(c.tolist() for c in columns), strict=True)}
     expected = {
         (a, b): int(relations(points[a] - points[b]))
-        for a in range(len(points))
-        for b in range(len(points))
-        if a != b and 1.0 <= np.sqrt(((points[a] - points[b]) ** 2).sum()) <= 30.0
+        for a, b in itertools.permutations(range(len(points)), 2)
+        if 1.0 <= np.sqrt(((points[a] - points[b]) ** 2).sum()) <= 30.0
     }
     assert found == expected

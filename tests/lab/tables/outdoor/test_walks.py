@@ -1,5 +1,3 @@
-"""Walks: places that are reached as they are told, and methods that get no more than the words."""
-
 import numpy as np
 import pytest
 
@@ -15,10 +13,8 @@ def walks(town):
 
 
 def true_ways(walk, plane):
-    at = np.array(
-        [plane.to_plane((s.query.longitude, s.query.latitude)) for s in walk.steps], np.float64
-    )
-    return np.diff(at, axis=0)
+    lonlat = [(s.query.longitude, s.query.latitude) for s in walk.steps]
+    return np.diff(plane.to_plane(lonlat), axis=0)
 
 
 def test_places_lie_as_far_apart_as_they_should(walks, town):
@@ -50,10 +46,3 @@ def test_all_methods_answer_and_the_way_helps(walks, harbour):
                 right[method] += distances(at, walk.last.longitude, walk.last.latitude)[0] <= 50.0
     assert right["track, measured"] > right["last place alone"]
     assert right["track, measured"] > right["all as one text"]
-
-
-@pytest.fixture(scope="module")
-def harbour(town, tmp_path_factory):
-    from placegraph.outdoor.city import build_city
-
-    return build_city(town, tmp_path_factory.mktemp("walks") / "town.city")

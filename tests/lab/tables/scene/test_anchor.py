@@ -1,5 +1,3 @@
-"""Houses of the table `scene_anchor`: they lie around their homes, and the truth judges."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -45,9 +43,7 @@ def test_a_building_lies_around_its_home(home, tmp_path):
 
 def test_the_truth_is_right_and_a_turn_is_not(home):
     turned = replace(home.stands, heading=home.stands.heading + np.pi, probability=0.5)
-    far = replace(
-        home.stands.shift_origin((3.0, 0, 0)), covariance=np.eye(4) * 0.01, probability=0.5
-    )
+    far = replace(home.stands.shift_origin((3.0, 0, 0)), probability=0.5)
     true = replace(home.stands, covariance=np.eye(4) * 0.01)
     (found,) = score_candidates(home, AnchorFit((true,), ()))["candidates"]
     assert right(found)

@@ -1,5 +1,3 @@
-"""The measures of changes, on answers by hand and on one real sequence."""
-
 import pytest
 
 from placegraph.indoor.build import build_scene

@@ -1,5 +1,3 @@
-"""Maps of many sizes: built by the command line, measured once, compared window by window."""
-
 import json
 
 import numpy as np
@@ -13,7 +11,6 @@ from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.named import scene_maps as script
 from placegraph_lab.tables.runner import Journal
 from placegraph_lab.tables.scene import maps as scene_maps
-from placegraph_lab.tables.scene import maps as scene_maps_recall
 from placegraph_lab.tables.scene.maps import (
     FULL,
     VERTICES,
@@ -100,9 +97,6 @@ def test_smaller_maps_lie_near_the_full_one(maps):
     assert maps.apart("house", VERTICES).mean < 0.01
 
 
-# -------------------------------------------------------------------------------------- recall
-
-
 def answer(name, position, rotation=1.0, place="seq00"):
     return Answer(
         window=name, place=place, changed=False, coverage=None, position=position,
@@ -131,9 +125,9 @@ def asking(maps, monkeypatch):
         index = 0
 
     windows = [Window(name, (Frame(),), np.eye(4)) for name in ("a", "b")]
-    monkeypatch.setattr(scene_maps_recall, "house_windows", lambda *_, **__: windows)
-    monkeypatch.setattr(scene_maps_recall, "ask", ask)
-    monkeypatch.setattr(scene_maps_recall.indoor_refine, "ask", refine)
+    monkeypatch.setattr(scene_maps, "house_windows", lambda *_, **__: windows)
+    monkeypatch.setattr(scene_maps, "ask", ask)
+    monkeypatch.setattr(scene_maps.indoor_refine, "ask", refine)
     made = Asking(maps, 5, 9)
     made.asked = asked
     return made
@@ -156,9 +150,6 @@ def test_both_maps_get_the_same_windows_and_go_on_where_they_were_cut(asking):
 
 def replaced(asking, **options):
     return Asking(asking.maps, asking.every, asking.office_every, **options)
-
-
-# -------------------------------------------------------------------------------------- report
 
 
 @pytest.fixture

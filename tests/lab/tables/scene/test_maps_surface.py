@@ -1,5 +1,3 @@
-"""Distances between surfaces, against those that geometry gives."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,16 +17,11 @@ def sheet(height=0.0, side=2.0):
 @pytest.mark.parametrize(
     ("point", "distance"),
     [
-        ((0.2, -0.3, 0.0), 0.0),
-        ((0.2, -0.3, 0.25), 0.25),
-        ((0.2, -0.3, -0.25), 0.25),
-        ((1.3, 0.4, 0.4), 0.5),
-        ((1.3, 1.4, 0.0), 0.5),
-        ((0.0, 0.0, 0.999), 0.999),
-        ((0.0, 0.0, 5.0), REACH),
-        ((1e6, 0.0, 0.0), REACH),
+        ((0.2, -0.3, 0.0), 0.0), ((0.2, -0.3, 0.25), 0.25), ((0.2, -0.3, -0.25), 0.25),
+        ((1.3, 0.4, 0.4), 0.5), ((1.3, 1.4, 0.0), 0.5), ((0.0, 0.0, 0.999), 0.999),
+        ((0.0, 0.0, 5.0), REACH), ((1e6, 0.0, 0.0), REACH),
     ],
-)
+)  # fmt: skip
 def test_points_beside_a_square(point, distance):
     assert distances(np.array([point]), sheet()) == pytest.approx([distance], abs=1e-6)
 

@@ -55,12 +55,8 @@ def test_who_knows_everything(place):
     told = accuracy(Knowing(place, 1.0), place.scene, place.frames[:3], place.map_from_camera[:3])
     assert (told.best, told.auc, told.encoded) == (1.0, 1.0, 1.0)
     background = place.scene.visibility(PoseSearchOptions()).background.objects
-    true = np.concatenate(
-        [
-            true_objects(place.scene, f.camera, p, (9, 16))
-            for f, p in zip(place.frames[:3], place.map_from_camera, strict=False)
-        ]
-    )
+    views = zip(place.frames[:3], place.map_from_camera, strict=False)
+    true = np.concatenate([true_objects(place.scene, f.camera, p, (9, 16)) for f, p in views])
     surprise = -np.log(background[true[true >= 0]]).mean()  # all there is to know
     assert told.bare == pytest.approx(surprise, abs=1e-3)
     assert 0.5 * surprise < told.nats < surprise

@@ -1,5 +1,3 @@
-"""Sentences made of facts: true ones are true, wrong ones are another's, and ranks are counted."""
-
 from __future__ import annotations
 
 from types import SimpleNamespace
@@ -53,11 +51,8 @@ def test_ranks_are_counted():
     assert {a.candidates for a in asked} == {10}
     assert asked[-1].rank == 1
     assert asked[0].rank in (5, 6)  # of equals, the middle
-    assert recall([RankedSentence("", "", 1, 0.0, 10, r) for r in (1, 2, 4, 9)]) == [
-        0.25,
-        0.5,
-        0.75,
-    ]
+    ranked = [RankedSentence("", "", 1, 0.0, 10, r) for r in (1, 2, 4, 9)]
+    assert recall(ranked) == [0.25, 0.5, 0.75]
     assert ".10/" in report(asked)
     (row,) = figures(asked)
     assert (row["recall_1"], row["sentences"]) == (0.1, 10)

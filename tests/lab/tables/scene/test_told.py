@@ -1,5 +1,3 @@
-"""Described rooms: the texts are whole, rooms are cut out, and first places are counted."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The quarter of `world_locate`: houses stand where the city has them, and answers are judged."""
-
 import numpy as np
 import pytest
 

@@ -68,9 +68,6 @@ def level(x, y, z, yaw):
     return pose_matrix([x, y, z, yaw], level_from_camera([0.0, 1.0, 0.0]))
 
 
-# --------------------------------------------------------------------------------------- paths
-
-
 def test_a_walk_passes_its_places(flat):
     walk = stroll(flat, np.random.default_rng(0), frames=40, through="121", speed=1.0)
     at = walk.map_from_camera[:, :2, 3]
@@ -91,9 +88,6 @@ def test_a_walk_keeps_away_from_walls_and_furniture(seed):
         assert np.hypot(*(middles - (x, y)).T).min() > BODY - 0.08
 
 
-# --------------------------------------------------------------------------- what a camera sees
-
-
 def test_depth_is_what_the_drawing_says(stage, interior):
     pose = level(1.5, 1.75, 1.25, np.pi)  # looks left, along -x
     geometry = stage.geometry(SMALL, pose)
@@ -109,9 +103,6 @@ def test_depth_is_what_the_drawing_says(stage, interior):
     expected = np.minimum(sides, 1.25 / np.maximum(np.abs(down), 1e-9))
     assert geometry.depth == pytest.approx(expected, abs=1e-3)
     assert (names[geometry.ids[geometry.depth < 0.99]] == "wall").any()
-
-
-# ------------------------------------------------------------------------------------- captures
 
 
 def test_a_capture_opens_with_all_it_has(folder, walk):

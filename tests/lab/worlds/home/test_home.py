@@ -17,7 +17,7 @@ from placegraph_lab.worlds.home.home import (
 
 SEEDS = st.integers(0, 10**6)
 WORDS = {word for plain in KINDS for word in SYNONYMS.get(plain, (plain,))} | SHELL
-FEW = settings(max_examples=25, deadline=None)
+FEW = settings(max_examples=15)
 
 
 def _furnished(seed):
@@ -39,7 +39,7 @@ def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
 
 
 @given(SEEDS)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6)
 def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
     _, interior, rng = _furnished(seed)
     for state in (interior, changed(interior, rng)):
@@ -62,7 +62,7 @@ def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
 
 
 @given(SEEDS)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6)
 def test_months_later(seed):
     _, interior, _ = _furnished(seed)
     one, other = (changed(interior, np.random.default_rng(seed)) for _ in range(2))

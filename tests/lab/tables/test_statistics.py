@@ -1,10 +1,8 @@
-"""Intervals hold what they should, and pairs are worth more than two samples."""
-
 import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph_lab.tables.statistics import paired_interval
+from placegraph_lab.tables.statistics import paired_interval, reliability
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
@@ -23,3 +21,23 @@ def test_other_queries_are_refused():
     for bad in ([], [(np.ones(3), np.ones(4))], [(np.ones(0), np.ones(0))]):
         with pytest.raises(OptionError):
             paired_interval(bad, rng)
+
+
+def test_calibrated_answers_reach_the_floor(rng):
+    confidence = rng.random(20_000)
+    right = rng.random(20_000) < confidence
+    bins = reliability(confidence, right)
+    assert bins.error < 0.02
+    errors = []
+    for _ in range(200):
+        few = rng.random(500)
+        errors.append(reliability(few, rng.random(500) < few).error)
+    assert np.mean(errors) == pytest.approx(reliability(few, few > 0.5).floor, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "right"), [([], []), ([1.2], [True]), ([np.nan], [True]), ([0.5], [True, False])]
+)
+def test_nonsense_is_refused(confidence, right):
+    with pytest.raises(OptionError):
+        reliability(confidence, right)
