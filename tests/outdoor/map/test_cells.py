@@ -93,15 +93,11 @@ def edges_of(graph):
     }
 
 
+OVERLAPPING, APART = {"cell_size": 40.0, "stride": 20.0}, {"cell_size": 30.0, "stride": 60.0}
+
+
 @pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"cell_size": 80.0},
-        {"cell_size": 40.0, "stride": 20.0, "edge_distance": 25.0},
-        {"cell_size": 30.0, "stride": 60.0},
-    ],
-    ids=str,
+    "options", [{}, {"cell_size": 80.0}, OVERLAPPING | {"edge_distance": 25.0}, APART], ids=str
 )
 def test_graphs_are_those_of_brute_force(options, make_city):
     city = make_city(TOWN, **options)
@@ -189,11 +185,8 @@ def test_cells_as_a_mapping(real_city):
         west, south, east, north = cells.bounds(name)
         assert east - west == pytest.approx(cells.size)
         assert north - south == pytest.approx(cells.size)
-        np.testing.assert_allclose(
-            real_city.plane.to_plane((cell.longitude, cell.latitude)),
-            ((west + east) / 2, (south + north) / 2),
-            atol=1e-3,
-        )
+        center = real_city.plane.to_plane((cell.longitude, cell.latitude))
+        np.testing.assert_allclose(center, ((west + east) / 2, (south + north) / 2), atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +220,7 @@ def test_ids_are_stable_over_opening_and_building(harbour, harbour_file, hafenst
 
 
 def test_at_is_the_nearest_centre(make_city, rng):
-    for options in ({}, {"cell_size": 40.0, "stride": 20.0}, {"cell_size": 30.0, "stride": 60.0}):
+    for options in ({}, OVERLAPPING, APART):
         city = make_city(TOWN, **options)
         cells = city.cells
         centers = {name: cells.center(name) for name in cells}

@@ -20,19 +20,11 @@ from placegraph.outdoor.map.extract import TOLERANCE, clip, list_names
 from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
 from placegraph_lab.worlds.town.town import Town
 
-EXTRACTS = [
-    "monaco_2025.osm.pbf",
-    *(
-        pytest.param(name, marks=pytest.mark.all)
-        for name in (
-            "toronto_downtown_2020.osm.bz2",
-            "ankara_2019.osm.pbf",
-            "liechtenstein_2021.osm.pbf",
-            "andorra_2026.osm.pbf",
-            "vancouver_2015.osm.pbf",
-        )
-    ),
-]
+MORE = (
+    "toronto_downtown_2020.osm.bz2", "ankara_2019.osm.pbf", "liechtenstein_2021.osm.pbf",
+    "andorra_2026.osm.pbf", "vancouver_2015.osm.pbf",
+)  # fmt: skip
+EXTRACTS = ["monaco_2025.osm.pbf", *(pytest.param(n, marks=pytest.mark.all) for n in MORE)]
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
 
 
@@ -149,16 +141,11 @@ def test_a_city_on_the_date_line(tmp_path):
 
 
 def test_name_alone_makes_a_label(build_world):
-    city = build_world(
-        [
-            (0, 0, {"name": "parking lot"}),
-            (10, 0, {"name": "Zzyzx"}),
-            (20, 0, {"name": "bakery", "type": "site"}),
-            (30, 0, {"name": "Ortsteil", "boundary": "administrative"}),
-            (40, 0, {"source": "survey"}),
-            (50, 0, BENCH),
-        ]
-    )
+    tags = [
+        {"name": "parking lot"}, {"name": "Zzyzx"}, {"name": "bakery", "type": "site"},
+        {"name": "Ortsteil", "boundary": "administrative"}, {"source": "survey"}, BENCH,
+    ]  # fmt: skip
+    city = build_world([(10 * i, 0, t) for i, t in enumerate(tags)])
     assert set(rows_by_id(city)) == {"node/1", "node/2", "node/6"}
     assert "amenity=parking" in labels(city, "node/1")
     assert labels(city, "node/2") == ["name=*"]
@@ -168,16 +155,10 @@ def test_name_alone_makes_a_label(build_world):
 
 def test_all_names_count(build_world):
     tags = {
-        "shop": "bakery",
-        "name": "Bäckerei Kern",
-        "name:en": "Kern's Bakery",
-        "name:fr": "Boulangerie Kern;Chez Kern",
-        "alt_name": "Kern",
-        "brand": "Kernbrot",
-        "name:etymology": "nut",
-        "name:pronunciation": "kɛʁn",
-        "old_name": "Bäckerei Kern",
-    }
+        "shop": "bakery", "name": "Bäckerei Kern", "name:en": "Kern's Bakery", "alt_name": "Kern",
+        "name:fr": "Boulangerie Kern;Chez Kern", "brand": "Kernbrot", "name:etymology": "nut",
+        "name:pronunciation": "kɛʁn", "old_name": "Bäckerei Kern",
+    }  # fmt: skip
     city = build_world([(0, 0, tags), (15, 0, BENCH)])
     found = names(city, "node/1")
     assert found[0] == "Bäckerei Kern"

@@ -6,18 +6,10 @@ from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.names import CLOSE, LONGEST, NameIndex
 
 NAMES = [
-    "Café de l'Étoile",
-    "Ripley's Aquarium of Canada",
-    "Ripley's",
-    "The Rex Theatre",
-    "E Carson Street",
-    "Place du Casino",
-    "Straße des 17. Juni",
-    "Москва",
-    "7-Eleven",
-    "— · —",
+    "Café de l'Étoile", "Ripley's Aquarium of Canada", "Ripley's", "The Rex Theatre",
+    "E Carson Street", "Place du Casino", "Straße des 17. Juni", "Москва", "7-Eleven", "— · —",
     "Casino",
-]
+]  # fmt: skip
 
 
 class Objects:

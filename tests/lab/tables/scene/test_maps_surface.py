@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.indoor.map.mesh import Mesh
@@ -26,6 +26,7 @@ def test_points_beside_a_square(point, distance):
     assert distances(np.array([point]), sheet()) == pytest.approx([distance], abs=1e-6)
 
 
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_no_point_of_the_triangles_is_nearer(seed):
     rng = np.random.default_rng(seed)
