@@ -125,8 +125,8 @@ def test_check_says_what_is_odd_of_an_anchor(run, scene):
     map_.anchored(likely, Anchor(7.42, 43.73, 0, 4, probability=0.4)).save(scene)
     said = run("scene", "check", scene).out
     for words in (
-        "likeliest of 2 candidates has 60%",
-        "off by 3.2 m",
+        "best of 2 candidates has probability 60%",
+        "residuals of 3.2 m on average",
         "height on Earth is unknown",
     ):
         assert words in " ".join(said.split())
