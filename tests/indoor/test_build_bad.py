@@ -57,8 +57,8 @@ def hall(boxes):
 @pytest.mark.parametrize(
     ("factor", "says"),
     [
-        (1000.0, r"looks like millimetres. Pass scale=0.001 \(--scale 0.001"),
-        (100.0, r"looks like centimetres. Pass scale=0.01 \(--scale 0.01"),
+        (1000.0, r"its unit seems to be millimetres. Pass scale=0.001 \(--scale 0.001"),
+        (100.0, r"its unit seems to be centimetres. Pass scale=0.01 \(--scale 0.01"),
         (0.001, r"only 0.005 x .* large. Pass .* scale=1000 \(--scale 1000\)"),
     ],
 )
@@ -113,7 +113,7 @@ def test_numbers_that_are_none(ply, room):
     points = room.vertices.copy()
     points[9, 1] = np.nan
     for ids in (IDS, None):
-        with pytest.raises(InputError, match=r"room\.ply: 1 vertices are not numbers.*repair"):
+        with pytest.raises(InputError, match=r"room\.ply: 1 vertices are not finite.*repair"):
             build_scene(ply(points, objects=ids), None)
     points[9, 1] = 1e30
     with pytest.raises(InputError, match=r"room\.ply reaches 1e\+30 m"):
@@ -215,9 +215,9 @@ def test_outputs_that_cannot_be(ply, tmp_path):
     before = path.read_bytes()
     (tmp_path / "link.scene").symlink_to(path)
     for out in (path, tmp_path / "link.scene"):
-        with pytest.raises(OptionError, match=r"room\.ply would be overwritten"):
+        with pytest.raises(OptionError, match=r"room\.ply is the input and would be overwritten"):
             build_scene(path, out)
-    with pytest.raises(OptionError, match=r"labels\.json would be overwritten"):
+    with pytest.raises(OptionError, match=r"labels\.json is the input"):
         build_scene(path, table, labels=table)
     for out, says in (
         (tmp_path, "is not a plain file"),
@@ -296,7 +296,7 @@ def test_frames_that_all_see_a_wall(copied):
     notes = []
     guessed = build_scene(copied, None, notes=notes)
     assert guessed.floors[0] == pytest.approx(guessed.bounds[0, 2], abs=0.05)
-    assert any("walk shows no floor" in note and "--floor 0" in note for note in notes)
+    assert any("no floor was found" in note and "--floor 0" in note for note in notes)
     scene = build_scene(copied, None, floor=0.0)
     assert scene.floors[0] == 0.0
     np.testing.assert_allclose(scene.bounds[:, 1], 2.0, atol=0.02)

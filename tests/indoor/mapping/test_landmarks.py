@@ -93,7 +93,7 @@ def test_landmarks_gone_through_in_blocks_are_the_same(wall, mapped, monkeypatch
     found = detect_features(make_detector(FEATURES), frame, frame.rgb())
     whole = match_features(mapped, found, frame)
     cosine = found.vectors @ mapped.unit_vectors.T
-    best, rows = landmarks._likeliest(found.vectors, mapped.unit_vectors)
+    best, rows = landmarks._rank_landmarks(found.vectors, mapped.unit_vectors)
     np.testing.assert_allclose(best, -np.sort(-cosine, axis=1)[:, : best.shape[1]], atol=1e-6)
     np.testing.assert_array_equal(rows[:, 0], cosine.argmax(axis=1))
     monkeypatch.setattr(landmarks, "_BLOCK", 37)

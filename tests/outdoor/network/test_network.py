@@ -376,7 +376,7 @@ BAD_SHAPES = (
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": 2}, r"version 2, this placegraph reads up to 1"),
+        ({"version": 2}, r"version 2, but this placegraph reads up to 1"),
         ({"kind": "city"}, r"is a city map, not a weights file"),
         ({"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}}, r"other labels.*city train"),
         ({"meta": {"labels": None}}, r"other labels"),
