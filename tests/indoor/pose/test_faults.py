@@ -56,7 +56,7 @@ def test_a_camera_outside_the_rooms_is_named(room, clip, rng, monkeypatch):
 
 
 def test_time_that_runs_backwards_is_refused(room, walk, clip, tmp_path):
-    with pytest.raises(OptionError, match=r"frames: .* grow"):
+    with pytest.raises(OptionError, match=r"frames: .* increase"):
         room.localize(bad.backwards(clip, 0, None).frames)
     folder = tmp_path / "walk"
     folder.mkdir()
