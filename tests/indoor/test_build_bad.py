@@ -220,7 +220,7 @@ def test_outputs_that_cannot_be(ply, tmp_path):
     with pytest.raises(OptionError, match=r"labels\.json is the input"):
         build_scene(path, table, labels=table)
     for out, says in (
-        (tmp_path, "is not a plain file"),
+        (tmp_path, "is not a regular file"),
         (tmp_path / "no" / "a.scene", "cannot be written: No such file"),
         (tmp_path / ("x" * 300), "cannot be written: File name too long"),
         ("a\0b", "is not a valid file name"),
