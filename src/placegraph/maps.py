@@ -54,7 +54,7 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollecti
         library: SceneCollection = open_folder(path)
         return library
     if is_world(path):
-        raise MapError(f"{path} is a world in shards and no single map; open it by `open_world`.")
+        raise MapError(f"{path} is a world in shards, not a single map; open it with `open_world`.")
     if Path(path).is_dir():
         from placegraph.indoor.library import SceneLibrary
 
@@ -74,13 +74,14 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollecti
         return SceneLibrary.open(path)
     if kind == "vectors":
         raise MapError(
-            f"{path} holds vectors of a city's cells and is no map; open the map, and give it this "
-            "file as its `store`."
+            f"{path} contains the vectors of a city's cells, not a map; open the map, and "
+            "pass this file as its `store`."
         )
     if kind == "shard":
         raise MapError(f"{path} is a part of a library in shards; open its folder.")
     raise MapError(
-        f"{path} is a {kind} map, which this placegraph does not know; update placegraph."
+        f"{path} is a {kind} map, which this version of placegraph does not support; update "
+        "placegraph."
     )
 
 
@@ -121,7 +122,8 @@ def open_scenes(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
 
     if is_shards(path):
         raise MapError(
-            f"{path} is a library in shards; ask it by `open_map`, or `placegraph library localize`."
+            f"{path} is a library in shards; open it with `open_map`, or use `placegraph "
+            "library localize`."
         )
     opened = open_map(path)
     if not isinstance(opened, SceneMap | SceneLibrary):
@@ -170,7 +172,9 @@ class MapFiles:
                     faults.append(str(error))
                     continue
                 if actual != kind:
-                    faults.append(f"{path} holds a {actual} map; call it {path.stem}.{actual}.")
+                    faults.append(
+                        f"{path} contains a {actual} map; rename it to {path.stem}.{actual}."
+                    )
         if faults:
             raise MapError(" ".join(faults))
 
@@ -185,12 +189,12 @@ def find_map_files(places: Sequence[Path]) -> MapFiles:
         if kind is None and path.is_dir():
             ignored.append((path, "a folder"))
         elif (kind := kind or KINDS.get(path.suffix)) is None:
-            ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
+            ignored.append((path, f"it is not a map; known endings are {', '.join(KINDS)}"))
         elif realpath(first := paths[kind].setdefault(name, path)) != realpath(path):
             pairs.append((first, path))
     both = paths["world"].keys() & paths["city"].keys()
     pairs += [(paths["world"][name], paths["city"][name]) for name in both]
-    conflicts = (f"{a} and {b} have one name; rename one of them." for a, b in pairs)
+    conflicts = (f"{a} and {b} have the same name; rename one of them." for a, b in pairs)
     return MapFiles(paths, tuple(ignored), tuple(conflicts))
 
 

@@ -128,7 +128,7 @@ def test_labels_of_another_mesh(ply):
     left_out = Counter()
     scene = build_scene(ply(), None, labels={"0": "floor", "8": "chair"}, left_out=left_out)
     assert scene.graph.labels == ("floor", "unknown")
-    assert left_out["labels of objects that are not there"] == 1
+    assert left_out["labels of missing objects"] == 1
 
 
 def test_an_id_for_every_triangle_is_told(boxes):

@@ -76,7 +76,7 @@ def test_queries_that_do_not_fit():
     "box", [(0, 2, 1, 1), (0, -91, 1, 0), (181, 0, 1, 1), (np.nan, 0, 1, 1), (0, 0, 1, np.inf)]
 )
 def test_regions_that_are_none(box):
-    with pytest.raises(OptionError, match="is no region"):
+    with pytest.raises(OptionError, match="is not a region"):
         Region(*box).checked()
 
 
@@ -329,7 +329,7 @@ def test_files_that_are_none(file, harbour_file):
         EmbeddedStore.open(file.with_name("no.vectors"))
     with pytest.raises(MapError, match="is a city map, not a vectors map"):
         EmbeddedStore.open(harbour_file)
-    with pytest.raises(MapError, match="holds vectors of a city's cells and is no map"):
+    with pytest.raises(MapError, match="contains the vectors of a city's cells,"):
         open_map(file)
 
 

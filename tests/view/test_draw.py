@@ -274,7 +274,7 @@ def test_a_full_disk_is_told_with_the_name_of_the_file():
 
 @pytest.mark.parametrize(("name", "form"), [("plan.JPG", "PNG"), ("plan.png", "GIF")])
 def test_the_ending_of_another_kind_of_picture_is_refused(name, form, tmp_path):
-    with pytest.raises(OptionError, match=f"{name}.* end in .{form.lower()}"):
+    with pytest.raises(OptionError, match=f"{name}.* use the ending .{form.lower()}"):
         write_image(Image.new("RGB", (4, 3)), tmp_path / name, form)
     assert not list(tmp_path.iterdir())
     write_image(Image.new("RGB", (4, 3)), tmp_path / "plan", form)

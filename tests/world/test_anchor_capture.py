@@ -69,7 +69,7 @@ def test_a_map_made_of_the_capture_is_not_localized_in(maps, tmp_path, drifted):
     assert turn < 3 * sd[3] < 0.5
     assert anchor.height == pytest.approx(50.0, abs=3 * sd[2])
     assert (anchor.method, len(anchor.residuals)) == ("gps", 80)
-    assert "made of these frames" in found.notes[0]
+    assert "built from these frames, so" in found.notes[0]
     assert "8 of 80 points are up to" in found.notes[1]
 
 
@@ -84,7 +84,7 @@ def test_other_frames_are_found_in_the_map_first(rooms, tmp_path):
     found = fit_capture(room.scene, replace(film, path=tmp_path))
     off, _ = error(found.anchors[0], true[-1])
     assert off < 0.1
-    assert "were found in the map first" in found.notes[0]
+    assert "were first localized in the map" in found.notes[0]
     assert found.anchors[0].covariance[2, 2] > 50.0**2
 
 
@@ -95,15 +95,15 @@ def test_too_little_is_refused(maps, tmp_path):
     with pytest.raises(InputError, match=r"0 of 40 frames have a GPS fix, in fixes\.txt or"):
         fit_capture(scene, capture)
     (tmp_path / "fixes.txt").write_text("".join(f"{i} 7.42 43.73 50 5\n" for i in range(40)))
-    with pytest.raises(OptionError, match="1 different fixes belong to frames"):
+    with pytest.raises(OptionError, match="1 different fixes belong to localized frames, but"):
         fit_capture(scene, capture)
     near = points * (0.05, 0.05, 1.0)
     fixes(tmp_path, near, 5.0, rng)
     near_scene = replace(scene, viewpoints=np.round(near[::4], 2))
-    with pytest.raises(OptionError, match="tell no heading"):
+    with pytest.raises(OptionError, match="map, so the heading is unknown"):
         fit_capture(near_scene, walk(near, tmp_path))
     (rough,) = fit_capture(near_scene, walk(near, tmp_path), rough=True).anchors
     assert rough.covariance[3, 3] > np.radians(45) ** 2
     assert error(rough, (0, 0, 0))[0] < 4.0
-    with pytest.raises(OptionError, match=r"not surely found in the map.*Give --pair"):
+    with pytest.raises(OptionError, match=r"not reliably localized in the map.*Give --pair"):
         fit_capture(maps["parlour"], walk(near, tmp_path)[:4])

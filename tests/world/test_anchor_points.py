@@ -112,7 +112,7 @@ def test_fixes_that_err_alike_are_worth_fewer():
     ("points", "places", "named"),
     [
         ([[0, 0, 0]] * 2, [[7, 43, 0]] * 2, "2 points; at least 3"),
-        ([[0, 0, 0]] * 3, [[7, 43, 0]] * 3, "tell no heading"),
+        ([[0, 0, 0]] * 3, [[7, 43, 0]] * 3, "map, so the heading is unknown"),
         ([[0, 0, 0]] * 3, [[43, 170, 0]] * 3, "longitude first"),
         ([[0, np.nan, 0]] * 3, [[7, 43, 0]] * 3, "not a number"),
     ],

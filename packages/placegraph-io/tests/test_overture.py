@@ -161,12 +161,12 @@ def test_rows_become_the_elements_that_openstreetmap_would_have(release):
     with pytest.raises(InputError, match=nothing):
         read(release, box=Box(0, 0, 1, 1))
     assert left_out == {
-        "places known by name alone: no tag stands for their category": 1,
-        "places of a class that no tag stands for": 1,
-        "places closed for good": 1,
-        "places of less confidence": 1,
-        "buildings of a class that no tag stands for": 1,
-        "segments of a class that no tag stands for": 1,
+        "places kept by name only, because no tag matches their category": 1,
+        "places of a class without a matching tag": 1,
+        "places permanently closed": 1,
+        "places below the confidence limit": 1,
+        "buildings of a class without a matching tag": 1,
+        "segments of a class without a matching tag": 1,
         "files of connector": 1,
     }
 
@@ -175,7 +175,7 @@ def test_a_city_is_built_of_it(release, tmp_path):
     city = build_city(Overture((str(release),), Box(9.9, 49.9, 10.1, 50.1)), tmp_path / "x.city")
     assert {"amenity=cafe", "building=church", "highway=primary_link"} <= set(city.objects.labels)
     assert city.locate("I see a church and a cafe. A bench is near.").modes
-    assert city.left_out["places of less confidence"] == 1
+    assert city.left_out["places below the confidence limit"] == 1
 
 
 def test_every_tag_of_the_table_is_a_label_of_the_vocabulary():

@@ -327,7 +327,7 @@ def test_what_is_spoken_is_asked_however_early(browser, url):
 
 def test_a_deaf_ear_is_told_in_words(browser, url):
     told = {
-        "not-allowed": "may not use the microphone", "network": "type instead",
+        "not-allowed": "is not allowed to use the microphone", "network": "type instead",
         "no-speech": "Nothing was heard", "bad-grammar": "could not listen (bad-grammar)",
     }  # fmt: skip
     with opened(browser, f"{url}#map=hafenstadt", first=EAR) as page:

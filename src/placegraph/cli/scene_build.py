@@ -286,7 +286,7 @@ def check(
         click.echo(
             f"{map_file}: {len(scene):,} objects, {len(scene.mesh):,} triangles, "
             f"{size / 1e3:,.0f} kB, opened in {opened:.2f} s; "
-            + (f"{errors} error{'s' * (errors != 1)}." if errors else "nothing to check.")
+            + (f"{errors} error{'s' * (errors != 1)}." if errors else "no errors.")
         )
     if errors:
         raise click.exceptions.Exit(MapError.exit_code)

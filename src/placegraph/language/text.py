@@ -152,18 +152,18 @@ def check_text(text: str, example: str = "A bakery is north of me.") -> None:
         )
     if len(text) > LONGEST_TEXT:
         raise DescriptionError(
-            f"The description has {len(text):,} characters, more than {LONGEST_TEXT:,};"
-            " keep what describes the place."
+            f"The description has {len(text):,} characters, but at most {LONGEST_TEXT:,} "
+            "are allowed; shorten it."
         )
     if not text.strip():
         raise DescriptionError(
-            f'The description is empty; say what stands around you, as in "{example}"'
+            f'The description is empty; say what is around you, as in "{example}"'
         )
     control = _CONTROL.search(text)
     if control is not None:
         raise DescriptionError(
-            f"The description contains {control[0]!r}, which is no character of a text, at position"
-            f" {control.start()}; is it a file of another kind? Remove it."
+            f"The description contains the control character {control[0]!r} at position "
+            f"{control.start()}; remove it, and check that the file is text."
         )
 
 

@@ -9,7 +9,7 @@ from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 
 KNOWN = "Prior knowledge"
-JUDGED = "How places are found and judged"
+JUDGED = "Search and matching"
 SMALLEST, LARGEST = 1.0, 10_000.0
 """Range of the sizes of cells [m]."""
 
@@ -64,7 +64,7 @@ class CellOptions:
 class LocateOptions:
     """Options of every localization of a sentence."""
 
-    top: int = option(5, "Most places in the answer.", minimum=1, flag="--top")
+    top: int = option(5, "Maximum number of places in the answer.", minimum=1, flag="--top")
     radius: float = option(
         1000.0,
         "Radius around the known position (`near`) that holds half of the prior.",
@@ -90,8 +90,8 @@ class RankingOptions:
 
     matcher: Matcher = option(
         "relational",
-        "Matcher that judges places: relational (measures best at the price), fused (the network judges "
-        "the best places as well), transformer, embedding, edit-distance, or edit-distance-plain (every "
+        "Matcher: relational (best for its cost), fused (relational plus the network on the "
+        "best places), transformer, embedding, edit-distance, or edit-distance-plain (every "
         "edit costs 1, as in the paper).",
         flag="--matcher",
         panel=JUDGED,
@@ -105,8 +105,9 @@ class RankingOptions:
     )
     by: By | Literal["auto"] = option(
         "auto",
-        "Source of candidates: sparse (inverted index), dense (embeddings: fast in maps of any size, find "
-        "less, are never OK), both, all, or auto: both with --store, else sparse.",
+        "Source of candidates: sparse (inverted index), dense (embeddings: fast on maps of "
+        "any size, but lower recall and never OK), both, all, or auto (both with --store, "
+        "otherwise sparse).",
         flag="--candidates-by",
         panel=JUDGED,
     )
@@ -123,6 +124,6 @@ class RankingOptions:
         check_options(self)
         if self.score is not None and self.matcher != "transformer":
             raise OptionError(
-                f"score is {self.score!r}, but matcher is {self.matcher!r}; only the transformer has "
-                "scores."
+                f"score is {self.score!r}, but it applies only to the transformer, and "
+                f"matcher is {self.matcher!r}; remove it."
             )

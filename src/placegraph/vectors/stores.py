@@ -45,8 +45,8 @@ class Region(NamedTuple):
             and self.south <= self.north
         ):
             raise OptionError(
-                f"{tuple(self)} is no region; give west, south, east and north in degrees, "
-                "such as 7.41,43.72,7.44,43.75."
+                f"{tuple(self)} is not a region; give west, south, east and north in "
+                "degrees, such as 7.41,43.72,7.44,43.75."
             )
         return self
 
@@ -181,14 +181,14 @@ def unit(vectors: ArrayLike, what: str) -> NDArray[np.float32]:
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows, dtype=np.float64))
     if not (np.isfinite(lengths) & (lengths > 0.0)).all():
-        raise OptionError(f"{what} are zero or not finite; a direction is needed in each row.")
+        raise OptionError(f"{what} are zero or not finite; give vectors with a direction.")
     return np.ascontiguousarray(rows / lengths[:, None], np.float32)
 
 
 def checked_queries(queries: ArrayLike, n: int, dimension: int) -> NDArray[np.float32]:
     """Normalize queries (Q, D); raises `OptionError` where they, or `n`, do not fit a store."""
     if n < 1:
-        raise OptionError(f"n is {n}; ask for at least one neighbour.")
+        raise OptionError(f"n is {n}; give at least 1.")
     found = np.asarray(queries)
     if found.ndim == 2 and found.shape[1] != dimension:
         raise OptionError(

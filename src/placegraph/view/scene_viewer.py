@@ -385,8 +385,8 @@ def _check_host(host: str) -> None:
             probe.bind(address)
     except (OSError, UnicodeError) as error:
         raise OptionError(
-            f"host is {host!r}, where this computer cannot listen ({error}); use 127.0.0.1, or "
-            "0.0.0.0 for all that can reach it."
+            f"host is {host!r}, but this computer cannot listen there ({error}); use "
+            "127.0.0.1, or 0.0.0.0 for all networks."
         ) from error
 
 

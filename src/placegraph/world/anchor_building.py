@@ -260,7 +260,8 @@ def find_fault(walls: OuterWalls, fit: WallFit) -> str:
         return f"{1 - seen:.0%} of its windows would lie in no outer wall"
     if outer < (0.2 if windows >= _MIN_WINDOWS else 0.55):
         return (
-            f"only {outer:.0%} of its outline would be outer walls, which is too little for a fit"
+            f"only {outer:.0%} of its outline would be outer walls, which is too little for "
+            "an alignment"
         )
     return ""
 
@@ -360,7 +361,9 @@ def fit_building(
         good += [(footprint, fit) for fit in (*held, *find_slides(walls, footprint, held))]
     if not good:
         best = max(found, key=lambda fit: fit.score, default=None)
-        why = "no wall has its directions" if best is None else find_fault(walls, best)
+        why = (
+            "no wall has a direction of the building's" if best is None else find_fault(walls, best)
+        )
         raise OptionError(
             f"The map does not fit the building {name!r}: {why}. Name another building, or give "
             "--pair or --pose."

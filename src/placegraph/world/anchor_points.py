@@ -134,8 +134,8 @@ def _fit_heading(
     apart = np.linalg.norm(sources[i] - sources[j], axis=1)
     if apart.max() < _MIN_EXTENT:
         raise OptionError(
-            f"{method}: all points lie within {apart.max():.2f} m of the map; they tell no heading. "
-            "Give points that lie farther apart."
+            f"{method}: all points lie within {apart.max():.2f} m of the map, so the "
+            "heading is unknown. Give points farther apart."
         )
     order = np.argsort(-apart, kind="stable")
     order = order[np.linspace(0, len(order) // 2, min(_MAX_PAIRS, len(order))).astype(int)]
@@ -287,9 +287,9 @@ def fit_capture(
     fixes = read_fixes(capture)
     if len(fixes) < MIN_POINTS:
         raise InputError(
-            f"{capture.path or 'The capture'}: {len(fixes)} of {len(capture)} frames have a GPS fix, "
-            f"in {FIXES_FILE} or in the EXIF of their images; {MIN_POINTS} are needed. Else give --pair, "
-            "--pose or --in."
+            f"{capture.path or 'The capture'}: {len(fixes)} of {len(capture)} frames have a "
+            f"GPS fix, in {FIXES_FILE} or in the EXIF of their images; {MIN_POINTS} are "
+            "needed. Record more, or give --pair, --pose or --in."
         )
     poses, how = _find_poses(scene, capture, seed, progress)
     # a fix that several frames repeat counts once, at their mean
@@ -299,8 +299,8 @@ def fit_capture(
             rows.setdefault(fix, []).append(row)
     if len(rows) < MIN_POINTS:
         raise OptionError(
-            f"{len(rows)} different fixes belong to frames that were found in the map; "
-            f"{MIN_POINTS} are needed. Else give --pair, --pose or --in."
+            f"{len(rows)} different fixes belong to localized frames, but {MIN_POINTS} are "
+            "needed. Record more, or give --pair, --pose or --in."
         )
     points = np.array(
         [np.mean([poses[row][:3, 3] for row in own], axis=0) for own in rows.values()]
@@ -316,8 +316,9 @@ def fit_capture(
     if turn > _MAX_HEADING_SIGMA and not rough:
         reach = float(np.ptp(points[:, :2], axis=0).max())
         raise OptionError(
-            f"The fixes (±{np.median(accuracy):.0f} m) lie within {reach:.0f} m of the map and tell "
-            "no heading: walk farther, around the house too, or give --in and --building."
+            f"The fixes (±{np.median(accuracy):.0f} m) lie within {reach:.0f} m of the map, "
+            "so the heading is unknown; walk farther and around the building, or give --in "
+            "and --building."
         )
     return AnchorFit((replace(anchor, covariance=covariance),), (how, *found.notes))
 
@@ -335,13 +336,13 @@ def _find_poses(
             away < _SAME_VIEWPOINT
         ).mean() > 0.95:  # the map's viewpoints are where these frames were
             poses = {frame.index: frame.odometry for frame in known}
-            how = "The map was made of these frames: their poses are its own."
+            how = "The map was built from these frames, so their poses are used directly."
             return {row: poses[f.index] for row, f in enumerate(capture) if f.index in poses}, how
     estimate = scene.localize(capture, seed=seed, progress=progress)
     if estimate.status is not Status.OK:
         raise OptionError(
-            f"The frames are not surely found in the map, so their fixes cannot be used: "
-            f"{estimate.reason} Give --pair, --pose or --in."
+            "The frames are not reliably localized in the map, so their fixes cannot be "
+            f"used: {estimate.reason} Give --pair, --pose or --in."
         )
     found = zip(estimate.frames.tolist(), estimate.trajectory, strict=True)
-    return dict(found), f"{len(estimate.frames)} frames were found in the map first."
+    return dict(found), f"{len(estimate.frames)} frames were first localized in the map."

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.world.sentence import ParsedSentence
     from placegraph.world.world import World
 
-BUILDING, ROOM = "the building one is in", "the room one is in"
+BUILDING, ROOM = "the current building", "the current room"
 """Labels of what such questions are about; no city has things of that label."""
 
 
@@ -52,7 +52,7 @@ class WorldQuery:
     def __post_init__(self) -> None:
         if self.text is None and self.capture is None and self.near is None:
             raise OptionError(
-                "There is nothing to locate; give a text, a capture or `near`, or several of these."
+                "The query is empty; give a text, a capture, `near`, or several of these."
             )
         if self.frames is not None and self.capture is None:
             raise OptionError("frames are given without a capture; give the capture as well.")

@@ -57,7 +57,7 @@ NO_SCENES = "There is no scene map in this world, so the frames were not used."
 def locate(world: World, given: WorldQuery) -> WorldEstimate:
     """Compute one posterior over place, room and pose; see `World.locate`."""
     if given.budget is not None and not world.planets:
-        raise OptionError("`budget` applies only to worlds in shards, and here is none; remove it.")
+        raise OptionError("`budget` applies only to worlds in shards, but this is none; remove it.")
     query = add_answers(given)
     text = match_outdoors(world, query)
     if world.candidates is not None:

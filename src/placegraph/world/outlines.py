@@ -132,11 +132,14 @@ def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
             found.setdefault(building.osm, (building, {**building.tags, **thing.tags}))
     if not found:
         raise OptionError(
-            f"--building {name!r}: it stands in no building of {path}; name the building itself."
+            f"--building {name!r}: this object lies in no building of {path}; name the "
+            "building itself."
         )
     if len(found) > 8:
         ids = ", ".join(sorted(found)[:3])
-        raise OptionError(f"--building {name!r}: {len(found)} bear that name; give an id ({ids}).")
+        raise OptionError(
+            f"--building {name!r}: {len(found)} buildings have that name; give an id ({ids})."
+        )
     doors = [t for t in things if t.point and {"entrance", "door"} & t.tags.keys()]
     if level:
         there = set(parse_levels(level))
@@ -291,7 +294,7 @@ def find_outer_walls(scene: Scene) -> OuterWalls:
     """
     if len(scene.scenes) != 1:
         raise OptionError(
-            f"The map is merged of {len(scene.scenes)} scenes; anchor each before they are merged."
+            f"The map is merged from {len(scene.scenes)} scenes; anchor each scene before merging."
         )
     rooms = find_rooms(scene.mesh, scene.graph.labels, float(scene.floors[0]))
     reach = int(np.ceil(_MAX_INNER_WALL / 2.0 / rooms.cell))

@@ -33,15 +33,17 @@ def decide_by_text(
 ) -> tuple[Status, str]:  # fmt: skip
     """Decide on modes, best first, by a text and a location prior; return status and reason."""
     if not modes:
-        why = evidence.obstacle or "These maps hold nothing that the text mentions."
+        why = evidence.obstacle or "None of these maps contains anything that the text mentions."
         return Status.LOST, why
     best = modes[0]
     where, share = best.where, f"({best.probability:.0%})"
     if elsewhere > max(0.5, best.probability):
-        why = f"No place and no room fits better than being elsewhere ({elsewhere:.0%})."
+        why = f"No place or room fits better than a place off the map ({elsewhere:.0%})."
         return Status.LOST, why
     if query.text is None:
-        return Status.AMBIGUOUS, f"A fix alone tells no room; nearest is {where}."
+        return Status.AMBIGUOUS, (
+            f"A position fix alone does not identify a room; the nearest is {where}."
+        )
     if best.place is not None:
         town = next(t for t in evidence.towns.values() if best.place in t.estimate.modes).estimate
         held = best.probability / max(best.place.probability, 1e-9)
@@ -61,7 +63,7 @@ def decide_by_text(
     ):
         return Status.OK, f"{where} fits {share}."
     if of_scene >= SURE_SCENE:
-        why = f"{best.scene} fits ({of_scene:.0%}); the text does not tell which room."
+        why = f"{best.scene} fits ({of_scene:.0%}), but the text does not identify the room."
         return Status.AMBIGUOUS, why
     rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
     others = f"; so may {'; '.join(rivals)}" if rivals else ""
@@ -121,7 +123,7 @@ def limit_status(
     if query.near is not None and status is not Status.OK:
         hints = [t.explain_prior(query.near, query.radius) for t in world.towns.values()]
         if hints and None not in hints:
-            reason = f"{reason} The fix is on none of the maps.{next(filter(None, hints), '')}"
+            reason = f"{reason} The fix lies outside all maps.{next(filter(None, hints), '')}"
     gaps = [town.gap for town in searched.values() if town.gap]
     is_short = bool(gaps) and status is Status.OK
     if gaps and status is Status.LOST:  # other parts were not searched

@@ -40,7 +40,7 @@ class Maps(Mapping[str, Map]):
     def __getitem__(self, name: str) -> Map:
         if name not in self.paths:
             known = ", ".join(sorted(self.paths)[:5]) or "none at all"
-            raise OptionError(f"{name!r} is no map of this world; it has {known}.")
+            raise OptionError(f"{name!r} is not a map of this world; its maps are {known}.")
         if name not in self._opened:
             self._opened[name] = self._opener(self.paths[name])
         return self._opened[name]
@@ -265,14 +265,14 @@ def open_world(
     """
     given = [places] if isinstance(places, str | os.PathLike) else list(places)
     if not given:
-        raise InputError("There is no place to look for maps; name a folder, or map files.")
+        raise InputError("No maps are given; name a folder, or map files.")
     if keep is not None or any(map(is_url, given)):
         given = load_module("placegraph_scale.folder", "scale").fetch_places(given, keep)
     found = check_map_files([Path(place) for place in given])
     if scheduler is not None and not found.paths["world"]:
         raise OptionError(
-            f"scheduler: its workers search worlds in shards, and {given[0]} holds none; leave it out, "
-            "or build one by `placegraph world build`."
+            f"scheduler: it applies only to worlds in shards, but {given[0]} contains none; "
+            "remove it, or build one with `placegraph world build`."
         )
     opener = opener or partial(open_map_or_world, scheduler=scheduler)
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)

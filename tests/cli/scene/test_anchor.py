@@ -73,7 +73,7 @@ def test_by_the_fixes_of_the_capture_that_it_was_made_of(run, scene, tmp_path):
     told = json.loads(run("scene", "anchor", scene, "--capture", folder, "--json").out)
     assert told["anchors"][0]["heading_deg"] == pytest.approx(np.degrees(1.1), abs=0.1)
     assert told["anchors"][0]["method"] == "gps"
-    assert "made of these frames" in told["notes"][0]
+    assert "built from these frames, so" in told["notes"][0]
 
 
 def test_by_a_pose_in_place_and_off_again_where_north_is_0(run, scene):

@@ -132,7 +132,8 @@ def test_of_numbers_that_are_not_finite_nothing_is_found(hall, way, walked, kit,
 
 
 @pytest.mark.parametrize(
-    ("way", "status", "words"), [(0.06, Status.OK, "after"), (0.57, Status.AMBIGUOUS, "is late")]
+    ("way", "status", "words"),
+    [(0.06, Status.OK, "after"), (0.57, Status.AMBIGUOUS, "probably delayed")],
 )
 def test_cameras_of_one_device_stand_side_by_side(walk, way, status, words):
     values = np.zeros(COUNT)
@@ -196,7 +197,7 @@ def test_sentences_and_mended_frames(exact):
     assert said == "Depth readings are 9.1% too short: 1.100 times them would fit."
     said = values(focal=np.log(0.9), image=np.log(0.9)).sentence(frame)
     assert said.startswith(
-        "The focal length is 10.0% shorter than the camera says (depth likewise)"
+        "The focal length is 10.0% shorter than in the intrinsics (depth likewise)"
     )
     assert f"fx {frame.camera.fx * 0.9:.1f}" in said
     mended = values(scale=0.1, focal=-0.1, image=-0.1).frames(frames)

@@ -60,7 +60,7 @@ def test_frames_stand_upright(turns, vector, roll):
 
 def test_confidence_and_images_of_another_size(save, tmp_path):
     check_shape(np.zeros((6, 8)), CAMERA, "it")
-    with pytest.raises(InputError, match="it has 6 x 8 pixels, but its camera says 8 x 6"):
+    with pytest.raises(InputError, match="it has 6 x 8 pixels, but its camera has 8 x 6"):
         check_shape(np.zeros((8, 6)), CAMERA, "it")
     save(tmp_path / "d.png", np.full((6, 8), 1500, np.uint16))
     save(tmp_path / "c.png", np.zeros((3, 4), np.uint8))

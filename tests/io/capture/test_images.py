@@ -34,7 +34,7 @@ def test_intrinsics_say_whether_an_image_is_turned(photo):
     assert shown[0, :, 0].min() == 255
     np.testing.assert_array_equal(np.rot90(stored, -1), shown)
     Image.new("RGB", (6, 4)).save(photo)
-    with pytest.raises(InputError, match="6 x 4 pixels, but its camera says 4 x 6"):
+    with pytest.raises(InputError, match="6 x 4 pixels, but its camera has 4 x 6"):
         read_rgb(photo, (4, 6))
 
 
@@ -52,7 +52,7 @@ def test_more_pixels_than_bytes_can_hold_are_refused_before_they_are_read(tmp_pa
     monkeypatch.setattr(images, "PIXELS_A_BYTE", 1)
     path = tmp_path / "a.png"
     Image.new("RGB", (40, 30)).save(path)
-    with pytest.raises(InputError, match=r"a\.png says that it has 40 x 30 pixels, in 83 bytes"):
+    with pytest.raises(InputError, match=r"a\.png declares 40 x 30 pixels, in 83 bytes"):
         read_rgb(path, (40, 30))
     path.write_bytes(path.read_bytes() + bytes(9))
     assert read_rgb(path, (40, 30)).shape == (30, 40, 3)

@@ -51,7 +51,7 @@ def test_the_same_text_in_other_clothes(text, write):
 @pytest.mark.parametrize(
     ("row", "says"),
     [
-        ("0.5 1 2 3 0 0 0", "line 4: 7 columns where 8"),
+        ("0.5 1 2 3 0 0 0", "line 4: 7 columns are given, expected 8"),
         ("0.5 1 2 3 0 0 0 1 9", "line 4: 9 columns"), ("0.5 1 2 x 0 0 0 1", "line 4.*'x'"),
         ("0.5 1 2 nan 0 0 0 1", "line 4: tz is nan"), ("0.5 inf 2 3 0 0 0 1", "line 4: tx is inf"),
         ("0.5 1 2 3 nan 0 0 1", "line 4: qx is nan"), ("nan 1 2 3 0 0 0 1", "line 4: stamp is nan"),
@@ -75,9 +75,7 @@ def test_what_cannot_be_read(tmp_path, write):
         with pytest.raises(InputError, match=says):
             read_tum(path)
     for content in ("", "\n\n", "# only words\n", b"\xff\xfe\x00\x01"):
-        with pytest.raises(
-            InputError, match="not text" if content[:1] == b"\xff" else "holds no row"
-        ):
+        with pytest.raises(InputError, match="not text" if content[:1] == b"\xff" else "is empty"):
             read_tum(write(content))
 
 

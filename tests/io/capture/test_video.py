@@ -75,7 +75,7 @@ def test_euroc_tells_of_a_body(recorded, tmp_path):
         ({"start": "now"}, None, "start is not"), ({"body_from_camera": [1, 2]}, None, "has 2 numbers"),
         ({"body_from_camera": "no"}, None, "not 16 numbers"), ({}, "1,2,3", "timestamp"),
         ({}, "2,0,0,0,1,0,0,0\n1,0,0,0,1,0,0,0", "do not ascend"), ({}, "1,0,0,0,2,0,0,0", "length 2"),
-        ({"width": 7, "height": 7}, None, "192 x 144 pixels, but its camera says 7 x 7"),
+        ({"width": 7, "height": 7}, None, "192 x 144 pixels, but its camera has 7 x 7"),
     ],
 )  # fmt: skip
 def test_wrong_files(said, rows, says, recorded, tmp_path):

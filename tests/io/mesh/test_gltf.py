@@ -132,7 +132,7 @@ def test_points_and_lines_are_left_out(glb):
     glb.node(glb.primitive(TRIANGLE, mode=1), glb.primitive(TRIANGLE))
     model = read_glb(glb.write())
     assert len(model.triangles) == 1
-    assert model.left_out == {"primitives that are no triangles": 1}
+    assert model.left_out == {"primitives that are not triangles": 1}
 
 
 def test_primitives_are_put_behind_each_other(glb):
@@ -287,7 +287,7 @@ def spoil(glb, change):
         (lambda j: j.update(scenes=[{"nodes": [3]}]), r"nodes\[3\]"),
         (lambda j: j.update(nodes={}), "not a list"),
         (lambda j: j.update(extensionsRequired=[[]]), "unknown here"),
-        (lambda j: j["meshes"][0]["primitives"].append(3), "not sound glTF"),
+        (lambda j: j["meshes"][0]["primitives"].append(3), "not valid glTF"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_says_why(change, says, glb):
@@ -307,7 +307,7 @@ def test_what_is_no_glb(glb, tmp_path):
     glb.node(glb.primitive(TRIANGLE))
     data = glb.write().read_bytes()
     for content, says in (
-        (b"", "is empty"), (b'{"asset": {"version": "2.0"}}', "end in .gltf"),
+        (b"", "is empty"), (b'{"asset": {"version": "2.0"}}', "in JSON form; rename it to .gltf"),
         (b"solid stl of some kind", "not glTF 2.0 binary"), (data[:-8], "truncated"),
         (struct.pack("<4sII", b"glTF", 1, len(data)) + data[12:], "glTF 1"),
         (data[:12] + struct.pack("<I", 10**6) + data[16:], "ends within a chunk"),
@@ -443,7 +443,7 @@ def test_nothing_outside_its_folder_is_read(glb, uri, tmp_path):
     (tmp_path / "link").symlink_to(tmp_path.parent)
     for where in ("buffer", "image"):
         path = as_text(glb, **{where: uri})
-        with pytest.raises(InputError, match="leads out of its folder") as caught:
+        with pytest.raises(InputError, match="lies outside its folder") as caught:
             read_glb(path)
         assert str(path) in str(caught.value)
 

@@ -108,7 +108,7 @@ def test_positions_are_exact_in_either_frame(tmp_path_factory, points, turned):
 def test_lines_are_drawn_but_are_no_things(read):
     parts = [Part("walk", lines=np.zeros((3, 2, 3))), Part("a", [Surface(CORNERS, FACES, 0)])]
     model = read(parts, [Material()])
-    assert model.left_out == {"primitives that are no triangles": 1}
+    assert model.left_out == {"primitives that are not triangles": 1}
     assert len(model.triangles) == 2
 
 

@@ -154,7 +154,7 @@ def test_what_is_missing_is_counted(tmp_path):
     model = read_obj(written(tmp_path, text))
     assert model.left_out == {
         "material files that are missing": 1,
-        "materials that no material file holds": 1,
+        "materials missing in the material files": 1,
         "faces of fewer than three corners": 1,
     }
     assert model.pictures[0].data is None
@@ -177,7 +177,7 @@ def test_black_beside_a_texture_means_nothing(room):
         ("v 0 0 0\nv 1 nonsense 0\n", r"a.obj, line 2: 'nonsense' is no number"),
         ("v 0 0 0\nvt\nvt 1x\n", "line 3: '1x' is no number"),
         ("v 0 0 0\nf 1 2 3\n", "vertices 3 of 1"), ("v 0 0 0\nf 1/2 1 1\n", "uv 2 of 0"),
-        ("v 0 0 0\nf 1 1 -2\n", "line 2: a face names a vertex that is not there"),
+        ("v 0 0 0\nf 1 1 -2\n", "line 2: a face refers to a missing vertex"),
         ("v 0 0 0\nf 1/ 1 1\n", "line 2"), ("v 0 0 0\nf 0 1 1\n", "line 2"),
         ("v 0 0 0\nf 1.5 1 1\n", "line 2: '1.5' is no number"),
     ],

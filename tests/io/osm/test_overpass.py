@@ -258,7 +258,7 @@ def test_a_server_that_stays_busy(servers, out):
     assert len(servers.asked) == 2 + len(overpass.PAUSES)
 
 
-ELSE = "something else than was asked for"
+ELSE = "returned an unexpected answer"
 
 
 @pytest.mark.parametrize(
@@ -270,8 +270,8 @@ ELSE = "something else than was asked for"
         ((200, b'{"version": 0.6, "elements": []}'), f"{ELSE}: .*elements"),
         ((200, TOWN[:2000]), ELSE), ((200, b"\x00\xff\xfe" * 100), ELSE),
         ((200, TOWN.replace(b'lat="', b'lat="x')), ELSE),
-        ((200, HEAD + GAVE_UP + b"\n</osm>\n"), r"gave up: runtime error: Query timed out.* smaller"),
-        ((200, TOWN.replace(b"</osm>", GAVE_UP + b"</osm>")), "gave up: runtime error"),
+        ((200, HEAD + GAVE_UP + b"\n</osm>\n"), r"failed: runtime error: Query timed out.* smaller"),
+        ((200, TOWN.replace(b"</osm>", GAVE_UP + b"</osm>")), "failed: runtime error"),
     ],
 )  # fmt: skip
 def test_overpass_fails(servers, out, answer, message):
@@ -281,7 +281,7 @@ def test_overpass_fails(servers, out, answer, message):
 
 def test_a_download_that_breaks_off_or_holds_nothing(servers, out):
     servers.extra_length = 1000
-    assert "Overpass cannot be reached, or broke off" in failure(ServiceError, out)
+    assert "Overpass cannot be reached, or closed the connection" in failure(ServiceError, out)
     servers.extra_length, servers.answers = 0, [(200, HEAD + b"</osm>\n")]
     said = failure(InputError, out, keys=["shop"])
     assert "knows nothing in 'Mühlenend, Bezirk Unterland" in said
@@ -321,10 +321,10 @@ def test_server_has_a_strange_address(out, url):
 def test_place_is_unknown_or_has_no_outline(servers, out):
     servers.places = b"[]"
     said = failure(InputError, out, place="Atlantiß")
-    assert said.startswith("No place is called 'Atlantiß'; check the spelling")
+    assert said.startswith("No place named 'Atlantiß'; check the spelling")
     assert len(servers.asked) == 1
     servers.places = json.dumps(PLACES[:1]).encode()
-    assert "point or line only" in failure(InputError, out)
+    assert "point or line" in failure(InputError, out)
 
 
 def test_place_is_too_large(servers, out):

@@ -158,7 +158,7 @@ def test_a_service_that_fails_is_given_up(service):
         ask(service, reply("{}"), delay=0.3, timeout=0.1)
     with pytest.raises(ServiceError, match="longer than"):
         ask(service, b" " * 1_100_000)
-    with pytest.raises(ServiceError, match="Is it running"):
+    with pytest.raises(ServiceError, match="check that it is running"):
         LanguageModelDescriber("http://127.0.0.1:9/v1", "small", timeout=2.0).describe(TEXT)
 
 

@@ -116,7 +116,7 @@ def test_the_language_is_recognised_whatever_the_letters(text, language, said):
 def test_what_is_in_no_known_language_is_told(text):
     description = describe(text)
     assert description.language == ""
-    assert description.ignored[-1] == Ignored(text, "in no language that is known")
+    assert description.ignored[-1] == Ignored(text, "in an unknown language")
 
 
 def test_a_language_that_there_is_not():
@@ -134,7 +134,7 @@ def test_a_language_that_there_is_not():
         ("name = 'X'\n[compas]\n0 = ['i']", "there is no field 'compas'"),
         ("name = 'X'\n[forms]\nchanges = ['kk']", r"the field 'forms\.changes' is"),
         ("name = 'X'\n[measures.units]\nm = ['m']", r"the key 'm' of 'measures\.units'"),
-        ("name = ", "is no table of a language"),
+        ("name = ", "it is not a language"),
     ],
 )
 def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):

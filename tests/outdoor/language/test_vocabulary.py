@@ -245,7 +245,9 @@ def test_every_tag_value_of_a_map_is_a_word(vocabulary):
 def test_what_no_city_map_draws_is_known_all_the_same(vocabulary):
     for phrase in ("signal", "stop_position", "stop positions", "proposed", "the derails"):
         assert vocabulary.senses(phrase) == ()
-        assert vocabulary.unknown(phrase.removeprefix("the ")) == "known, but no city map draws it"
+        assert (
+            vocabulary.unknown(phrase.removeprefix("the ")) == "is known, but never on a city map"
+        )
     assert vocabulary.longest_match(["stop", "position", "near"]) == (2, ())
     assert vocabulary.unknown("benhc") == "unknown word; did you mean bench?"
     assert vocabulary.unknown("zorblat") == "unknown word"
@@ -474,7 +476,7 @@ WORDS = "language\twords\tlabels\n"
     [
         ("objects.tsv", "", "is empty"),
         ("objects.tsv", "key\tvalue\n", "line 1: the header must be"),
-        ("objects.tsv", HEADER, "no row with the role 'object'"),
+        ("objects.tsv", HEADER, "no row has the role 'object"),
         ("objects.tsv", HEADER + "shop\t*\tthing\t3\n", "line 2: the field 'role' is 'thing'"),
         ("objects.tsv", HEADER + "shop\t*\tobject\thigh\n", "line 2: the field 'rank' is 'high'"),
         ("objects.tsv", HEADER + "shop\t\tobject\t1\n", "line 2: the fields 'key' and 'values'"),
@@ -490,7 +492,7 @@ WORDS = "language\twords\tlabels\n"
         ("words.tsv", WORDS + "en\tfoo,,bar\tshop=x\n", "line 2: the field 'words'"),
         ("spoken.tsv", WORDS + "\tfoo\tshop=x\n", "line 2: the field 'language' is empty"),
         ("stop.tsv", "word\nthe\n", "line 1: the header must be words"),
-        ("english.tsv", "hello\n", "it is no list of words"),
+        ("english.tsv", "hello\n", "it is not a list of words"),
     ],
 )
 def test_errors_name_file_line_and_mend(tmp_path, table, text, complaint):
@@ -501,7 +503,7 @@ def test_errors_name_file_line_and_mend(tmp_path, table, text, complaint):
 
 
 def test_unreadable_tables(tmp_path):
-    with pytest.raises(InputError, match="no folder of vocabulary tables"):
+    with pytest.raises(InputError, match="it is not a folder of vocabulary"):
         Vocabulary.load(tmp_path / "missing")
     (tmp_path / "words.tsv").write_bytes(b"language\twords\tlabels\nen\tcaf\xe9\tshop=x\n")
     with pytest.raises(InputError, match="not UTF-8"):

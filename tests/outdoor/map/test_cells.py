@@ -194,7 +194,9 @@ def test_cells_as_a_mapping(real_city):
              "c٣r١", "c²r1", "c999999999r999999999", "c1r2r3", "moon", "c" * 10_000],
 )  # fmt: skip
 def test_unknown_cells(name, harbour):
-    with pytest.raises(OptionError, match=r"is no cell of this map; cells are named as 'c\d+r\d+'"):
+    with pytest.raises(
+        OptionError, match=r"is not a cell of this map; cell names look like 'c\d+r\d+'"
+    ):
         harbour.graph(name)
     for ask in (harbour.cells.center, harbour.cells.bounds, harbour.cells.__getitem__):
         with pytest.raises(OptionError):

@@ -177,7 +177,7 @@ def test_answers_that_count(question, given_, expected):
     ],
 )  # fmt: skip
 def test_answers_that_do_not(question, given_):
-    with pytest.raises(OptionError, match=r"is no answer; say one of: .*don't know"):
+    with pytest.raises(OptionError, match=r"is not a valid answer; choose one of: .*don't know"):
         question.answer(given_)
 
 

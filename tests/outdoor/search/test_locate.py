@@ -65,7 +65,7 @@ def test_what_is_denied(judge):
         (BAKERY, "visible", "me", {"negated": True}), (FOUNTAIN, "visible", "me", {"negated": True})
     )
     assert false.verdict == "against"
-    assert false.note == "but it is there"
+    assert false.note == "but it is present"
     assert false.objects[0].id == "node/5"
     assert true.verdict in ("for", "silent")
 

@@ -44,8 +44,8 @@ Tags = dict[str, str]
 TABLE = "data/overture.tsv"
 BASE = frozenset({"infrastructure", "land", "land_use", "water"})
 """Types of the base theme, which bring tags of OpenStreetMap along."""
-NO_TAG = "of a class that no tag stands for"
-BY_NAME = "known by name alone: no tag stands for their category"
+NO_TAG = "of a class without a matching tag"
+BY_NAME = "kept by name only, because no tag matches their category"
 _VARIANTS = {"official": "official_name", "alternate": "alt_name", "short": "short_name"}
 _LANGUAGE = re.compile(r"[a-z]{2,3}(-[A-Za-z]+)?")
 _NUMBER_FIRST = re.compile(r"(\d+\w?)\s+(\D[^,]*)")
@@ -537,8 +537,8 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
         where = f" lies in bbox {source.box}" if source.box else ""
         left = ", ".join(f"{n} {why}" for why, n in sorted(counts.items())) or "nothing"
         raise InputError(
-            f"{source}: nothing that can be told{where}; left out: {left}. Give west,south,east,north "
-            "of a part that the files hold, or other files."
+            f"{source}: no usable objects{where}; ignored: {left}. Give "
+            "west,south,east,north of a part that the files hold, or other files."
         )
 
 
@@ -593,9 +593,9 @@ def _element(
 def _why_closed(row: dict[str, Any], confidence: float) -> str:
     """Return why a place does not exist (any more), or an empty text."""
     if row.get("operating_status") == "permanently_closed":
-        return "closed for good"
+        return "permanently closed"
     known = row.get("confidence")
-    return "of less confidence" if known is not None and known < confidence else ""
+    return "below the confidence limit" if known is not None and known < confidence else ""
 
 
 def _parts(shape: Any) -> tuple[int, list[NDArray[np.float64]]] | str:  # noqa: ANN401

@@ -174,7 +174,9 @@ def _decode_lzfse(data: bytes, camera: Camera, each: int, where: str) -> bytes:
             'pip install "placegraph[record3d]".'
         ) from error
     if not (data.startswith(b"bvx") and data.endswith(_END)):
-        raise InputError(f"{where} is no whole LZFSE stream; it may be truncated: copy it again.")
+        raise InputError(
+            f"{where} is not a complete LZFSE stream; it may be truncated, so copy it again."
+        )
     try:
         unpacked: bytes = liblzfse.decompress(data)
     except (liblzfse.error, MemoryError, ValueError) as error:
@@ -473,7 +475,14 @@ def read_polycam(path: Path) -> Capture:
             )
         )
     notes = (
-        () if kind else ("Polycam's uncorrected poses and images are used: there are no others.",)
+        ()
+        if kind
+        else (
+            (
+                "Polycam's uncorrected poses and images are used, because corrected ones are "
+                "missing."
+            ),
+        )
     )
     return make_capture(path, frames_, left_out=left_out, notes=notes)
 

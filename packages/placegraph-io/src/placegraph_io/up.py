@@ -36,7 +36,7 @@ def estimated_up(
     if np.linalg.norm(up) < 1e-6:
         raise InputError("The cameras have no common up direction; give `up` in their world.")
     up /= np.linalg.norm(up)
-    how = "it is up in the images on average"
+    how = "according to the mean up direction of the images"
     right = rotations[:, :, 0]
     spread, axes = np.linalg.eigh(right.T @ right / len(right))
     level = axes[:, 0] * np.sign(axes[:, 0] @ up)

@@ -223,7 +223,7 @@ def test_depth_of_another_size_or_kind(recorded, save, tmp_path):
     model.binary(tmp_path / "sparse/0")
     images(tmp_path, world, model, save)
     save(tmp_path / "depth/img1.png", np.ones((10, 10), np.uint16))
-    with pytest.raises(InputError, match="10 x 10 pixels, but its camera says 48 x 36"):
+    with pytest.raises(InputError, match="10 x 10 pixels, but its camera has 48 x 36"):
         open_capture(tmp_path)
     own_depth(tmp_path, world, model)
     (tmp_path / "depth/img1.png").unlink()

@@ -203,7 +203,7 @@ def test_a_view_is_not_run(recorded, tmp_path):
     ("column", "data", "says"),
     [
         ("image", b"\xff\xd8\xff", "image of node 2 cannot be read as an image"),
-        ("depth", encoded(np.zeros((9, 9), np.uint16)), "9 x 9 pixels, but its camera says 48 x 36"),
+        ("depth", encoded(np.zeros((9, 9), np.uint16)), "9 x 9 pixels, but its camera has 48 x 36"),
         ("depth", encoded(np.zeros((36, 48, 3), np.uint8)), "mode 'RGB', which are no depth"),
         ("depth", b"DEPTHRVL" + struct.pack("<II", 1 << 31, 1 << 31), "2147483648 x 2147483648"),
         ("depth", b"DEPTHRVL" + struct.pack("<III", 48, 36, 0x10000000), "ends before"),

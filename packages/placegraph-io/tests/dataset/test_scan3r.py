@@ -142,7 +142,10 @@ def test_another_order_takes_the_nearest_labels(scan):
     scan.write_labels(order=[*order, *order])
     model = read_scan3r(scan.path)
     assert labels_of(model) == ["floor"] * 2 + ["box"] * 2 + ["unknown"] * 2
-    assert model.left_out["vertices that took the label of the nearest, as the meshes differ"] == 12
+    assert (
+        model.left_out["vertices labelled by their nearest neighbour, because the meshes differ"]
+        == 12
+    )
 
 
 def test_the_same_order_tells_coincident_vertices_apart(scan):

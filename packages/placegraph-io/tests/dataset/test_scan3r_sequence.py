@@ -166,7 +166,7 @@ def test_what_cannot_be_used_is_counted(recording, tmp_path):
         "frames with an invalid pose": 2,
         "frames without a pose": 1,
         "frames without a colour image": 1,
-        "frames that are announced, but not there": 4,
+        "frames that are listed, but missing": 4,
     }
     assert capture[0].depth() is not None
     assert capture[1].depth() is None

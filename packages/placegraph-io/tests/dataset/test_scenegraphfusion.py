@@ -135,7 +135,7 @@ def test_labels_on_a_mesh(output, tmp_path):
     assert [model.objects[i].label for i in model.object_of] == ["floor", "wall", "unknown"]
     assert len(model.triangles) == 3
     assert model.left_out["vertices of the mesh without a surfel within 0.1 m"] == 3
-    assert model.left_out["labels of objects that are not there"] == 1  # the chair
+    assert model.left_out["labels of missing objects"] == 1  # the chair
     (relation,) = model.relations
     assert [model.objects[i].label for i in relation[::2]] == ["wall", "floor"]
     mesh.write_text("v 9 9 9\nv 8 9 9\nv 9 8 9\nf 1 2 3\n")

@@ -111,7 +111,7 @@ def test_images_that_are_missing_or_of_another_size(recorded, save, tmp_path):
     files = sorted((tmp_path / "depth").iterdir())
     save(files[0], np.zeros((72, 96), np.uint16))
     files[1].unlink()
-    with pytest.raises(InputError, match="96 x 72 pixels, but its camera says 48 x 36"):
+    with pytest.raises(InputError, match="96 x 72 pixels, but its camera has 48 x 36"):
         capture[0].depth()
     with pytest.raises(InputError, match="does not exist"):
         capture[1].depth()

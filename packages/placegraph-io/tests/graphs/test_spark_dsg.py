@@ -113,7 +113,7 @@ def test_without_connections_label_and_box_decide(read):
     assert corners_of(model, 0).tolist() == POINTS[3:6]
     # of the cup's label there is nothing within its box: the box stands for it
     assert len(corners_of(model, 1)) == 36
-    assert model.left_out == {"objects without a mesh, for which their box stands": 1}
+    assert model.left_out == {"objects without a mesh, shown as boxes": 1}
     assert [t.id for t in model.objects[2:]] == ["mesh 3", "mesh 4"]
 
 

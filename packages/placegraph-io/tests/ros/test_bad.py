@@ -280,7 +280,7 @@ def test_intrinsics_of_another_resolution_and_of_rectified_images(tmp_path, clip
         ({"step": 3}, "with a step of 3"),
         ({"encoding": "64FC1"}, "encoding '64FC1' is not read"),
         ({"encoding": "16UC1"}, "is not read"),
-        ({"width": 48, "step": 288}, "has 48 x 72 pixels, but its camera says 96 x 72"),
+        ({"width": 48, "step": 288}, "has 48 x 72 pixels, but its camera has 96 x 72"),
     ],
 )
 def test_images_that_are_not_what_they_say(fields, match, tmp_path, clip):

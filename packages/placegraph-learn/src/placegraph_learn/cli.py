@@ -32,7 +32,7 @@ HELD_OUT = "right, in places not learned"
 
 WorkFolder = Annotated[
     Path,
-    Option(help="Folder for what an interrupted training goes on from, and its curves."),
+    Option(help="Folder for checkpoints and training curves."),
 ]
 TrainingDevice = Annotated[str, Option(help="cpu, cuda, or auto.")]
 
@@ -86,14 +86,14 @@ def train_scene(
     ] = None,
     synthetic: Annotated[
         int | None,
-        Option(least=3, help="Train on so many procedural homes instead of maps of your own."),
+        Option(least=3, help="Number of procedural homes to train on, in place of your own maps."),
     ] = None,
     held_out: Annotated[
         int | None,
         Option(
             "--held",
             least=1,
-            help="Places that are not learned but asked about; a fifth if not given.",
+            help="Number of places held out for validation; a fifth if not given.",
         ),
     ] = None,
     features: Annotated[
@@ -113,7 +113,7 @@ def train_scene(
         bool | None,
         Option(
             "--rotate/--no-rotate",
-            help="Turn all images clockwise, as 3RScan's; if not given each by its gravity.",
+            help="Rotate all images clockwise, as in 3RScan; if not given, each by its gravity.",
         ),
     ] = None,
     frames: Annotated[
@@ -220,7 +220,7 @@ def show_training(
             kept = f"{done} epochs are kept" if done != 1 else "1 epoch is kept"
             command = shlex.join(["placegraph", *sys.argv[1:]])
             click.echo(
-                f"Interrupted; {kept} in {work}. The same command goes on from there:\n  {command}",
+                f"Interrupted; {kept} in {work}. Resume with the same command: {command}",
                 err=True,
             )
             raise click.exceptions.Exit(INTERRUPTED) from None

@@ -189,8 +189,8 @@ class RomaV2Matcher(_DenseMatcher):
         taken = _imported("romav2.device", self.name).device
         if self.device != "auto" and device.type != taken.type:
             raise OptionError(
-                f"device is {self.device!r}, but romav2 runs on {taken.type!r} here and lets nobody "
-                "choose; hide the GPU from PyTorch, or take device='auto'."
+                f"device is {self.device!r}, but romav2 always runs on {taken.type!r} here; "
+                "hide the GPU from PyTorch, or use device='auto'."
             )
         with check_weights(self.weights, self.name), _weights_from(self.weights):
             return romav2.RoMaV2()

@@ -77,8 +77,8 @@ def live(
     source: Annotated[
         Path,
         Argument(
-            help="Bag, whole or still being recorded (.mcap); folder of images that fills; or - for "
-            "an MCAP on standard input."
+            help="Bag, complete or still being recorded (.mcap); growing folder of images; or - "
+            "for MCAP on standard input."
         ),
     ],
     foxglove: Annotated[
@@ -91,12 +91,14 @@ def live(
     rerun: RerunFile = None,
     mode: Annotated[
         str,
-        Option(help="continuous, or once: images are looked at until the pose is known."),
+        Option(help="continuous, or once (stop localizing when the pose is known)."),
     ] = "continuous",
-    speed: Annotated[float, Option(help="1: as it was recorded; inf: as fast as it comes.")] = 1.0,
+    speed: Annotated[
+        float, Option(help="Playback speed: 1 is real time, inf is as fast as possible.")
+    ] = 1.0,
     wait: Annotated[
         float,
-        Option(help="End when nothing has come for so long [s], where more may come: 0 at once."),
+        Option(help="Stop after this time without new data [s]; 0 stops at once."),
     ] = 10.0,
     seed: Seed = 0,
     device: Device = "auto",

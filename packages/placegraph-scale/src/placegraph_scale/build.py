@@ -102,7 +102,7 @@ def build_world(
         here = replace(options, work=None)
         return bring(build_world(extracts, options.work, here, progress), str(folder), progress)
     if options.work is not None:
-        raise OptionError("work: it is of worlds that are brought to a URL; leave it out.")
+        raise OptionError("work: it applies only to worlds written to a URL; remove it.")
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK
@@ -144,12 +144,12 @@ class _Build:
             for what in plan:
                 if known.get(what) != plan[what]:
                     raise OptionError(
-                        f"{self.target} was begun with other {what}; build with the same, into another "
-                        f"folder, or remove {self.target} to begin anew."
+                        f"{self.target} was started with different {what}; use the same, "
+                        f"choose another folder, or remove {self.target} to start again."
                     )
         elif (self.target / "world.json").exists():
             raise OptionError(
-                f"{self.target} holds a world already; build into another folder, or remove it."
+                f"{self.target} already contains a world; choose another folder, or remove it."
             )
         else:  # shards built by another plan do not belong to this build
             for shard in (self.target / SHARDS).glob("*.city"):
@@ -189,7 +189,9 @@ class _Build:
                     Path(path).unlink(missing_ok=True)
                 self.tell("building tiles", n, len(jobs))
         if not any(made.digest for made in self.journal.done.values()):
-            raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
+            raise InputError(
+                f"{self.extracts[0]} contains no two objects near each other; use a larger extract."
+            )
 
     def count(self, work: Callable[[Path], WordCounts], paths: list[Path]) -> Iterator[WordCounts]:
         """Yield the words of all shards, in their order: as saved when built, else counted by `work`."""
@@ -212,7 +214,7 @@ class _Build:
 
     def _spread(self) -> None:
         """Spread what touches many tiles over those that hold more, and list the files of each tile."""
-        self.tell("sharing out what is large", 0, None)
+        self.tell("partitioning large files", 0, None)
         splits = [Split.load(folder) for folder in self._folders("things")]
         populated = sorted({key for s in splits if s for key in s.populated})
         files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
@@ -220,7 +222,7 @@ class _Build:
             splits, self._folders("things"), self._folders("large"), strict=True
         ):
             if found is None or not found.complete:
-                raise MapError(f"{things} has gone; run the same command again.")
+                raise MapError(f"{things} is missing; run the same command again.")
             shutil.rmtree(large, ignore_errors=True)
             large.mkdir()
             sizes = spread_large(things, large, found.sizes, populated, self.options.overlap)
@@ -419,8 +421,8 @@ def _run_on_cluster(
                 raise _killed(future.key, "Give workers more memory") from error
             except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
                 raise ServiceError(
-                    f"The scheduler went away ({error}); start it and the same command again, which goes "
-                    "on where it stopped."
+                    f"The connection to the scheduler was lost ({error}); start it and run "
+                    "the same command again, which resumes the build."
                 ) from error
             start(1)
             yield numbers.pop(future.key), result
@@ -431,6 +433,7 @@ def _run_on_cluster(
 def _killed(task: object, advice: str) -> MapError:
     key = getattr(task, "key", task)
     return MapError(
-        f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
-        f"short. {advice}, or choose a higher --zoom (smaller tiles); what is finished stays."
+        f"{key}, or a task of the same worker: the worker was killed {TRIES} times, "
+        f"probably for lack of memory. {advice}, or choose a higher --zoom (smaller tiles); "
+        "what is finished stays."
     )

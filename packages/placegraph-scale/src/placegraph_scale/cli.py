@@ -79,7 +79,7 @@ def shard(
         list[Path], Argument(help="Libraries (.library), or folders of scene maps.")
     ],
     out: Annotated[Path, Option("--out", "-o", help="Folder to write, such as homes.shards.")],
-    size: Annotated[int, Option(help="Scenes of a shard.", least=1)] = 10_000,
+    size: Annotated[int, Option(help="Number of scenes per shard.", least=1)] = 10_000,
     encoder: ItsEncoders = None,
     weights: WeightsFile = None,
     as_json: AsJson = False,
@@ -120,7 +120,8 @@ def _named_entries(
         library = open_(path) if i else first
         if [e.key for e in library.encoders] != [e.key for e in first.encoders]:
             raise MapError(
-                f"{path} was encoded by others than {paths[0]}; make both by the same encoders."
+                f"{path} and {paths[0]} were made by different encoders; use the same "
+                "encoders for both."
             )
         for name in library:
             entry = library.entry(name)

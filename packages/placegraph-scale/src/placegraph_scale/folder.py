@@ -138,8 +138,8 @@ def check_digest(path: Path, digest: str) -> None:
     """Raise `PlacegraphError` where a file is missing, or is not the one that the world was made of."""
     if digest_of(path) != digest:
         raise MapError(
-            f"{path} is not the file that the world was finished with; bring that back, or finish "
-            "the world again with `placegraph world build`."
+            f"{path} differs from the file that the world was built with; restore it, or "
+            "run `placegraph world build` again."
         )
 
 
@@ -209,8 +209,8 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
     except Exception as error:  # each file system has its own
         if is_missing(error):
             raise InputError(
-                f"{url}: {getattr(error, 'filename', None) or error} is not there; name the folder of a "
-                "world in shards, build it, or bring it again."
+                f"{url}: {getattr(error, 'filename', None) or error} is missing; give the "
+                "folder of a world in shards, build it, or copy it again."
             ) from error
         raise MapError(
             f"{url} cannot be fetched to {folder}: {one_line(error)}. The same command goes on."
@@ -224,7 +224,7 @@ def fetch_places(
     """Return places on this machine; the world at a URL is fetched to the folder `keep`."""
     urls = [str(place) for place in places if is_url(place)]
     if keep is not None and not urls:
-        raise OptionError("keep: it is of a world at a URL, and none is given; leave it out.")
+        raise OptionError("keep: it applies only to a world at a URL; remove it.")
     if keep is None and urls:
         raise OptionError(f"{urls[0]} is a URL: name a folder for what is fetched (keep).")
     if len(urls) > 1:

@@ -178,8 +178,8 @@ def read_frames(path: Path, size: int) -> list[ElementTable]:
 def no_room(path: Path, error: OSError) -> MapError:
     """Return the error of a build that cannot go on writing."""
     return MapError(
-        f"{path} cannot be written: {error.strerror or error}. Make room, or mend what is in the "
-        "way; the same command then goes on where it stopped."
+        f"{path} cannot be written: {error.strerror or error}. Free some space, or fix the "
+        "cause; the same command then resumes."
     )
 
 

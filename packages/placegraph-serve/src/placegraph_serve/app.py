@@ -79,8 +79,8 @@ def _add_errors(app: FastAPI) -> None:
         allowed = methods_at(request) if status in {404, 405} else []
         status = 405 if allowed else status
         said = {
-            404: f"There is nothing at {where}; see /docs for what there is.",
-            405: f"{request.method} is not answered at {where}; see /docs for what is.",
+            404: f"No route exists at {where}; see /docs for all routes.",
+            405: f"{request.method} is not allowed at {where}; see /docs for the allowed methods.",
         }.get(status, f"{error.detail}; see /docs for what is expected.")
         code = {404: "not_found", 405: "method"}.get(status, "request")
         answer = await ours(request, RequestError(said, status=status, code=code))

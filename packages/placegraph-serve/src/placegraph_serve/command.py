@@ -34,7 +34,7 @@ def serve(
 
     def ready(url: str) -> None:
         names = ", ".join(entry.name for entry in found.entries()[:8])
-        click.echo(f"Serving {names} at {url} (Ctrl-C ends it; {url}/docs says what can be asked).")
+        click.echo(f"Serving {names} at {url} (press Ctrl-C to stop; routes: {url}/docs).")
         if open_:
             click.launch(url)
 

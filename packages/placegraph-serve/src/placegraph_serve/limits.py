@@ -129,7 +129,7 @@ class HeldBytes:
         self._guard.held_bytes += count
         if self._guard.held_bytes > self._guard.options.held_bytes:
             raise RequestError(
-                "Too much is sent at once by all who ask; ask again in a moment.",
+                "The server receives too much data at once; try again in a moment.",
                 status=503, code="busy", retry_after=2,
             )  # fmt: skip
 
@@ -193,7 +193,7 @@ class Guard:
         check_origin(scope, self.options.names)
         if scope["type"] == "websocket" and self.sockets >= self.options.sockets:
             raise RequestError(
-                "Too many WebSockets are open; come again later.",
+                "Too many WebSockets are open; try again later.",
                 status=503, code="busy", retry_after=10,
             )  # fmt: skip
 
@@ -248,7 +248,8 @@ def check_host(scope: Scope, names: tuple[str, ...], *, has_keys: bool) -> None:
     name = _host_of(f"//{host}")
     if not has_keys and host and not (_is_plain(name) or name in names):
         raise RequestError(
-            f"This server is not known as {name[:80]!r}; ask by its address, or start it with --name.",
+            f"The host name {name[:80]!r} is not accepted; use the server's address, or "
+                "start the server with --name.",
             status=421, code="host",
         )  # fmt: skip
 
@@ -259,7 +260,7 @@ def check_origin(scope: Scope, names: tuple[str, ...]) -> None:
     ours = origin.partition("://")[2] == host or _host_of(origin) in names
     if origin and not ours:
         raise RequestError(
-            f"A page of {origin[:80]} may not ask here; ask from a page of this server.",
+            f"Requests from pages of {origin[:80]} are not allowed; use a page of this server.",
             status=403, code="origin",
         )  # fmt: skip
 
@@ -303,7 +304,7 @@ def check_depth(body: bytes | bytearray, most: int) -> None:
 
 def _too_large(size: int, most: int) -> RequestError:
     return RequestError(
-        f"The body has {size:,} bytes, and at most {most:,} are taken here; send less.",
+        f"The body has {size:,} bytes, but at most {most:,} are accepted; send less.",
         status=413,
         code="body_size",
     )
@@ -323,7 +324,7 @@ def _counted(receive: Receive, most: int, deadline: float) -> Receive:
                 message = await receive()
         except TimeoutError:
             raise RequestError(
-                "The body came too slowly and was given up; send it again.",
+                "The body arrived too slowly, so the request was aborted; send it again.",
                 status=408, code="slow",
             ) from None  # fmt: skip
         seen += len(message.get("body", b""))
@@ -369,7 +370,9 @@ class HeadTimeoutProtocol(H11Protocol):
     def send_400_response(self, _msg: str) -> None:
         """Answer what is no HTTP with a problem, as everything else."""
         reply = problem(
-            RequestError("This is no HTTP; send a request as RFC 9112 has it.", code="http")
+            RequestError(
+                "The request is not valid HTTP; send it according to RFC 9112.", code="http"
+            )
         )
         headers = [("content-type", MEDIA_TYPE), ("connection", "close")]
         start = Response(status_code=reply["status"], headers=headers)

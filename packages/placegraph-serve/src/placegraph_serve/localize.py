@@ -247,7 +247,9 @@ def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, 
 def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """One step of a session; `request`: `session`, and what `schema.Step` has."""
     if request["session"] not in dispatcher.trackers:
-        raise RequestError("The session is over; begin a new one.", status=410, code="session_over")
+        raise RequestError(
+            "The session has ended; start a new one.", status=410, code="session_over"
+        )
     name, tracker = dispatcher.trackers[request["session"]]
     if isinstance(tracker, CityTracker):
         estimate: Any = _walked(tracker, request)
@@ -281,7 +283,7 @@ def _walked(tracker: CityTracker, request: dict[str, Any]) -> Any:  # noqa: ANN4
         estimate = tracker.answer(read_answer(answer))
     if estimate is None:
         raise OptionError(
-            "step: nothing is said or moved; give text, answers, east and north, or distance."
+            "step: the request is empty; give text, answers, east and north, or distance."
         )
     return estimate
 

@@ -166,7 +166,9 @@ def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     found: list[tuple[float, dict[str, Any]]] = []
     cities = [e.name for e in dispatcher.places.entries() if e.kind == "city"]
     if not cities:
-        raise RequestError("No city is served here; serve one.", status=404, code="map_unknown")
+        raise RequestError(
+            "This server has no city map; start it with one.", status=404, code="map_unknown"
+        )
     for name in cities:
         city = dispatcher.places.city(name)
         found += [

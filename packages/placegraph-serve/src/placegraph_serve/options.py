@@ -48,7 +48,7 @@ class ServeOptions:
     session_seconds: float = option(600.0, "Life of an unused session.", unit="s", above=0)
     sockets: int = option(2000, "Most open WebSockets.", minimum=1)
     keys: Path | None = option(
-        None, "File of API keys, one a line; everybody may ask if not given.", flag="--keys"
+        None, "File of API keys, one per line; without it, no key is needed.", flag="--keys"
     )
     names: tuple[str, ...] = option(
         (),
@@ -56,7 +56,7 @@ class ServeOptions:
         flag="--name",
     )
     log_queries: bool = option(
-        False, "Log queries; otherwise nothing of them is kept.", flag="--log-queries"
+        False, "Log queries; otherwise nothing about them is stored.", flag="--log-queries"
     )
     scheduler: str | None = option(
         None,

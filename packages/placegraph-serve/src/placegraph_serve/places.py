@@ -69,8 +69,8 @@ class Places:
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
         if not check_map_files(self.paths).paths["world"] and scheduler is not None:
             raise OptionError(
-                "scheduler: its workers search worlds in shards, and here is none; leave it out, or name "
-                "one that `placegraph world build` wrote."
+                "scheduler: it applies only to worlds in shards, but none is served; remove "
+                "it, or serve a world built with `placegraph world build`."
             )
         self._entries = self._find_entries()
 
@@ -214,7 +214,8 @@ def state_of(path: Path) -> State:
         stat = (path / WORLD if is_world(path) else path).stat()
     except OSError:
         raise RequestError(
-            f"The file of map {path.stem!r} is gone from the server; ask another map, or put it back.",
+            f"The file of map {path.stem!r} is missing on the server; use another map, or "
+            "restore the file.",
             status=503,
             code="map_gone",
         ) from None

@@ -14,7 +14,7 @@ _KINDS: dict[type[PlacegraphError], tuple[int, str]] = {
     errors.InputError: (400, "What was sent cannot be read"),
     errors.DescriptionError: (422, "The description cannot be read"),
     errors.OptionError: (422, "An option is out of its range"),
-    errors.MissingExtraError: (501, "This server lacks an extra"),
+    errors.MissingExtraError: (501, "This server lacks an optional dependency"),
     errors.ServiceError: (502, "A service failed"),
     errors.MapError: (503, "A map cannot be used"),
     errors.StoreError: (503, "A vector store cannot be used"),
@@ -27,7 +27,7 @@ def problem(error: Exception) -> dict[str, Any]:
     """The members of a problem of any exception; what is none of ours tells nothing of the inside."""
     if not isinstance(error, PlacegraphError):
         error = RequestError(
-            "The server failed at this request; tell who runs it.", status=500, code="failed"
+            "The server failed at this request; tell its operator.", status=500, code="failed"
         )
     kind = next((k for k in type(error).__mro__ if k in _KINDS), None)
     status, title = _KINDS[kind] if kind else (500, "The request failed")

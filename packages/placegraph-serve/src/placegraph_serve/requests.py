@@ -271,8 +271,8 @@ def check_focal(camera: Camera, name: str) -> None:
     shares = [focal / max(camera.width, camera.height) for focal in (camera.fx, camera.fy)]
     if not SHORTEST < min(shares) <= max(shares) < 1.0 / SHORTEST:
         raise InputError(
-            f"{name}: a focal length of {camera.fx:g} px is none of images of {camera.width} x "
-            f"{camera.height}; give it in their pixels."
+            f"{name}: a focal length of {camera.fx:g} px is implausible for images of "
+            f"{camera.width} x {camera.height}; give it in their pixels."
         )
 
 
@@ -377,7 +377,7 @@ class Hints:
         )
         if not self.is_far(swapped):
             return [said + "swapped, it lies there: longitude comes first."]
-        return [said + "check it, or how the map was placed on Earth."]
+        return [said + "check the position, or the anchor of the map."]
 
     def is_far(self, distance: float) -> bool:
         """Whether a fix is so far from a map [m] that it says nothing of where in it one is."""

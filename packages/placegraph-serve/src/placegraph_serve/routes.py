@@ -162,15 +162,18 @@ def _add_sessions(app: FastAPI, server: Server) -> None:
         await sessions.follow(socket, session)
 
 
-_HEAD = """<!doctype html><html lang="en"><meta charset="utf-8">
-<meta name="viewport" content="width=device-width"><title>placegraph: what can be asked</title>
-<style>:root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;
-margin:2rem auto;padding:0 1rem}table{border-collapse:collapse}td,th{text-align:left;vertical-align:top;
-padding:.2rem 1rem .2rem 0;border-bottom:1px solid #8884}code{font-size:.9em}</style>
-<h1>What can be asked</h1><p>The same for programs: <a href="openapi.json">openapi.json</a>. Errors are
-<code>application/problem+json</code> (RFC 9457) with <code>detail</code>, <code>mend</code> and
-<code>code</code>. Where the server has keys, send <code>Authorization: Bearer KEY</code>.</p>
-"""
+_HEAD = (
+    '<!doctype html><html lang="en"><meta charset="utf-8">\n<meta name="viewport" '
+    'content="width=device-width"><title>placegraph: routes</title>\n'
+    "<style>:root{color-scheme:light dark}body{font:16px/1.5 "
+    "system-ui,sans-serif;max-width:60rem;\nmargin:2rem auto;padding:0 "
+    "1rem}table{border-collapse:collapse}td,th{text-align:left;vertical-align:top;\n"
+    "padding:.2rem 1rem .2rem 0;border-bottom:1px solid #8884}code{font-size:.9em}</style>\n"
+    '<h1>Routes</h1><p>Machine-readable: <a href="openapi.json">openapi.json</a>. Errors are\n'
+    "<code>application/problem+json</code> (RFC 9457) with <code>detail</code>, "
+    "<code>mend</code> and\n<code>code</code>. Where the server has keys, send "
+    "<code>Authorization: Bearer KEY</code>.</p>\n"
+)
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'",

@@ -81,7 +81,7 @@ class Sessions:
         """Begin a session: its id and seconds to live, or a problem."""
         if len(self) >= self._options.sessions:
             raise RequestError(
-                "Too many sessions are open; end one, or come again later.",
+                "Too many sessions are open; end one, or try again later.",
                 status=503, code="busy", retry_after=30,
             )  # fmt: skip
         session = secrets.token_urlsafe(16)
@@ -128,7 +128,7 @@ class Sessions:
     def _check(self, session: str) -> None:
         if session not in self._ends:
             raise RequestError(
-                "There is no such session, or it is over; begin a new one.",
+                "The session does not exist or has ended; start a new one.",
                 status=404, code="session_unknown",
             )  # fmt: skip
 

@@ -73,7 +73,9 @@ def answer(dispatcher: Dispatcher, verb: str, request: Any) -> Answer:  # noqa: 
             LOG.error("a request failed: %s\n%s", type(error).__name__, where)  # noqa: TRY400
         if isinstance(error, MemoryError):
             error = RequestError(
-                "This takes more memory than there is; send less.", status=413, code="memory"
+                "The request needs more memory than is available; send less.",
+                status=413,
+                code="memory",
             )
         return None, problem(error)
 
@@ -221,7 +223,7 @@ class WorkerQueue:
 
     def _busy(self) -> dict[str, Any]:
         return problem(RequestError(
-            f"Too many {self.name} wait already; ask again in a moment.",
+            f"Too many {self.name} are waiting; try again in a moment.",
             status=503, code="busy", retry_after=1 + int(self.seconds / 10),
         ))  # fmt: skip
 
@@ -238,13 +240,13 @@ class WorkerQueue:
         except TimeoutError:
             return self._replace(
                 worker,
-                f"This took longer than {self.seconds:g} s and was given up; ask for less at a time.",
+                f"The request exceeded the time limit of {self.seconds:g} s; send less at a time.",
                 504, "too_long",
             )  # fmt: skip
         except (EOFError, OSError):
             return self._replace(
                 worker,
-                "The process that worked on this died, and another takes its place; ask again.",
+                "The process that handled this request died and was replaced; try again.",
                 500, "worker_died",
             )  # fmt: skip
         finally:

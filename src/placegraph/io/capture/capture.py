@@ -75,7 +75,9 @@ def open_capture(
 
     """
     if labels not in {"auto", "labels", "instances", None}:
-        raise OptionError(f"labels is {labels!r}; it is 'auto', 'labels', 'instances' or None.")
+        raise OptionError(
+            f"labels is {labels!r}; it must be 'auto', 'labels', 'instances' or None."
+        )
     options = {"poses": poses, "scale": scale, "up": up, "topics": topics}
     given = {name: value for name, value in options.items() if value is not None}
     return load_capture(Path(path), given | {"labels": labels})
@@ -166,7 +168,7 @@ def find_format(path: Path) -> Format | AbsentFormat:
         if format_.matches(path):
             return format_
     known = "; ".join(map(str, capture_formats()))
-    raise InputError(f"{path} holds no capture of a known recorder. Known are: {known}.")
+    raise InputError(f"{path} is not a capture of a known format. Known formats are: {known}.")
 
 
 def is_capture(path: Path) -> bool:
@@ -187,9 +189,9 @@ def replace_poses(capture: Capture, path: Path) -> Capture:
         rows = match_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
     if (rows < 0).all():
         raise InputError(
-            f"{path} has {len(trajectory)} rows for {len(capture)} images, and no stamp of theirs "
-            f"(from {capture.stamps[0]:.6g}) within {SAME_MOMENT * 1000:.0f} ms; give one row an "
-            "image, or stamps of the same clock."
+            f"{path} has {len(trajectory)} rows for {len(capture)} images, and none has an "
+            f"image's stamp (from {capture.stamps[0]:.6g}) within {SAME_MOMENT * 1000:.0f} "
+            "ms; give one row per image, or stamps of the same clock."
         )
     frames = tuple(
         _with_pose(frame, trajectory.poses[row])

@@ -49,8 +49,8 @@ def read_capture_folder(path: Path, *, labels: str | None = "auto") -> Capture:
         extra = sorted(set(images) - set(colours))
         if extra:
             raise InputError(
-                f"{images[extra[0]]} belongs to no image in rgb/; {folder} images must have the names "
-                "of their colour images."
+                f"{images[extra[0]]} matches no image in rgb/; name {folder} images like "
+                "their colour images."
             )
     odometry, gravity = _read_motion(path, len(colours))
     names = _read_label_names(path / "labels.json")
@@ -109,7 +109,9 @@ def _read_label_names(path: Path) -> dict[int, str | None]:
     for key, name in content.items():
         number = key.strip()
         if not (number.isascii() and number.isdigit() and len(number) < 6 and int(number) < 65536):
-            raise InputError(f"{path}: {key[:40]!r} is no label id; ids are 0 to 65535.")
+            raise InputError(
+                f"{path}: {key[:40]!r} is not a label id; ids are integers from 0 to 65535."
+            )
         if not (name is None or isinstance(name, str)):
             raise InputError(f"{path}: the name of label {key} is {str(name)[:40]!r}, not text.")
         names[int(number)] = name or None
@@ -124,8 +126,9 @@ def _read_motion(path: Path, count: int) -> tuple[Trajectory, NDArray[np.float64
     file = path / "odometry.tum"
     if not file.exists():
         raise InputError(
-            f"{file} does not exist; it holds one row `stamp tx ty tz qx qy qz qw` for each of the "
-            f"{count} images (a single image: `0 0 0 0 0 0 0 1`, and gravity.txt)."
+            f"{file} does not exist; create it with one row `stamp tx ty tz qx qy qz qw` "
+            f"for each of the {count} images (single image: `0 0 0 0 0 0 0 1`, and "
+            "gravity.txt)."
         )
     odometry = read_tum(file)
     _check_count(file, len(odometry), count)

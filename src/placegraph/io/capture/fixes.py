@@ -56,7 +56,7 @@ def _read_file(path: Path, capture: Capture) -> dict[int, Fix]:
     for row, (_, lon, lat, _, accuracy) in enumerate(table.values.tolist()):
         if not (abs(lon) <= 180 and abs(lat) <= 90) or accuracy <= 0:
             raise table.error(
-                row, "longitude is -180 to 180, latitude -90 to 90, accuracy above 0 [m]."
+                row, "longitude must be -180 to 180, latitude -90 to 90, and accuracy above 0 [m]."
             )
     stamps = [frame.stamp for frame in capture]
     rows = match_stamps(stamps, table.values[:, 0], NEAR).tolist()

@@ -141,9 +141,9 @@ class Frame(PickleFields):
         """
         colours = np.asarray(rgb)
         if colours.dtype != np.uint8:
-            raise OptionError(f"rgb: {colours.dtype}; colours are uint8, 0 to 255.")
+            raise OptionError(f"rgb: {colours.dtype}; colours must be uint8, 0 to 255.")
         if label_kind not in {"labels", "instances"}:
-            raise OptionError(f"label_kind is {label_kind!r}; it is 'labels' or 'instances'.")
+            raise OptionError(f"label_kind is {label_kind!r}; it must be 'labels' or 'instances'.")
         _check_size("rgb", colours, camera, (3,))
         metres = None if depth is None else _to_metres(depth)
         ids = None if labels is None else _to_ids(labels)
@@ -200,18 +200,20 @@ class ArrayImages:
 def _check_size(what: str, array: NDArray[Any], camera: Camera, channels: tuple[int, ...]) -> None:
     wanted = (camera.height, camera.width, *channels)
     if array.shape != wanted:
-        raise OptionError(f"{what}: shape {array.shape}, but its camera's images are {wanted}.")
+        raise OptionError(f"{what}: shape is {array.shape}, but its camera's images have {wanted}.")
 
 
 def _resized(what: str, array: NDArray[Any], camera: Camera) -> Camera:
     """Return the camera of the same view in another size."""
     if array.ndim != 2 or not array.size:
-        raise OptionError(f"{what}: shape {array.shape}; an image has a height and a width.")
+        raise OptionError(
+            f"{what}: shape is {array.shape}; an image must have a height and a width."
+        )
     height, width = array.shape
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise OptionError(
-            f"{what}: {width} x {height} is not {camera.width} x {camera.height} made smaller or "
-            f"larger; give its camera."
+            f"{what}: {width} x {height} is not a scaled version of {camera.width} x "
+            f"{camera.height}; give its own camera."
         )
     return camera if array.shape == (camera.height, camera.width) else camera.resized(width, height)
 
@@ -220,7 +222,7 @@ def _to_metres(depth: ArrayLike) -> NDArray[np.float32]:
     try:
         metres = np.array(depth, np.float32)
     except (TypeError, ValueError, OverflowError) as error:
-        raise OptionError(f"depth: not an array of metres ({error}).") from error
+        raise OptionError(f"depth: it is not a numeric array of metres ({error}).") from error
     metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
     return metres
 
@@ -228,14 +230,14 @@ def _to_metres(depth: ArrayLike) -> NDArray[np.float32]:
 def _to_ids(labels: ArrayLike) -> NDArray[np.int32]:
     ids = np.asarray(labels)
     if ids.dtype.kind not in "iu":
-        raise OptionError(f"labels: {ids.dtype}; ids are whole numbers.")
+        raise OptionError(f"labels: {ids.dtype}; ids must be integers.")
     return np.maximum(ids, -1).astype(np.int32) if ids.dtype.kind == "i" else ids.astype(np.int32)
 
 
 def _floats(what: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     array = np.asarray(values, np.float64)
     if array.shape != shape or not np.isfinite(array).all():
-        raise OptionError(f"{what}: shape {array.shape}; it must be {shape} finite numbers.")
+        raise OptionError(f"{what}: shape is {array.shape}, expected {shape} finite numbers.")
     return array
 
 
@@ -462,8 +464,8 @@ class LabelTable(NamedTuple):
             unnamed = np.unique(ids[mapped == _UNNAMED]).tolist()
             listed = ", ".join(map(str, unnamed[:8])) + (" ..." if len(unnamed) > 8 else "")
             raise InputError(
-                f"{image} holds label ids without a name in {self.path}: {listed}; "
-                "name them there (null: says nothing)."
+                f"{image} contains label ids without a name in {self.path}: {listed}; add "
+                "their names (null for ids to ignore)."
             )
         return mapped
 
@@ -472,8 +474,8 @@ def check_shape(image: NDArray[Any], camera: Camera, name: object) -> None:
     """Raise `InputError` for an image (h, w, ...) of another size than its camera's."""
     if image.shape[:2] != (camera.height, camera.width):
         raise InputError(
-            f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its camera says "
-            f"{camera.width} x {camera.height}; give the intrinsics of the images as they are."
+            f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its camera has "
+            f"{camera.width} x {camera.height}; give intrinsics for this image size."
         )
 
 
@@ -506,16 +508,18 @@ class Capture:
         """Return the capture of frames in memory; `OptionError` without any, or if sizes differ."""
         frames = tuple(frames)
         if not frames:
-            raise OptionError("frames: there is none; a capture needs at least one frame.")
+            raise OptionError("frames: the list is empty; give at least one frame.")
         first = frames[0]
         views = {
             (_shape(f.camera), _shape(f.depth_camera), _shape(f.label_camera), f.label_kind)
             for f in frames
         }
         if len(views) > 1:
-            raise OptionError("frames: their cameras differ; a capture is of images of one size.")
+            raise OptionError("frames: their cameras differ; give frames with the same image size.")
         if any(b.stamp <= a.stamp for a, b in itertools.pairwise(frames)):
-            raise OptionError("frames: their stamps do not ascend; sort them, drop repeated ones.")
+            raise OptionError(
+                "frames: their stamps do not increase; sort them, and drop duplicates."
+            )
         names = {i: name for f in frames for i, name in f.label_names.items()}
         return cls(
             None,

@@ -84,7 +84,7 @@ def list_images(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, P
     for file in sorted(files, key=lambda p: (natural_key(p.stem), p.name)):
         if file.stem in images:
             raise InputError(
-                f"{file} and {images[file.stem].name} have one name; keep one of them."
+                f"{file} and {images[file.stem].name} have the same name; keep one of them."
             )
         images[file.stem] = file
     return images
@@ -127,8 +127,8 @@ def read_integers(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> 
         _check_size(image, path, size)
         if image.mode not in modes:
             raise InputError(
-                f"{path} has pixels of mode {image.mode!r}; it must be a PNG with one whole number "
-                f"a pixel ({'16 bits' if 'L' not in modes else '8 or 16 bits'})."
+                f"{path} has pixels of mode {image.mode!r}; it must be a PNG with one "
+                f"integer per pixel ({('16 bits' if 'L' not in modes else '8 or 16 bits')})."
             )
         return _pixels(image, image.mode, np.empty((size[1], size[0]), np.int32))
 
@@ -158,8 +158,8 @@ def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:
         source.seek(position)
     if image.width * image.height > FREE_PIXELS + PIXELS_A_BYTE * size:
         raise InputError(
-            f"{name} says that it has {image.width} x {image.height} pixels, in {size:,} bytes; it "
-            "is damaged, or large and empty: make it smaller."
+            f"{name} declares {image.width} x {image.height} pixels in {size:,} bytes, so "
+            "it is damaged or too large; make it smaller."
         )
 
 
@@ -171,8 +171,8 @@ def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
         )
     if image.size != size:
         raise InputError(
-            f"{path} has {image.width} x {image.height} pixels, but its camera says "
-            f"{size[0]} x {size[1]}; give the intrinsics of the images as they are."
+            f"{path} has {image.width} x {image.height} pixels, but its camera has "
+            f"{size[0]} x {size[1]}; give intrinsics for this image size."
         )
 
 

@@ -46,8 +46,8 @@ class CameraFile:
             if (camera.width, camera.height) == size:
                 return camera
         raise InputError(
-            f"{self.path} has no entry {kind!r}, and the images in {kind}/ are {size[0]} x {size[1]} "
-            f"like neither depth nor colour; add their intrinsics as {kind!r}."
+            f"{self.path} has no entry {kind!r}, and the images in {kind}/ have {size[0]} x "
+            f"{size[1]} pixels, unlike depth and colour; add their intrinsics as {kind!r}."
         )
 
 
@@ -68,8 +68,7 @@ def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
     scale = _number(path, entries["depth"].get("scale", depth_scale), "depth.scale")
     if not scale >= 1:
         raise InputError(
-            f"{path}: depth.scale is {scale:g}; it says how many units of the depth images make a "
-            "metre, such as 1000."
+            f"{path}: depth.scale is {scale:g}; give the depth units per metre, such as 1000."
         )
     return CameraFile(
         path=path,
@@ -191,7 +190,8 @@ def read_label_table(
         content = listed
     if not isinstance(content, list):
         raise InputError(
-            f'{path} is no label table; it holds {{"3": "chair"}} or [{{"id": 3, "label": "chair"}}].'
+            f'{path} is not a label table; write {{"3": "chair"}} or [{{"id": 3, "label": '
+            '"chair"}].'
         )
     return dict(_table_entry(path, row, entry) for row, entry in enumerate(content))
 
@@ -201,9 +201,7 @@ def _scan(path: Path, scans: object, scan: str) -> object:
         found = [s for s in scans if isinstance(s, dict) and scan in {s.get("scan"), s.get("id")}]
         if len(scans) == 1 or found:
             return (found or scans)[0]
-    raise InputError(
-        f"{path} holds several scans, none of which is {scan!r}; cut out the right one."
-    )
+    raise InputError(f"{path} contains several scans, but not {scan!r}; give only the right one.")
 
 
 def _label_entry(path: Path, key: str, label: object) -> LabelEntry:

@@ -110,14 +110,16 @@ def orthonormalize_poses(
     bad = ~np.isfinite(poses).all(axis=(1, 2))
     if bad.any():
         name = names[int(bad.argmax())]
-        raise InputError(f"{name} holds a number that is not finite; leave that frame out.")
+        raise InputError(f"{name} contains a number that is not finite; remove that frame.")
     turns, last = poses[:, :3, :3], poses[:, 3]
     error = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = (error > _RIGID) | (np.linalg.det(turns) < 0)
     bad |= np.abs(last - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > _RIGID
     if bad.any():
         name = names[int(bad.argmax())]
-        raise InputError(f"{name} is no rotation and translation; it may be written by columns.")
+        raise InputError(
+            f"{name} is not a rotation and translation; check that it is stored by rows."
+        )
     u, _, vt = np.linalg.svd(turns)
     poses[:, :3, :3] = u @ vt
     poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
@@ -175,8 +177,9 @@ def resize_camera(camera: Camera, size: tuple[int, int], name: object) -> Camera
     width, height = size
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise InputError(
-            f"{name} has {width} x {height} pixels, which is not the view of the colour images, "
-            f"{camera.width} x {camera.height}, in another size; export depth of the same view."
+            f"{name} has {width} x {height} pixels, which is not a scaled version of the "
+            f"colour images, {camera.width} x {camera.height}; export depth of the same "
+            "view."
         )
     return camera if size == (camera.width, camera.height) else camera.resized(*size)
 
@@ -210,7 +213,9 @@ def read_rows(
         location = f"{path}, line {number}"
         if len(words) not in widths:
             count = " or ".join(map(str, widths))
-            raise InputError(f"{location}: {len(words)} columns where {count} belong: `{columns}`.")
+            raise InputError(
+                f"{location}: {len(words)} columns are given, expected {count}: `{columns}`."
+            )
         try:
             row = [float(word) for word in words]
         except ValueError as error:
@@ -219,7 +224,7 @@ def read_rows(
             raise InputError(f"{location} is not a row of finite numbers `{columns}`.")
         rows.append((location, row))
     if not rows:
-        raise InputError(f"{path} holds no row; a row is `{columns}`.")
+        raise InputError(f"{path} is empty; write rows `{columns}`.")
     return rows
 
 
@@ -236,7 +241,7 @@ def read_numbers(path: Path, content: dict[str, Any], field: str, count: int) ->
     try:
         return [float(v) for v in values]
     except OverflowError as error:
-        raise InputError(f"{path}: {field} holds a number beyond all bounds.") from error
+        raise InputError(f"{path}: {field} contains a number out of range.") from error
 
 
 def read_number(path: Path, content: dict[str, Any], field: str) -> float:

@@ -97,7 +97,7 @@ def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
             f"{path} holds no trajectory; save what `placegraph scene localize --json` prints."
         ) from error
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
-        raise InputError(f"{path}: its trajectory has shape {poses.shape}; (T, 4, 4) belongs.")
+        raise InputError(f"{path}: its trajectory has shape {poses.shape}, expected (T, 4, 4).")
     if not np.isfinite(poses).all():
         raise InputError(f"{path}: a pose of its trajectory is not finite; localize again.")
     return poses
@@ -115,13 +115,13 @@ def write_tum(
     matrices = np.asarray(poses, np.float64)
     if times.ndim != 1 or matrices.shape != (times.size, 4, 4):
         raise OptionError(
-            f"poses: shape {matrices.shape} for stamps of shape {times.shape}; "
-            "(T, 4, 4) belong to (T,)."
+            f"poses: shape is {matrices.shape} and that of stamps {times.shape}, expected "
+            "(T, 4, 4) and (T,)."
         )
     if not (np.isfinite(times).all() and np.isfinite(matrices).all()):
-        raise OptionError("poses: a stamp or a pose is not finite; leave such rows out.")
+        raise OptionError("poses: a stamp or a pose is not finite; remove such rows.")
     if np.any(np.diff(times) <= 0):
-        raise OptionError("stamps: they do not ascend; sort the rows and drop repeated ones.")
+        raise OptionError("stamps: they do not increase; sort the rows, and drop duplicates.")
     columns = np.hstack([matrices[:, :3, 3], quaternion_from_rotation(matrices[:, :3, :3])])
     rows = [f"# {line}" for line in comment.splitlines()]
     for stamp, row in zip(times.tolist(), columns.tolist(), strict=True):

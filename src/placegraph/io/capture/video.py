@@ -139,9 +139,9 @@ def read_video_folder(path: Path) -> Capture:
         rows = match_stamps(stamps, moments, SAME_MOMENT)
         if (rows < 0).all():
             raise InputError(
-                f"{path}: the video lasts from {moments[0]:.6g} to {moments[-1]:.6g} s, and no row of the "
-                f"trajectory, which begins at {stamps[0]:.6g}, is near a frame; give the stamp of the "
-                'first frame as "start" in camera.json.'
+                f"{path}: the video lasts from {moments[0]:.6g} to {moments[-1]:.6g} s, but "
+                f"the trajectory begins at {stamps[0]:.6g} and has no row near a frame; "
+                'give the stamp of the first frame as "start" in camera.json.'
             )
     else:
         moments = stamps

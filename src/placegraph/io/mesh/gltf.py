@@ -71,7 +71,7 @@ def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model
     try:
         return _ModelReader(gltf).read(np.eye(3) if up == "z" else Z_UP)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise gltf.error(f"it is not sound glTF ({error!r}); export it again") from error
+        raise gltf.error(f"it is not valid glTF ({error!r}); export it again") from error
 
 
 def _parse_json(path: Path, data: bytes) -> Json:
@@ -92,7 +92,7 @@ def _split_chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
         raise InputError(f"{path} is empty; export it again.")
     if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
         if bytes(data[:1]) == b"{":
-            raise InputError(f"{path} is glTF as text; let its name end in .gltf.")
+            raise InputError(f"{path} is glTF in JSON form; rename it to .gltf.")
         raise InputError(f"{path} is not glTF 2.0 binary; export it as one .glb file.")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2:
@@ -149,7 +149,7 @@ class _Gltf:
         """Return entry `row` of a top-level list such as ``meshes``."""
         items = self.list_of(self.content, kind)
         if type(row) is not int or not 0 <= row < len(items) or not isinstance(items[row], dict):
-            raise self.error(f"it names {kind}[{row!r}], which is not there; export it again")
+            raise self.error(f"it refers to the missing {kind}[{row!r}]; export it again")
         entry: Json = items[row]
         return entry
 
@@ -197,7 +197,7 @@ class _Gltf:
         dtype = _DTYPES.get(self.integer(accessor, "componentType"))
         width = _WIDTHS.get(str(accessor.get("type")))
         if dtype is None or width is None:
-            raise self.error(f"accessors[{row}] is of no known type; export it again")
+            raise self.error(f"accessors[{row}] has an unknown type; export it again")
         kind = np.dtype(dtype)
         view = self.view(accessor["bufferView"])
         entry = self.item("bufferViews", accessor["bufferView"])
@@ -261,12 +261,12 @@ class _Gltf:
         strange = PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive
         if strange or not below or ":" in text or ".." in PurePosixPath(name).parts:
             raise self.error(
-                f"{what} is {text[:60]!r}, which leads out of its folder; "
-                "export it with its files beside it"
+                f"{what} is {text[:60]!r}, which lies outside its folder; export it with "
+                "its files beside it"
             )
         if not there:
             raise self.error(
-                f"{what} lies in {name[:60]!r}, which is not there; copy the files beside it too"
+                f"{what} lies in {name[:60]!r}, which is missing; copy the files beside it too"
             )
         return read_bytes(file)
 
@@ -459,11 +459,11 @@ class _ModelReader:
         attributes = gltf.object_of(primitive, "attributes")
         mode = gltf.integer(primitive, "mode") if "mode" in primitive else _TRIANGLES
         if mode not in {_TRIANGLES, _STRIP, _FAN} or "POSITION" not in attributes:
-            self.left_out["primitives that are no triangles"] += 1
+            self.left_out["primitives that are not triangles"] += 1
             return
         points = gltf.accessor(attributes["POSITION"]).astype(np.float64)
         if points.shape[1] != 3:
-            raise gltf.error("a POSITION has not three coordinates; export it again")
+            raise gltf.error("a POSITION does not have three coordinates; export it again")
         corners = self.read_corners(primitive, mode, len(points))
         if np.linalg.det(map_from_node[:3, :3]) < 0:  # a mirrored part is turned inside out
             corners = corners[:, ::-1]
@@ -576,7 +576,7 @@ class _ModelReader:
         """Return colours (V, 3) uint8, sRGB, of COLOR_0, which is linear by the standard."""
         values = self.read_column(accessor, count, raw=True)
         if values.shape[1] < 3:
-            raise self.gltf.error("a COLOR_0 has not three channels; export it again")
+            raise self.gltf.error("a COLOR_0 does not have three channels; export it again")
         values, kind, rows = values[:, :3], values.dtype, None
         if kind.kind == "u" and kind.itemsize <= 2:  # a table of all there can be is smaller
             values, rows = np.arange(np.iinfo(kind).max + 1).astype(kind), values

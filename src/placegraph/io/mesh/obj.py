@@ -318,7 +318,7 @@ class _Parser:
         corner_uv = np.where(mapped == 0, -1, _resolve(mapped, self.uv_count + uv[row]))
         wrong = (corner < 0) | ((corner_uv < 0) & (mapped != 0))
         if wrong.any():
-            raise self.error(int(row[wrong][0]), "a face names a vertex that is not there")
+            raise self.error(int(row[wrong][0]), "a face refers to a missing vertex")
         for name, column in (("lengths", lengths), ("corners", corner), ("corner_uv", corner_uv)):
             self.parts[name].append(column)
 
@@ -364,8 +364,8 @@ class _Parser:
                     parse(word)
                 except ValueError:
                     shown = word[:40].decode("utf-8", "replace")
-                    raise self.error(int(row), f"{shown!r} is no number") from None
-        raise InputError(f"{self.path} holds what is no number; export it again.")
+                    raise self.error(int(row), f"{shown!r} is not a number") from None
+        raise InputError(f"{self.path} contains a value that is not a number; export it again.")
 
     def error(self, row: int, what: str) -> InputError:
         return InputError(f"{self.path}, line {self.line + row + 1}: {what}; export it again.")
@@ -381,8 +381,9 @@ class _Parser:
         for rows, count in (("corners", "vertices"), ("corner_uv", "uv")):
             if joined[rows].size and int(joined[rows].max()) >= len(joined[count]):
                 raise InputError(
-                    f"{self.path}: a face names {count} {int(joined[rows].max()) + 1} of "
-                    f"{len(joined[count])}; it is truncated or damaged: export it again."
+                    f"{self.path}: a face refers to {count} {int(joined[rows].max()) + 1} "
+                    f"of {len(joined[count])}, so the file is truncated or damaged; export "
+                    "it again."
                 )
         return _Text(
             path=self.path,
@@ -429,7 +430,7 @@ def _read_textures(text: _Text, face: Rows) -> tuple[tuple[Texture, ...], Rows]:
         if name in materials:
             picture = _make_texture(materials[name], text.left_out)
         elif name is not None:
-            text.left_out["materials that no material file holds"] += 1
+            text.left_out["materials missing in the material files"] += 1
         row_of.append(rows.setdefault(picture, len(rows)))
     return tuple(rows) or (Texture(None),), np.array(row_of, np.int64)[of.reshape(-1)]
 

@@ -139,7 +139,7 @@ def _read_triangles(path: Path, face: Columns, count: int) -> tuple[Ints, Ints]:
     lengths, entries = found[0], found[1].astype(np.int64)
     if entries.size and not 0 <= int(entries.min()) <= int(entries.max()) < count:
         raise InputError(
-            f"{path}: a face names a vertex outside 0 to {count - 1}; export it again."
+            f"{path}: a face refers to a vertex outside 0 to {count - 1}; export it again."
         )
     corners, face_of = triangulate_fans(lengths)
     return entries[corners], face_of
@@ -229,7 +229,7 @@ def make_objects(
         )
     left_out: Counter[str] = Counter()
     if missing := sum(id_ not in things for id_ in table):
-        left_out["labels of objects that are not there"] = missing
+        left_out["labels of missing objects"] = missing
     return tuple(things.values()), row[inverse], left_out
 
 
@@ -262,8 +262,8 @@ def read_columns(path: Path) -> dict[str, Columns]:
             found[element.name], at = _read_element(element, data, at, order)
         except (IndexError, ValueError, OverflowError) as error:
             raise InputError(
-                f"{path} ends within, or holds nonsense among, its {element.count} {element.name} "
-                "entries: it is truncated or damaged; copy it again."
+                f"{path} is truncated or damaged in its {element.count} {element.name} "
+                "entries; copy it again."
             ) from error
     return found
 
@@ -304,11 +304,13 @@ def _parse_numbers(path: Path, body: bytes) -> NDArray[np.float64]:
         return numbers
     tokens = body.split() or [b"0"]
     if max(map(len, tokens)) > _LONGEST_NUMBER:  # NumPy would make room for as much in every row
-        raise InputError(f"{path} holds what is no number (of many digits); export it again.")
+        raise InputError(f"{path} contains a value with too many digits; export it again.")
     try:
         return np.array(tokens).astype(np.float64)
     except ValueError as error:
-        raise InputError(f"{path} holds what is no number ({error}); export it again.") from error
+        raise InputError(
+            f"{path} contains a value that is not a number ({error}); export it again."
+        ) from error
 
 
 def _read_element(element: _Element, data: bytes, at: int, order: str) -> tuple[Columns, int]:

@@ -120,8 +120,8 @@ def read_indoor_osm(path: str | PathLike[str]) -> IndoorOsm:
     if not any(shape.kind in ROOMS for shape in plan.shapes):
         why = f" (left out: {dict(found.left_out)})" if found.left_out else ""
         raise InputError(
-            f"{path} shows no room{why}: nothing in it is tagged indoor=room, area or corridor, or "
-            "osmAG:type=area, with an outline."
+            f"{path} has no rooms{why}: no outline is tagged indoor=room, area or corridor, "
+            "or osmAG:type=area."
         )
     return plan
 

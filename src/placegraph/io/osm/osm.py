@@ -173,8 +173,8 @@ def _convert(path: Path, made: Path) -> None:
         return
     if done.returncode < 0:
         raise InputError(
-            f"{path} is damaged: reading it ends osmium, by {signal.strsignal(-done.returncode)}. "
-            "Download or export it again."
+            f"{path} is damaged: osmium crashed while reading it, with "
+            f"{signal.strsignal(-done.returncode)}. Download or export it again."
         )
     if done.returncode:
         raise RuntimeError(done.stderr.decode(errors="replace"))

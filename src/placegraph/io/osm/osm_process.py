@@ -85,8 +85,8 @@ class Assembler:
             died = process.wait()
             why = f", by {signal.strsignal(-died)}" if died < 0 else ""
             raise InputError(
-                f"{self.path} is damaged: assembling its areas ends osmium{why}. Download or export it "
-                "again."
+                f"{self.path} is damaged: osmium crashed while assembling its areas{why}. "
+                "Download or export it again."
             )
         return answer
 

@@ -140,8 +140,8 @@ def fetch_osm(
         ) from error
     if not counts.total():
         raise InputError(
-            f"Overpass knows nothing in {name!r} with one of {len(query_keys)} keys; check "
-            "that this is the place you mean, and that the server covers it."
+            f"Overpass has no data in {name!r} for any of {len(query_keys)} keys; check the "
+            "place, and that the server covers it."
         )
     return FetchSummary(name, counts["n"], counts["w"], counts["r"], size)
 
@@ -192,11 +192,12 @@ def find_area(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx a
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         if not shapes:
             raise InputError(
-                f"No place is called {place!r}; check the spelling, or add the region or country."
+                f"No place named {place!r} was found; check the spelling, or add the region "
+                "or country."
             ) from error
         if not {"Polygon", "MultiPolygon"} & set(shapes):
             raise InputError(
-                f"{place!r} is known as a point or line only; name a town or district that has an "
+                f"{place!r} is only a point or line; name a town or district with an "
                 "outline, or download an extract for `placegraph city build`."
             ) from error
         raise malformed_error("Nominatim", repr(error).encode()) from error
@@ -291,8 +292,8 @@ def download(ox: Any, url: str, query: str, target: Path, report: Progress) -> N
         remark = re.search(rb"<remark>(.*?)</remark>", file.read(), re.DOTALL)
     if remark:
         raise ServiceError(
-            f"Overpass gave up: {shorten(remark[1])}. Fetch a smaller place, try again in some "
-            "minutes, or download an extract for `placegraph city build`."
+            f"Overpass failed: {shorten(remark[1])}. Fetch a smaller place, try again in "
+            "some minutes, or download an extract for `placegraph city build`."
         )
 
 
@@ -342,16 +343,16 @@ def check_status(response: Any, service: str) -> None:  # noqa: ANN401 - request
 def unreachable_error(service: str, error: Exception) -> ServiceError:
     """Return the error of a service that does not answer."""
     return ServiceError(
-        f"{service} cannot be reached, or broke off: {shorten(str(error).encode())}. "
-        "Check the network and the server's address, and try again."
+        f"{service} cannot be reached, or closed the connection: "
+        f"{shorten(str(error).encode())}. Check the network and the server's address, and "
+        "try again."
     )
 
 
 def malformed_error(service: str, answer: bytes) -> ServiceError:
     """Return the error of a service that answers something else."""
     return ServiceError(
-        f"{service} answered something else than was asked for: {shorten(answer) or 'nothing'}. "
-        f"{_MEND[service]}"
+        f"{service} returned an unexpected answer: {shorten(answer) or 'nothing'}. {_MEND[service]}"
     )
 
 

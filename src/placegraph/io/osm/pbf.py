@@ -76,7 +76,7 @@ def list_blobs(file: BinaryIO) -> Iterator[Blob]:
         head = file.read(4)
         (length,) = struct.unpack(">I", head) if len(head) == 4 else (HEAD_MOST + 1,)
         if length > HEAD_MOST:
-            raise DamagedError("no blob begins where one should")
+            raise DamagedError("a blob is missing")
         said = np.frombuffer(file.read(length), np.uint8)
         kind, blob = b"", -1
         for number, value, begins in _fields(said):
@@ -93,7 +93,7 @@ def list_blobs(file: BinaryIO) -> Iterator[Blob]:
 def read_features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
     """Return the features that the head of a file requires, and its other properties."""
     if blob.kind != b"OSMHeader":
-        raise DamagedError("it does not begin with a head")
+        raise DamagedError("it does not begin with a header")
     data = inflate(file, blob)
     said: tuple[set[bytes], set[bytes]] = set(), set()
     for number, value, begins in _fields(data):
@@ -101,7 +101,7 @@ def read_features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
             said[number - 4].add(data[begins : begins + value].tobytes())
     if unknown := said[0] - KNOWN:
         raise DamagedError(
-            f"it needs {min(unknown).decode(errors='replace')!r}, which is not known"
+            f"it needs the unknown feature {min(unknown).decode(errors='replace')!r}"
         )
     return said
 
@@ -119,16 +119,16 @@ def inflate(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
     if 1 in parts:
         return parts[1]
     if 3 not in parts:
-        raise DamagedError("it is compressed, and not by zlib; write it anew by `osmium cat`")
+        raise DamagedError("it is not compressed by zlib; convert it with `osmium cat`")
     if not 0 <= size <= BLOB_MOST:
-        raise DamagedError(f"a blob says it holds {size} bytes")
+        raise DamagedError(f"a blob declares {size} bytes")
     unpacker = zlib.decompressobj()
     try:
         made = unpacker.decompress(parts[3].data, size + 1)
     except zlib.error as error:
         raise DamagedError(str(error)) from error
     if len(made) != size or not unpacker.eof:
-        raise DamagedError("a blob does not hold what it says")
+        raise DamagedError("a blob does not match its declared contents")
     return np.frombuffer(made, np.uint8)
 
 
@@ -207,9 +207,9 @@ class Block:
         """Return relations, with roles, ids and kinds (`NODE`, `WAY`, `RELATION`) of their members."""
         rows, (roles, ids, kinds) = self._elements(RELATIONS)
         if not (np.array_equal(roles[0], ids[0]) and np.array_equal(ids[0], kinds[0])):
-            raise DamagedError("members of a relation lack something")
+            raise DamagedError("members of a relation are incomplete")
         if _outside(roles[1], len(self.strings)) or _outside(kinds[1], 3):
-            raise DamagedError("a member of a relation is none")
+            raise DamagedError("a member of a relation is invalid")
         return rows._replace(lists=(roles, (ids[0], kernels.decode_differences(*ids)), kinds))
 
     def _dense(self, at: int, end: int) -> Rows:

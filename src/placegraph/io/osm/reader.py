@@ -73,7 +73,7 @@ class Reader:
             for n, (blob, read) in enumerate(work, 1):
                 before, block = self.left_out.counts.copy(), Block(pbf.inflate(self.file, blob))
                 if pbf.RELATIONS in block.holds and blob not in relations:
-                    raise self._unordered("is not in the order that it says")
+                    raise self._unordered("is not sorted as its header says")
                 found = read(block, nodes)
                 if n <= passed:
                     self.left_out.counts = before
@@ -82,7 +82,7 @@ class Reader:
                 if any(len(columns.tags) for columns in found):
                     yield found[0] if len(found) == 1 else _join_columns(found)
         if self.late and self.left_out.counts[POSITIONLESS]:
-            raise self._unordered("lists nodes behind the ways that need them")
+            raise self._unordered("lists nodes after the ways that need them")
 
     def _plan(self, blobs: list[pbf.Blob], *, ordered: bool) -> dict[pbf.Blob, None]:
         """Find the blobs of relations, the last ones of a sorted file, and note the ways they need."""
@@ -111,7 +111,7 @@ class Reader:
         rows = block.nodes()
         self._one_time(pbf.NODES, rows)
         if len(wrong := rows.ids[(rows.ids < -LARGEST_ID) | (rows.ids > LARGEST_ID)]):
-            raise pbf.DamagedError(f"{wrong[0]} is no number of a node")
+            raise pbf.DamagedError(f"{wrong[0]} is not a node id")
         self.late |= pbf.WAYS in self.last
         near = (rows.steps >= -pbf.MAX_COORDINATE) & (rows.steps <= pbf.MAX_COORDINATE)
         there: NDArray[np.bool_] = np.all(near, axis=1)
@@ -224,12 +224,12 @@ class Reader:
             self.last[kind] = int(ids[-1]), int(versions[-1])
 
     def _unordered(self, why: str) -> InputError:
-        return InputError(f"{self.path} {why}; bring it into order by `osmium sort`.")
+        return InputError(f"{self.path} {why}; sort it with `osmium sort`.")
 
     def _several_times(self) -> InputError:
         return InputError(
-            f"{self.path} holds history, several versions of one thing; make an extract of one time "
-            "of it, as by `osmium time-filter`."
+            f"{self.path} contains the history of objects; extract one point in time, for "
+            "instance with `osmium time-filter`."
         )
 
     def _count(self, reason: str, amount: int) -> None:

@@ -90,11 +90,13 @@ def open_file_system(url: str) -> tuple[Any, str]:
         system, root = fsspec.core.url_to_fs(url, **options)
     except ImportError as error:
         raise MissingExtraError(
-            f"{url} is read by fsspec, and {one_line(error)}: pip install 'placegraph[scale]'; s3:// takes "
-            "s3fs, too, and gs:// gcsfs."
+            f"{url} is read with fsspec, but {one_line(error)}: run `pip install "
+            "'placegraph[scale]'`; s3:// also needs s3fs, and gs:// gcsfs."
         ) from error
     except ValueError as error:
-        raise OptionError(f"{url}: no file system knows this URL ({one_line(error)}).") from error
+        raise OptionError(
+            f"{url}: this kind of URL is not supported ({one_line(error)})."
+        ) from error
     except Exception as error:  # each file system has its own
         raise OptionError(f"{url} cannot be opened: {one_line(error)}.") from error
     return system, str(root).rstrip("/")
@@ -156,7 +158,7 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
             file.flush()
             os.fsync(file.fileno())
         if size is not None and fetched < size:
-            raise ServiceError(_cut_error(url, f"{fetched:,} of {size:,} bytes came"))
+            raise ServiceError(_cut_error(url, f"only {fetched:,} of {size:,} bytes were received"))
         if _file_info(url, system, root) != told or fetched != (size or fetched):
             part.unlink()
             raise InputError(f"{url} changed while it was fetched; run the same command again.")
@@ -254,13 +256,13 @@ def is_missing(error: Exception) -> bool:
 def _failure(url: str, error: Exception) -> InputError | ServiceError:
     """Return the error about a file."""
     if is_missing(error):
-        return InputError(f"{url} is not there; check the address.")
+        return InputError(f"{url} does not exist; check the URL.")
     cause = error.__cause__ or error
     return ServiceError(_cut_error(url, f"{type(cause).__name__}: {one_line(Exception(cause))}"))
 
 
 def _cut_error(url: str, why: str) -> str:
     return (
-        f"{url} cannot be read ({why}). Check the address and the connection; the same command goes on where "
-        "it was cut."
+        f"{url} cannot be read ({why}). Check the URL and the connection; the same command "
+        "resumes the download."
     )

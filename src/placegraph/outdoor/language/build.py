@@ -54,7 +54,7 @@ WALKED = 0.7
 LEG_SIGMA = 60.0
 """Error of a leg's length [m], beside a share of the length."""
 INSTRUCTION = "a route instruction"
-NO_LANGUAGE = "in no language that is known"
+NO_LANGUAGE = "in an unknown language"
 """Reason of a sentence that may mean something else."""
 
 

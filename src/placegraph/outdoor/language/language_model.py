@@ -152,8 +152,8 @@ class LanguageModelDescriber:
             content = json.loads(json.loads(reply)["choices"][0]["message"]["content"])
         except (ValueError, LookupError, TypeError, RecursionError) as error:
             raise ServiceError(
-                f"{self.base_url}: the language model's answer is no JSON ({error}). Ask again, or"
-                f" use a larger model than {self.model!r}."
+                f"{self.base_url}: the language model's answer is not JSON ({error}). Ask "
+                f"again, or use a larger model than {self.model!r}."
             ) from error
         return Answer(content, self.base_url).describe(text, vocabulary)
 
@@ -182,13 +182,13 @@ class LanguageModelDescriber:
             ) from error
         except (OSError, HTTPException) as error:
             raise ServiceError(
-                f"{address}: the language model's service cannot be reached ({error}). Is it"
-                " running?"
+                f"{address}: the language model's service cannot be reached ({error}); "
+                "check that it is running."
             ) from error
         if len(answer) > LONGEST_ANSWER:
             raise ServiceError(
-                f"{address}: the answer is longer than {LONGEST_ANSWER:,} bytes. Is it a language"
-                " model's service?"
+                f"{address}: the answer is longer than {LONGEST_ANSWER:,} bytes; check that "
+                "the URL is a language model's service."
             )
         return answer
 
@@ -275,7 +275,9 @@ class Answer:
     def _node(self, value: str | int, where: str, n_mentions: int) -> int:
         node = _PEOPLE.get(value) if isinstance(value, str) else value + 2
         if node is None or not 0 <= node < n_mentions or (node < 2 and not isinstance(value, str)):
-            raise self._error(where, f"is {value!r}, neither a person nor the number of a thing")
+            raise self._error(
+                where, f"is {value!r}, which is neither a person nor the index of an object"
+            )
         return node
 
     def _check(self, value: object, schema: dict[str, Any], where: str) -> None:
@@ -306,7 +308,7 @@ class Answer:
                 raise self._error(f"{where}.{key}", "is missing")
         for key, item in value.items():
             if key not in schema["properties"]:
-                raise self._error(f"{where}.{key}", "is a field that was not asked for")
+                raise self._error(f"{where}.{key}", "is an unexpected field")
             self._check(item, schema["properties"][key], f"{where}.{key}")
 
     def _error(self, field: str, fault: str) -> ServiceError:

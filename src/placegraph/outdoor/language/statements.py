@@ -219,12 +219,12 @@ PREPOSITIONS = {
 """Relation, certainty and distance of prepositions that always mean the same."""
 
 NEEDS_HEADING = "needs a heading"
-LISTENER_HEADING = "needs the listener's heading"
-NO_MAP = "no map draws it"
-NO_TARGET = "does not say of what"
-NO_PLACE = "says nothing about where things stand"
+LISTENER_HEADING = "needs the heading of the listener"
+NO_MAP = "is never on a map"
+NO_TARGET = "does not say relative to what"
+NO_PLACE = "does not locate any object"
 UNKNOWN = "unknown word"
-OF_A_WALK = "left and right of a walk say nothing on a map"
+OF_A_WALK = "left and right along a walk have no fixed direction on a map"
 TO_ITSELF = "relates a thing to itself"
 
 
@@ -437,7 +437,7 @@ class PlaceReader:
         """Note "facing north"."""
         if source in self.goals and not place.direction.facing and self.heading is None:
             self.heading = place.direction.bearing
-        self.reason = "says which way one faces"
+        self.reason = "only says the viewing direction"
 
     # prepositions
 
@@ -600,7 +600,7 @@ class PlaceReader:
     def _start(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "two blocks from the station"; a bare "from the station" opens a walk."""
         if place.distance is None:
-            self.reason = "where a walk starts"
+            self.reason = "only says where a walk starts"
         else:
             self._of(place, source, context)
 

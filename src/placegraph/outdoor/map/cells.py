@@ -96,9 +96,8 @@ def find_visible(
 def make_extent_error(count: int, stride: float) -> MapError:
     """Return the error of a map whose things reach so far that a search would exhaust memory."""
     return MapError(
-        f"The map's {count:,} objects reach over more ground than a map of so many is looked "
-        f"through for, every {stride:g} m. Build it of a smaller extract, or of larger cells "
-        "further apart."
+        f"The map's {count:,} objects cover too large an area for cells every {stride:g} m. "
+        "Use a smaller extract, or larger cells further apart."
     )
 
 
@@ -252,7 +251,8 @@ class Cells(PickleFields, Mapping[str, Cell]):
         point = self._find_point(cell)
         if point is None:
             raise UnknownCellError(
-                f"{cell!r} is no cell of this map; cells are named as {next(iter(self), '-')!r}."
+                f"{cell!r} is not a cell of this map; cell names look like "
+                f"{next(iter(self), '-')!r}."
             )
         return point
 

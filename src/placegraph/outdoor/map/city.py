@@ -318,7 +318,7 @@ def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
 def make_geojson(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:
     """Make the FeatureCollection of a city. See also `CityMap.to_geojson`."""
     if what not in ("objects", "cells"):
-        raise OptionError(f"what is {what!r}; it is 'objects' or 'cells'.")
+        raise OptionError(f"what is {what!r}; it must be 'objects' or 'cells'.")
     return make_collection(_objects(city) if what == "objects" else _cells(city))
 
 
@@ -362,35 +362,39 @@ def find_oddities(city: City) -> list[str]:
     span = np.ptp(objects.points, axis=0)
     if span.max() > WIDEST:
         found.append(
-            f"The map spans {span.max() / 1e3:.0f} km; directions near its edge are off by the plane's "
-            "distortion. Cut the extract into cities."
+            f"The map spans {span.max() / 1000.0:.0f} km, so directions near its edge are "
+            "distorted by the map projection. Split the extract into cities."
         )
     if not len(city.cells):
         found.append(
-            "No cell holds two objects, so nothing stands beside anything. Use a larger extract."
+            "No cell contains two objects, so there are no relations. Use a larger extract."
         )
     named = float((np.diff(objects.name_starts) > 0).mean())
     if named < 0.02:
         found.append(
-            f"Only {named:.1%} of the objects have a name; people who say names will not be understood."
+            f"Only {named:.1%} of the objects have a name, so few names in descriptions can "
+            "be matched."
         )
     first = objects.label_values[objects.label_starts[:-1]]
     share = np.bincount(first, minlength=len(objects.labels)) / len(objects)
     top = int(np.argmax(share))
     if share[top] > 0.8:
         found.append(
-            f"{share[top]:.0%} of the objects are {objects.labels[top]}; little tells one place from "
-            "another. Use an extract with more kinds of things, or extend the vocabulary."
+            f"{share[top]:.0%} of the objects are {objects.labels[top]}, so places are hard "
+            "to distinguish. Use an extract with more kinds of objects, or extend the "
+            "vocabulary."
         )
     ids = np.stack([objects.osm_type.astype(np.int64), objects.osm_id], 1)
     twice = len(ids) - len(np.unique(ids, axis=0))
     if twice:
         found.append(
-            f"{twice} objects occur twice, as where extracts that overlap were joined. Export it anew."
+            f"{twice} objects occur twice, probably because overlapping extracts were "
+            "merged. Export the extract again."
         )
     missing = sum(n for why, n in city.left_out.items() if "missing" in why or "without" in why)
     if missing > 0.05 * len(objects):
         found.append(
-            f"{missing:,} elements of the extract lacked members; it was clipped. Clip it with complete ways."
+            f"{missing:,} elements of the extract lack members, because it was clipped. "
+            "Clip it with complete ways."
         )
     return found

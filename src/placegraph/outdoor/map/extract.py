@@ -282,7 +282,7 @@ def read_extract(
 def make_empty_error(path: str | PathLike[str] | Overture, left_out: LeftOut) -> InputError:
     """Return the error of an extract without anything that people speak of."""
     return InputError(
-        f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
+        f"{path} contains no usable objects (roads, buildings, shops, ...); ignored: "
         f"{left_out}. Choose a larger extract, or extend the vocabulary."
     )
 

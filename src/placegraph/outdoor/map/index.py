@@ -544,7 +544,7 @@ def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
     if not c.present.all():
         raise ValueError("a tile has no viewpoints")
     if not (np.isfinite(share).all() and (share >= 0.0).all()):
-        raise ValueError("shares of tokens are none")
+        raise ValueError("shares of tokens are invalid")
 
 
 def index_in(file: MapFile, words: int) -> ViewIndex | None:
@@ -560,5 +560,5 @@ def index_in(file: MapFile, words: int) -> ViewIndex | None:
     index = ViewIndex.of(columns, (float(east), float(north), int(width)))
     index = replace(index, watch=file.watch)
     if len(index.share) != words:
-        raise ValueError("the index of viewpoints is of other words")
+        raise ValueError("the index of viewpoints was built with another vocabulary")
     return index

@@ -82,9 +82,9 @@ class CityObjects(PickleFields):
         if not n or any(np.diff(starts).min(initial=1) < 1 for starts in starts_of_all):
             raise ValueError("there is no object, or one lacks a label or a point")
         if not -FARTHEST <= self.points.min() <= self.points.max() <= FARTHEST:
-            raise ValueError("a point lies beyond the Earth")
+            raise ValueError("a point is out of range")
         if max(self.kind.max(), self.osm_type.max()) > 2:
-            raise ValueError("an object is of no known kind")
+            raise ValueError("an object has an unknown kind")
         for values, table, name in (
             (self.label_values, self.labels, "label_values"),
             (self.name_values, self.names, "name_values"),

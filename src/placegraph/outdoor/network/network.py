@@ -83,8 +83,9 @@ class Shape:
     )
     statements: bool = option(
         True,
-        "Score every statement by the objects that its ends attend to, and literally; otherwise the joint "
-        "model is the paper's: cross attention, and a perceptron on both embeddings (Eq. 14-17).",
+        "Score every statement literally and by the objects that its arguments attend to; "
+        "otherwise use the paper's joint model: cross attention and a perceptron on both "
+        "embeddings (Eq. 14-17).",
         repr=False,  # digests are of the repr
         flag="--statements/--no-statements",
         panel=NETWORK,
@@ -94,8 +95,8 @@ class Shape:
         check_options(self)
         if self.width % self.heads or self.width % 2:
             raise OptionError(
-                f"There is no network of width {self.width} for {self.heads} heads; choose an even width "
-                "that the heads divide."
+                f"The width {self.width} does not fit {self.heads} heads; choose an even "
+                "multiple of the number of heads."
             )
 
     def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
@@ -234,8 +235,9 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     for part, here in (("labels", _labels(len(known))), ("graphs", GRAPHS)):
         if file.meta.get(part) != here:
             raise MapError(
-                f"{path}: the network was trained with other {part} ({file.meta.get(part)}) than "
-                f"this version of placegraph has ({here}). Train it again by `placegraph city train`."
+                f"{path}: the network was trained with different {part} "
+                f"({file.meta.get(part)}) from those of this version of placegraph "
+                f"({here}). Train it again by `placegraph city train`."
             )
     try:
         shape = Shape.from_dict(file.meta["shape"])

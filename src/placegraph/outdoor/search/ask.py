@@ -77,7 +77,7 @@ class Question:
             ):
                 return Answer(self, known)
         options = ", ".join((*self.options, UNKNOWN))
-        raise OptionError(f"{option!r} is no answer; say one of: {options}.")
+        raise OptionError(f"{option!r} is not a valid answer; choose one of: {options}.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ def retrieve(
     """
     matching = matching or Matching()
     if not is_count(top):
-        raise OptionError(f"top is {top!r}; ask for at least one cell.")
+        raise OptionError(f"top is {top!r}; give at least 1.")
     matching.check(city)
     request = Request(city, compile_query(description, city), matching=matching)
     rows, scores = rank_cells(request, timeout)

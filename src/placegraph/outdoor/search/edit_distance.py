@@ -363,8 +363,8 @@ def rank(
     """
     if centers is not None and np.shape(centers) != (len(graphs), 2):
         raise OptionError(
-            f"centers have shape {np.shape(centers)} for {len(graphs)} graphs; give east and north of "
-            "each cell."
+            f"centers have shape {np.shape(centers)} for {len(graphs)} graphs; give east "
+            "and north for each cell."
         )
     middles = [None] * len(graphs) if centers is None or plain else list(np.asarray(centers))
     text = LabelledGraph.of_description(

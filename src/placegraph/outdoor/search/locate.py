@@ -61,7 +61,7 @@ def locate(
 ) -> CityEstimate:
     """Locate a description in a city; see `CityMap.locate`."""
     if not is_count(top):
-        raise OptionError(f"top is {top!r}; ask for at least one mode.")
+        raise OptionError(f"top is {top!r}; give at least 1.")
     request = make_request(city, text, hints, matching)
     query, understood = request.query, request.understood
     obstacle = find_obstacle(query, understood, tells_way=bool(request.prior.routes))
@@ -207,7 +207,7 @@ def _make_evidence(
         rows = _find_distant_object(statement, position, city, query)
     note = ""
     if verdict == "against" and statement.negated:
-        note = "but it is there"
+        note = "but it is present"
     elif verdict == "against" and rows and statement.relation is Relation.DIRECTION:
         if error < np.pi / 4:
             note, rows = "it fits, but no better than elsewhere", []

@@ -269,7 +269,7 @@ class Matching(RankingOptions):
 
         """
         if name not in PRESETS:
-            raise OptionError(f"preset is {name!r}; choose among {', '.join(PRESETS)}.")
+            raise OptionError(f"preset is {name!r}; choose one of {', '.join(PRESETS)}.")
         chosen: dict[str, Any] = {**PRESETS[name], **options}
         matcher = chosen.get("matcher")
         # options of a preset fall where another matcher has no use for them
@@ -278,8 +278,8 @@ class Matching(RankingOptions):
         found = cls(**{k: v for k, v in chosen.items() if k in options or k not in unused})
         if "candidates" in options and not found.counts_cells:
             raise OptionError(
-                f"candidates is {found.candidates}, but {found.matcher} by {found.source} does not "
-                "count cells; find them by dense or both, or leave it out."
+                f"candidates is {found.candidates}, but {found.matcher} search with "
+                f"{found.source} does not propose cells; use dense or both, or remove it."
             )
         return found
 
@@ -338,7 +338,7 @@ class Matching(RankingOptions):
         found = getattr(self.store, "origin", None)
         if not isinstance(found, Origin):
             raise OptionError(
-                f"store is {self.store!r}, which is no vector store; open one by `open_store`."
+                f"store is {self.store!r}, which is not a vector store; open one with `open_store`."
             )
         wanted = self.encode(city).origin
         # empty is not known

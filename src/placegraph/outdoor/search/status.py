@@ -112,7 +112,10 @@ def decide(diagnostics: Diagnostics) -> tuple[Status, str]:
 
 
 def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
-    ranked = f"The {diagnostics.cell_matcher} matcher only ranks places; its scores are no probabilities."
+    ranked = (
+        f"The {diagnostics.cell_matcher} matcher only ranks places; its scores are not "
+        "probabilities."
+    )
     if diagnostics.obstacle:
         return Status.LOST, diagnostics.obstacle
     if diagnostics.contradiction:
@@ -124,7 +127,7 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     if diagnostics.best is None:
         return (
             Status.LOST,
-            "No place on the map has the objects of any statement in sight together.",
+            "No place on the map is within sight of all objects of any statement.",
         )
     names, claim = diagnostics.unknown_names, diagnostics.claim
     sure = claim.of_radius.apply(diagnostics.near_best, unknown_name=bool(names))

@@ -440,7 +440,7 @@ class PastMeasurement:
         fits = self.log_probability - 0.5 * np.einsum("ni,ij,nj->n", off, loose, off)
         at = self.positions[int(np.argmax(fits))]
         way = hypot(*(position - at))
-        note = f"said {way:.0f} m before" if way >= 1.0 else "said here before"
+        note = f"said {way:.0f} m before" if way >= 1.0 else "said earlier at this place"
         return tuple(
             replace(e, note="; ".join(part for part in (note, e.note) if part))
             for e in find_evidence(at, city, self.query)

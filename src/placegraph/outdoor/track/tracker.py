@@ -112,7 +112,7 @@ class CityTracker:
         top: int = 5,
     ) -> None:
         if not is_count(top):
-            raise OptionError(f"top is {top!r}; ask for at least one mode.")
+            raise OptionError(f"top is {top!r}; give at least 1.")
         self.city = city
         self._top = int(top)
         self._grid = TrackGrid.of_views(city.views)

@@ -491,7 +491,7 @@ def write_image(image: Image.Image, path: str | Path, form: str, **options: Any)
     """
     own = f".{form.lower()}"
     if Path(path).suffix.lower() in FORMS - {own}:
-        raise OptionError(f"{path} would hold a {form}; let its name end in {own}.")
+        raise OptionError(f"{path} would contain a {form}; use the ending {own}.")
     written = BytesIO()
     image.save(written, form, **options)
     return write_output(path, written.getvalue())

@@ -245,7 +245,7 @@ function furnish(root) {
     el("div", { class: "pins", role: "group", "aria-label": "Places on the map" }),
     el("div", { class: "tools", role: "group", "aria-label": "Map tools" }),
     el("div", { class: "scale", "aria-hidden": "true" }, el("span")),
-    el("div", { class: "legend", "aria-hidden": "true" }, sign("dot", "place, with its 86 % ellipse"),
+    el("div", { class: "legend", "aria-hidden": "true" }, sign("dot", "place, with its 86 % confidence ellipse"),
       sign("ramp", "how probable"), sign("line", "for"), sign("line against", "against")),
     el("div", { class: "credit" }, "© ", el("a", { href: "https://www.openstreetmap.org/copyright", target: "_blank", rel: "noopener noreferrer" }, "OpenStreetMap contributors")),
     el("div", { class: "tip", role: "status", hidden: true }));

@@ -98,7 +98,7 @@ export function evidence(mode, k, { light, go, linked = true }) {
   });
   return el("section", { class: "evidence", "aria-label": `Why place ${k + 1}` },
     el("h2", {}, `Why place ${k + 1}`),
-    rows.length ? el("ul", {}, rows) : el("p", { class: "note" }, "Nothing was said that can be compared."));
+    rows.length ? el("ul", {}, rows) : el("p", { class: "note" }, "The description contains nothing that can be compared with the map."));
 }
 
 function thing(object, { light, go, linked }) {
@@ -118,8 +118,8 @@ export function understanding(understood, open = false) {
     ["Contradictions", conflicts.map((sentence) => el("li", {}, sentence))],
     ["Statements", statements.map((s) => el("li", {}, reading(s, known)))],
     ["Things", mentions.filter(({ id }) => id > 1).map(mention)],
-    ["Said of the outside", outside.map(quoted)],
-    ["Said of rooms", inside.map(quoted)],
+    ["About the surroundings", outside.map(quoted)],
+    ["About rooms", inside.map(quoted)],
     ["Ignored", ignored.map((i) => el("li", {}, el("q", {}, i.text), " ", el("small", {}, i.reason)))],
   ].filter(([, rows]) => rows.length);
   return el("details", { class: "understood", open }, el("summary", {}, "What was understood"),
@@ -155,7 +155,7 @@ export function question(asked, answer) {
   if (!asked) return null;
   const options = answer ? [...asked.options, "don't know"] : [];
   return el("section", { class: "ask", "aria-label": "Question" },
-    el("h2", {}, answer ? "To be sure" : "To tell more, I would ask"), el("p", {}, asked.text),
+    el("h2", {}, answer ? "To be sure" : "To be more certain, please answer"), el("p", {}, asked.text),
     options.length ? el("div", { class: "options" }, options.map((option) =>
       button(null, { onclick: () => answer(option) }, el("bdi", {}, option)))) : null);
 }

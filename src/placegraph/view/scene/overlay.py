@@ -82,11 +82,14 @@ def write_overlay(
 
     best, refinement = estimate.best, estimate.refinement
     if best is None:
-        raise OptionError(f"The estimate has no pose to show: {estimate.reason}")
+        raise OptionError(f"The estimate has no pose to show. {estimate.reason}")
     row = int(estimate.frames[-1])
     frame = next((frame for frame in capture if frame.index == row), None)
     if frame is None:
-        raise OptionError(f"Frame {row}, the estimate's last, is not in the capture that is given.")
+        raise OptionError(
+            f"Frame {row}, the last of the estimate, is not in the given capture; give the "
+            "capture that was localized."
+        )
     renderer = Renderer(scene)
     drawn = []
     coarse = [refinement.coarse] if refinement is not None and refinement.accepted else []

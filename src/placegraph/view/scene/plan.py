@@ -234,7 +234,7 @@ def describe_error(estimate: PoseEstimate, truth: Floats) -> str:
         return ""
     off = np.linalg.inv(truth[-1]) @ estimate.best.map_from_camera
     turn = np.arccos(np.clip((np.trace(off[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-    return f"{100 * np.linalg.norm(off[:3, 3]):.0f} cm and {np.degrees(turn):.1f}° off the truth"
+    return f"error: {100 * np.linalg.norm(off[:3, 3]):.0f} cm and {np.degrees(turn):.1f}°"
 
 
 HEAD, FOOT, GAP = 64, 46, 4
@@ -436,9 +436,9 @@ class Drawing:
             {verdict for _, verdict in evidence_rows(self.plan, best)} if best else set[str]()
         )
         keys: list[tuple[bool, str, Callable[..., float]]] = [
-            (result, "way, and what is seen", partial(sheet.key_line, color=color)),
+            (result, "path and visible objects", partial(sheet.key_line, color=color)),
             (self.truth is not None, "true way", partial(sheet.key_line, color=TRUTH)),
-            (particles, "particles, darker where it is likely", sheet.key_likely),
+            (particles, "particles, darker where more likely", sheet.key_likely),
             (result and "for" in verdicts, "agrees", partial(sheet.key_line, color="for")),
             (
                 result and "against" in verdicts,

@@ -100,7 +100,8 @@ def read_model(folder: Path) -> ColmapModel:
     for picture in pictures:
         if picture.camera not in cameras:
             raise InputError(
-                f"{folder}: image {picture.name!r} is of camera {picture.camera}, which is not there."
+                f"{folder}: image {picture.name!r} refers to the missing camera "
+                f"{picture.camera}; copy the model again."
             )
     return ColmapModel(cameras, pictures, points)
 
@@ -191,7 +192,10 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     for _ in range(reader.take("Q")[0]):
         number, model, width, height = reader.take("IiQQ")
         if not 0 <= model < len(_MODELS):
-            raise InputError(f"{path}: camera {number} is of a model {model} that is not known.")
+            raise InputError(
+                f"{path}: camera {number} has the unknown model {model}; undistort the images "
+                "with `colmap image_undistorter`."
+            )
         name, count = _MODELS[model]
         values = list(reader.take(f"{count}d"))
         yield number, model_camera(f"{path}, camera {number}", name, (width, height), values)
@@ -364,7 +368,10 @@ def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View
     for picture in sorted(model.pictures, key=lambda p: natural_key(p.name)):
         name = PurePosixPath(picture.name)
         if name.is_absolute() or ".." in name.parts:
-            raise InputError(f"{path}: the image name {picture.name!r} leads out of the folder.")
+            raise InputError(
+                f"{path}: the image name {picture.name!r} lies outside the folder; rename the "
+                "image."
+            )
         colour = next((p for p in (path / "images" / name, path / name) if p.is_file()), None)
         below = path / "depth" / name.parent
         files = (below / f"{name.stem}.png", below / f"{name.name}.png",
@@ -409,24 +416,25 @@ def _scale(
 ) -> tuple[float, str]:
     """Return the metres in a unit of the model, and a sentence that says whence."""
     if given is not None:
-        return given, f"A unit of the COLMAP model is {given:g} m, as was given."
+        return given, f"The unit of the COLMAP model is {given:g} m, as given."
     if own:
         return 1.0, (
-            "A unit of the COLMAP model is taken for a metre: its own depth cannot tell; give scale "
-            "where it is another."
+            "The unit of the COLMAP model is assumed to be the metre, because its own depth "
+            "has no scale; give scale if it differs."
         )
     step = max(1, len(views) // _MAX_IMAGES)
     ratios = np.concatenate([_depth_ratios(model, view) for view in views[::step]])
     if len(ratios) < _MIN_READINGS:
         raise InputError(
-            f"{views[0].depth.parent} has depth at {len(ratios)} sparse points of the model, which is "
-            f"too little for a scale ({_MIN_READINGS} are needed); give the metres in a unit as scale."
+            f"{views[0].depth.parent} has depth at only {len(ratios)} sparse points of the "
+            f"model, too few to estimate the scale ({_MIN_READINGS} are needed); give the "
+            "metres per unit as scale."
         )
     metres = float(np.median(ratios))
     spread = float(np.median(np.abs(ratios / metres - 1.0)))
     return metres, (
-        f"A unit of the COLMAP model is {metres:.4g} m, by depth at {len(ratios)} sparse points "
-        f"(median deviation {100 * spread:.1f} %)."
+        f"The unit of the COLMAP model is {metres:.4g} m, estimated from depth at "
+        f"{len(ratios)} sparse points (median deviation {100 * spread:.1f} %)."
     )
 
 

@@ -88,7 +88,8 @@ def decode_calibration(data: bytes, version: tuple[int, ...], name: str) -> Cali
     """Calibration of a node; `InputError`, which begins with `name`, where it is none that is read."""
     if version < _OLDEST:
         raise InputError(
-            f"{name}: databases before 0.10 are not read; `rtabmap-reprocess old.db new.db` makes a new one."
+            f"{name}: databases before 0.10 are not read; `rtabmap-reprocess old.db new.db` "
+            "converts it."
         )
     if version >= _SERIALIZED:
         return _decode_serialized(data, name)
@@ -147,14 +148,14 @@ def _read_size(values: NDArray[np.float64], name: str) -> tuple[int, int]:
 
 def _stereo_error(name: str) -> InputError:
     return InputError(
-        f"{name} is of a stereo camera, of which the database has no depth; record with a depth camera, "
-        "or a telephone with LiDAR."
+        f"{name} has a stereo camera, for which the database has no depth; record with a "
+        "depth camera, or a telephone with LiDAR."
     )
 
 
 def _broken_error(name: str) -> InputError:
     return InputError(
-        f"{name} is no calibration of RTAB-Map; calibrate the camera, and record again."
+        f"{name} is not an RTAB-Map calibration; calibrate the camera, and record again."
     )
 
 
@@ -212,15 +213,15 @@ def read_rtabmap(path: Path) -> Capture:
         known = base.columns("Data")
         if not {"image", "depth", "calibration"} <= known:
             raise InputError(
-                f"{path} is a database of RTAB-Map {'.'.join(map(str, version))}, which is not read; "
-                "`rtabmap-reprocess old.db new.db` makes a new one."
+                f"{path} is a database of RTAB-Map {'.'.join(map(str, version))}, which is "
+                "not supported; `rtabmap-reprocess old.db new.db` converts it."
             )
         has_confidence = "depth_confidence" in known
         columns = _COLUMNS + (", length(d.depth_confidence)" if has_confidence else ", NULL")
         rows = base.select(columns, "Node", "n JOIN Data d ON n.id = d.id ORDER BY n.id").fetchall()
         poses, notes = _read_optimized_poses(base)
     except (sqlite3.Error, ValueError, OverflowError) as error:
-        raise InputError(f"{path} is no database of RTAB-Map ({error}); copy it again.") from error
+        raise InputError(f"{path} is not an RTAB-Map database ({error}); copy it again.") from error
     return _capture(base, version, [_Node(*row) for row in rows], poses, notes)
 
 
@@ -280,10 +281,11 @@ def _read_odometry(nodes: list[_Node]) -> tuple[dict[int, NDArray[np.float64]], 
         for n in held
         if n.session == session
     }
-    notes = ["Poses are the odometry's: the database was not closed with optimized ones."]
+    notes = ["The poses are those of the odometry, because the database has no optimized ones."]
     if len(sessions) > 1:
         notes.append(
-            f"Of {len(sessions)} sessions the longest is used; each has a world of its own."
+            f"Only the longest of {len(sessions)} sessions is used, because each has its "
+            "own world frame."
         )
     return poses, tuple(notes)
 

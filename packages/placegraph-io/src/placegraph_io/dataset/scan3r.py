@@ -271,8 +271,8 @@ class Rooms:
         found = self.scan(scan).reference_from_scan
         if found is None:
             raise InputError(
-                f"{self.path} gives no transform for the rescan {scan} (those of hidden test scans are "
-                "kept back); use it in its own axes."
+                f"{self.path} has no transform for the rescan {scan} (hidden test scans "
+                "have none); use the scan's own axes."
             )
         return found
 
@@ -511,10 +511,11 @@ def _transfer_ids(model: Model, path: Path, left_out: Counter[str]) -> NDArray[n
     bare: NDArray[np.bool_] = np.asarray(far[model.triangles].any(axis=1))
     if bare.sum() > bare.size / 2:
         raise InputError(
-            f"{path} and {model.path} do not lie over each other: {bare.mean():.0%} of the faces have no "
-            f"label within {REACH:g} m; take both of one scan, neither of them aligned."
+            f"{path} and {model.path} do not coincide: {bare.mean():.0%} of the faces have "
+            f"no label within {REACH:g} m; use two files of the same scan, neither of them "
+            "aligned."
         )
-    left_out["vertices that took the label of the nearest, as the meshes differ"] += int(
+    left_out["vertices labelled by their nearest neighbour, because the meshes differ"] += int(
         (~far).sum()
     )
     if far.any():

@@ -111,7 +111,7 @@ def _find_frames(
             found.append((number, digits, pose))
     announced = info.frames - len(numbers)
     if announced > 0:
-        left_out["frames that are announced, but not there"] += announced
+        left_out["frames that are listed, but missing"] += announced
     if not found:
         why = "; ".join(f"{reason}: {count}" for reason, count in left_out.items())
         raise InputError(f"{files.where('')} has no frame to use ({why or 'it is empty'}).")

@@ -143,8 +143,9 @@ def camera_of_matrix(
         raise InputError(f"{name}: {error} Export the intrinsics again.") from error
     if not (0 < camera.cx < camera.width and 0 < camera.cy < camera.height):
         raise InputError(
-            f"{name}: the principal point lies outside the images of {size[0]} x {size[1]} pixels; are "
-            "they made smaller? Then put the scan's <scan>.txt, which says their first size, beside."
+            f"{name}: the principal point lies outside the images of {size[0]} x {size[1]} "
+            "pixels; if they were resized, add the scan's <scan>.txt, which gives their "
+            "original size."
         )
     return camera
 
@@ -289,7 +290,9 @@ def find_labels(
     `OptionError`: `wanted` is none of its values; the table has no such column.
     """
     if wanted not in {"auto", "labels", "instances", None}:
-        raise OptionError(f"labels is {wanted!r}; it is 'auto', 'labels', 'instances' or None.")
+        raise OptionError(
+            f"labels is {wanted!r}; it must be 'auto', 'labels', 'instances' or None."
+        )
     if wanted is None:
         return LabelImages()
     for kind, name in FOLDERS.items():
@@ -463,7 +466,10 @@ def _annotated(scan: Scan, mesh: Path | None) -> _Files | None:
     gone = min(missing, key=len)
     names = " and ".join(p.name for p in gone)
     if any(p.suffix == ".ply" for p in gone):
-        mend = "labels alone make no map: download the mesh too, or give the scan's .sens file"
+        mend = (
+            "labels alone are not enough for a map; also download the mesh, or give the scan's "
+            ".sens file"
+        )
     else:
         bare = next(files.mesh for files in sets if files.mesh.is_file())
         mend = f"download it, or give {bare} itself, which is then cut by geometry and colour"

@@ -136,23 +136,25 @@ def read_header(path: Path) -> SensHeader:
 def _check(header: SensHeader) -> None:
     if header.colour_coding not in {RAW, PNG, JPEG}:
         raise InputError(
-            f"{header.path}: colour is coded in way {header.colour_coding}; raw (0), PNG (1) and JPEG "
-            "(2) are read: export the frames with ScanNet's SensReader and open that folder."
+            f"{header.path}: the colour codec is {header.colour_coding}, but only raw (0), "
+            "PNG (1) and JPEG (2) are supported; export the frames with ScanNet's "
+            "SensReader and open that folder."
         )
     if header.depth_coding not in {RAW_DEPTH, ZLIB_DEPTH}:
         raise InputError(
-            f"{header.path}: depth is coded in way {header.depth_coding}; raw (0) and zlib (1) are "
-            "read: export the frames with ScanNet's SensReader and open that folder."
+            f"{header.path}: the depth codec is {header.depth_coding}, but only raw (0) and "
+            "zlib (1) are supported; export the frames with ScanNet's SensReader and open "
+            "that folder."
         )
     if not all(0 < side <= _LARGEST_SIDE for side in (*header.colour_size, *header.depth_size)):
         raise InputError(
-            f"{header.path}: images of {header.colour_size} and {header.depth_size} pixels cannot be; "
-            "download the file again."
+            f"{header.path}: images of {header.colour_size} and {header.depth_size} pixels "
+            "are impossible; download the file again."
         )
     if not 1.0 <= header.depth_per_metre < 1e9:
         raise InputError(
-            f"{header.path}: {header.depth_per_metre:g} units of depth in a metre cannot be; it is 1000 "
-            "in ScanNet: download the file again."
+            f"{header.path}: {header.depth_per_metre:g} depth units per metre are "
+            "impossible (ScanNet has 1000); download the file again."
         )
 
 
@@ -178,7 +180,7 @@ def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]
             matrix = np.array(pose).reshape(4, 4)
             found.append(SensFrame(number, matrix, stamp, colour_at, colour_bytes, depth_bytes))
     if not found:
-        raise InputError(f"{header.path} holds not one whole frame; download it again.")
+        raise InputError(f"{header.path} contains no complete frame; download it again.")
     if len(found) < header.count and not partial:
         raise InputError(
             f"{header.path} ends within frame {len(found)} of {header.count}: it is truncated. Download "

@@ -115,7 +115,7 @@ def _level(
     Who turns around keeps up in one direction of the images, whatever way a telephone is held, and
     level directions in none.
     """
-    how = "as whoever wrote such a file has it"
+    how = "as usual in such files"
     y, z = (float(np.linalg.norm(poses[:, i, :2].mean(axis=0))) for i in (1, 2))
     if up is not None:
         direction = np.asarray(up, np.float64)
@@ -125,11 +125,11 @@ def _level(
     elif axis is not None:
         direction = np.eye(3)[axis]
     elif abs(y - z) >= _MIN_DIFFERENCE:
-        direction, how = np.eye(3)[1 if y > z else 2], "which lies in one direction of the images"
+        direction, how = np.eye(3)[1 if y > z else 2], "the common direction in the images"
     else:
         raise InputError(
-            f"{file} does not say which way is up, nor do its poses; give up=(0, 1, 0), as ARKit has it, "
-            "or up=(0, 0, 1)."
+            f"The up direction of {file} is unknown; give up=(0, 1, 0), as in ARKit, or "
+            "up=(0, 0, 1)."
         )
     move = np.eye(4)
     move[:3, :3] = upright(direction / np.linalg.norm(direction), np.eye(3)[0])

@@ -83,7 +83,11 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
                 depth_camera=depth_camera,
             )
         )
-    notes = () if poses else (f"Poses are those of {path / 'groundtruth.txt'}, the truth.",)
+    notes = (
+        ()
+        if poses
+        else ((f"The poses are those of {path / 'groundtruth.txt'}, the ground truth."),)
+    )
     return make_capture(path, frames, left_out=left_out, notes=notes)
 
 

@@ -458,7 +458,7 @@ class _Reader:
             if (box := nodes[i].box) is None:
                 self.left_out["objects with neither mesh nor box"] += 1
                 continue
-            self.left_out["objects without a mesh, for which their box stands"] += 1
+            self.left_out["objects without a mesh, shown as boxes"] += 1
             pieces.append(box_piece(box_corners(*box), i))
         return pieces, tuple(objects)
 

@@ -352,7 +352,8 @@ def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
         index = _scan_records(file)
         why = error if isinstance(error, MissingIndexError) else "its index is damaged"
         notes.append(
-            f"{path.name}: {why}; it is read as far as possible. `mcap recover` repairs it."
+            f"{path.name}: {why}; only the part before the damage is read. `mcap recover` "
+            "repairs it."
         )
     if not index.found:
         raise InputError(f"{path} holds no message; record again.")
@@ -370,7 +371,7 @@ def _read_index(file: File) -> _Index:
     size = file.size
     end = file.read(max(size - _FOOTER, 0), _FOOTER)
     if end[-8:] != MAGIC or end[:1] != b"\x02":
-        raise MissingIndexError("the file has no end, so it was truncated")
+        raise MissingIndexError("the file has no end marker, so it was truncated")
     (start,) = unpack_from("<Q", end, 9)
     if not 0 < start < size or size - start > _LIMIT:
         raise MissingIndexError("it was written without an index")

@@ -107,8 +107,9 @@ def decode(data: bytes, where: str, kind: str, encoding: str) -> Any:  # noqa: A
         return store.deserialize_cdr(data, kind)
     except Exception as error:  # generated code raises anything at damaged bytes
         raise InputError(
-            f"{where}: a message is no {kind.replace('/msg/', '/')} as ROS defines it "
-            f"({type(error).__name__}: {error}); record that topic again, or leave it out."
+            f"{where}: a message does not match the ROS definition of "
+            f"{kind.replace('/msg/', '/')} ({type(error).__name__}: {error}); record that "
+            "topic again, or exclude it."
         ) from error
 
 

@@ -437,9 +437,10 @@ class PoseReader:
         wanted = repr(self.choice.frame) if self.choice.frame else "a fixed frame"
         known = f"frames are {', '.join(names[:12])}" if names else "there are no transforms"
         return InputError(
-            f"{path}: no transform leads from the camera's frame {self.colour.frame!r} to {wanted}; "
-            f"{'; '.join([known, *lost])}. Record /tf, /tf_static or nav_msgs/Odometry, write what "
-            f'lacks as "transforms" in {path}.json, or give `poses`, a trajectory in TUM\'s format.'
+            f"{path}: no transform leads from the camera's frame {self.colour.frame!r} to "
+            f"{wanted}; {'; '.join([known, *lost])}. Record /tf, /tf_static or "
+            f'nav_msgs/Odometry, add the missing ones as "transforms" in {path}.json, or '
+            "give `poses`, a trajectory in TUM's format."
         )
 
     def _clocks_agree(self) -> bool:
@@ -464,7 +465,8 @@ class PoseReader:
         self.notes.append(f"Poses: {self.colour.frame} in {self.frame}, from {by}.")
         if self.frame in MAP_FRAMES and self.choice.frame is None:
             self.notes.append(
-                f"{self.frame} is a frame of localization or SLAM, not of odometry; the bag has no other."
+                f"{self.frame} is a frame of localization or SLAM, not of odometry, but the "
+                "bag has no other."
             )
         for child, parents in self.tree.parents().items():
             if len(parents) > 1:

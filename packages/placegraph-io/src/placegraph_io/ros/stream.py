@@ -479,7 +479,7 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
         except (MissingIndexError, InputError, struct.error) as error:
             if whole:
                 reason = str(error) or "it is truncated"
-                yield Fault("", f"{name}, a chunk: {reason}; reading goes on behind it.")
+                yield Fault("", f"{name}, a chunk: {reason}; reading continues after it.")
         if not whole:
             break
     yield Fault("", f"{name} has no end, so it was truncated; it is read as far as possible.")

@@ -222,8 +222,9 @@ def camera_from_info(info: Any, size: tuple[int, int], name: str, *, rectified: 
     camera = make_camera(name, full_size, (fx, fy, cx, cy), distortion, model)
     if abs(size[0] * full_size[1] - size[1] * full_size[0]) > max(*size, *full_size):
         raise InputError(
-            f"{name} says {full_size[0]} x {full_size[1]} pixels, but images have {size[0]} x {size[1]}, "
-            'another shape; give their intrinsics as "camera" in the file beside the bag.'
+            f"{name} has {full_size[0]} x {full_size[1]} pixels, but images have {size[0]} "
+            f'x {size[1]}, another aspect ratio; give their intrinsics as "camera" in the '
+            "file beside the bag."
         )
     return camera if size == full_size else camera.resized(*size)
 

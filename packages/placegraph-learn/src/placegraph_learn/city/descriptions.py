@@ -129,8 +129,8 @@ class Speaker:
         places = np.flatnonzero(enough & self.mine(views.positions))
         if not len(places):
             raise OptionError(
-                f"{self.city!r} has no place with {FEWEST} things in sight to train or check with; "
-                "leave it out, or take a larger extract."
+                f"{self.city!r} has no place with {FEWEST} visible objects for training or "
+                "validation; remove it, or use a larger extract."
             )
         return places
 

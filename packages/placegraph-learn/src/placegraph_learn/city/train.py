@@ -46,7 +46,9 @@ LOSSES: tuple[Loss, ...] = ("match", "similarity", "embedding", "fusion")
 class TrainOptions:
     """Options of a training; raises `OptionError` where one is out of range."""
 
-    epochs: int = option(5, "Rounds; each brings new descriptions.", minimum=1, flag="--epochs")
+    epochs: int = option(
+        5, "Number of epochs, each with new descriptions.", minimum=1, flag="--epochs"
+    )
     examples: int = option(
         1200,
         "New descriptions of a city in each epoch; those of earlier epochs are learned again.",
@@ -83,7 +85,7 @@ class TrainOptions:
     shape: Shape = option(Shape(), "Sizes of the network.")
     word_vectors: str | None = option(
         None,
-        "File of word2vec, text or binary, whose vectors stand for the words it knows, as in the paper.",
+        "word2vec file (text or binary) with vectors for the words it contains, as in the paper.",
         flag="--word-vectors",
     )
 

@@ -86,7 +86,7 @@ def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _RawVector]]:
     head = file.readline(64)
     fields = head.split()
     if head[:2] == b"\x1f\x8b":
-        raise InputError(f"{path} is packed; unpack it first (gunzip).")
+        raise InputError(f"{path} is compressed; decompress it first (gunzip).")
     if len(fields) != 2 or not all(f.isdigit() for f in fields) or not head.endswith(b"\n"):
         raise InputError(
             f"{path} does not begin with a line of two numbers, how many words and how long their "

@@ -112,7 +112,7 @@ class SceneGraphLocEncoder:
             )
         if widths.relations != len(RELATIONS):
             raise InputError(
-                f"weights: the network counts {widths.relations} relation words, 3DSSG has "
+                f"weights: the network has {widths.relations} relation words, but 3DSSG has "
                 f"{len(RELATIONS)}; give weights trained on those."
             )
         if self.attributes and len(self.attributes) != widths.attributes:
@@ -160,8 +160,8 @@ class SceneGraphLocEncoder:
         """
         if self.views and not captures:
             raise OptionError(
-                f"captures: none given for {scene.source or 'the map'}; {self.name} knows objects "
-                "by images of the map, or is told to do without by views=False."
+                f"captures: none are given for {scene.source or 'the map'}; {self.name} "
+                "needs images of the map, unless views=False."
             )
         seen = object_views(
             scene, captures if self.views else (), self.features, rotate=self.rotate

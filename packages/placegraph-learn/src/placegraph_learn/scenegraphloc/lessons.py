@@ -232,7 +232,9 @@ def _open_material(file: Path) -> Material:
     if len(captures) == 1:
         captures = [captures[0][::2], captures[0][1::2]]
     if not len(captures[1]):
-        raise OptionError(f"{at}: a single image; two are the least, one to know objects by.")
+        raise OptionError(
+            f"{at}: it has a single image; give at least two, one of them to encode objects."
+        )
     scene = SceneMap.open(file)
     return Material(Surveyed(scene, (captures[0],)), tuple(captures[1:]))
 

@@ -40,7 +40,7 @@ class TrainOptions:
     Raises `OptionError` where a number is out of its range.
     """
 
-    epochs: int = option(30, "Rounds over all pictures.", minimum=1, flag="--epochs")
+    epochs: int = option(30, "Number of epochs over all images.", minimum=1, flag="--epochs")
     batch: int = option(16, "Pictures per step.", minimum=1, flag="--batch")
     others: int = option(
         9, "Other places whose objects are wrong answers for a patch.", flag="--others"

@@ -58,7 +58,8 @@ class CandidateScenes(SceneShards):
         for name, encoders in made:
             if [e.key for e in encoders] != keys:
                 raise MapError(
-                    f"{name} was encoded by others than {first}; make both by the same encoders."
+                    f"{name} and {first} were made by different encoders; use the same "
+                    "encoders for both."
                 )
         found = [shard for s in every for shard in s.shards]
         if len(library):

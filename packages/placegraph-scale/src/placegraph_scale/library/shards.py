@@ -315,7 +315,7 @@ def _check_shard(shard: Shard) -> None:
             raise ValueError("stands")
         _check_texts(shard.columns)
         if shard.columns.scenes != count:
-            raise ValueError("texts are of other scenes")
+            raise ValueError("texts belong to other scenes")
     for name, shape in shapes.items():
         if a[name].shape != shape:
             raise ValueError(f"{name} is {a[name].shape}, not {shape}")
@@ -328,13 +328,13 @@ def _check_runs(starts: NDArray[Any], total: int, least: int = 0) -> None:
     """Raise `ValueError` where runs do not begin at 0, shrink, or end elsewhere."""
     ends = (int(starts[0]), int(starts[-1])) if starts.ndim == 1 and len(starts) > 1 else None
     if starts.dtype != np.int64 or ends != (0, total) or (np.diff(starts) < least).any():
-        raise ValueError("runs do not fit what they are of")
+        raise ValueError("runs do not match their entries")
 
 
 def _check_rows(name: str, rows: NDArray[Any], count: int) -> None:
     """Raise `ValueError` where integers are no rows of so many."""
     if rows.size and not (rows.dtype.kind == "i" and rows.min() >= 0 and rows.max() < count):
-        raise ValueError(f"{name} points outside what it is of")
+        raise ValueError(f"{name} is out of range")
 
 
 def _check_texts(c: Columns) -> None:

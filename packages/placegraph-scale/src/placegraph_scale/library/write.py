@@ -32,7 +32,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 SIZE = 10_000
-"""Scenes of a shard."""
+"Number of scenes per shard."
 SCENES_OF_USUAL = 2_000
 """Scenes of the first shard that the background model is learned from."""
 

@@ -468,7 +468,7 @@ class Search:
         if missing <= 0.0:
             return ""
         lost = f"{len(self.lost)} of the shards did not answer"
-        why = "The time was over" if self.late else lost
+        why = "The time limit was reached" if self.late else lost
         share = f"{missing:.1%}" if missing >= 0.001 else "less than 0.1%"
         return f"{why}: {share} of the world, where it may be as well, was not searched."
 

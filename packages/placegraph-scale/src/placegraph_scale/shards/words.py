@@ -289,7 +289,7 @@ class WorldNames(NameIndex):
         if not 0 <= alphabetic <= len(words) == max(0, size["posting_starts"] - 1):
             raise ValueError("words and where they occur are of different lengths")
         if size["said"] != size["said_rows"] or size["first"] != size["first_longest"]:
-            raise ValueError("what names are called is of different lengths")
+            raise ValueError("columns of names have different lengths")
         if not 0 <= ways <= size["said"]:
             raise ValueError(f"names are called in {ways} ways")
         called = _Lookup(partial(_find_called, names, columns), ways)
@@ -497,7 +497,7 @@ class WordTable:
             if len(set(map(len, of_shards.values()))) > 1:
                 raise ValueError("columns of shards are of different lengths")
             if not all((np.isfinite(c) & (c >= 0)).all() for c in of_shards.values()):
-                raise ValueError("what is known of shards holds what is no amount")
+                raise ValueError("bounds of shards contain invalid values")
             return cls(labels, names, columns, **of_shards, watch=file.watch)
 
     def text(self, word: int) -> str:
@@ -638,8 +638,8 @@ def finish(
             is_key = False
         if not is_key:
             raise MapError(
-                f"{path}: {path.stem!r} is no key of zoom {zoom}; a shard is called by {zoom} digits "
-                "from 0 to 3. Move it away, or build the world again."
+                f"{path}: {path.stem!r} is not a key of zoom {zoom}; shards are named by "
+                f"{zoom} digits from 0 to 3. Move it away, or build the world again."
             )
     shards: list[ShardFile] = []
 

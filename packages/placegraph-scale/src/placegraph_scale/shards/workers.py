@@ -168,7 +168,7 @@ def connect(address: str, timeout: float = TIMEOUT) -> Client:
         from distributed import Client
     except ImportError as error:
         raise MissingExtraError(
-            "A scheduler takes Dask; install it with `pip install 'placegraph[scale]'`."
+            "A scheduler needs Dask; install it with `pip install 'placegraph[scale]'`."
         ) from error
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
@@ -302,8 +302,9 @@ class _Dispatch:
         """Wait for a worker, as where all are being replaced [s]."""
         if waited >= REPLACED:
             raise ServiceError(
-                f"The scheduler at {self.cluster.address} has no worker any more that answers; start "
-                f"some with `dask worker {self.cluster.address}`, where this process can reach them."
+                f"No worker of the scheduler at {self.cluster.address} answers any more; "
+                f"start some with `dask worker {self.cluster.address}`, where this process "
+                "can reach them."
             )
         if waited >= TIMEOUT:
             self.gone.clear()  # others may have taken their addresses
@@ -390,6 +391,6 @@ def _expecting_answer(address: str) -> Iterator[None]:
         yield
     except (OSError, RuntimeError, LookupError, CancelledError) as error:
         raise ServiceError(
-            f"The scheduler at {address} went away ({type(error).__name__}: {error}); start it and ask "
-            "again."
+            f"The connection to the scheduler at {address} was lost "
+            f"({type(error).__name__}: {error}); start it and try again."
         ) from error

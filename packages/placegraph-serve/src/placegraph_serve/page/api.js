@@ -27,7 +27,7 @@ export async function call(path, { method, json, form, signal } = {}) {
       body: form ?? (json === undefined ? undefined : JSON.stringify(json)) });
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new Problem({ detail: "The server does not answer.", mend: "Is it still running?" }, 0);
+    throw new Problem({ detail: "The server does not answer.", mend: "Check that it is running." }, 0);
   }
   const told = response.status === 204 ? null : await response.json().catch(() => null);
   if (!response.ok) throw new Problem(told, response.status);

@@ -197,7 +197,7 @@ class App {
     const field = el("input", { type: "password", "aria-label": "Key", autocomplete: "off" });
     const use = () => { this.tried = true; useKey(field.value.trim()); this.start(); };
     field.addEventListener("keydown", (event) => { if (event.key === "Enter") use(); });
-    return el("div", { class: "problem" }, el("b", {}, this.tried ? "The server does not know this key." : "This server wants a key."),
+    return el("div", { class: "problem" }, el("b", {}, this.tried ? "The key is not valid." : "This server needs a key."),
       el("div", { class: "key" }, field, button(null, { class: "act", onclick: use }, "Use it")));
   }
 }

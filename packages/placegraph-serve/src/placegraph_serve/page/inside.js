@@ -5,7 +5,7 @@ import { chipRow } from "./you.js";
 import { button, el } from "./parts/base.js";
 import { evidence, places, verdict } from "./parts/panel.js";
 
-const CAPTIONS = { overlay: "The map laid over your image", animation: "How the particles gathered" };
+const CAPTIONS = { overlay: "Map drawn over your image", animation: "Particles during the search" };
 const ANYWHERE = { name: "", kind: "world" };
 
 export class Inside {
@@ -100,7 +100,7 @@ export class Inside {
     const { app, chosen, result } = this;
     if (!chosen) { app.show(el("p", { class: "reason" }, "This server has no map of rooms.")); return; }
     app.show(chipRow(app.you.chips()), this.drop(), this.error ? app.problem(this.error) : null,
-      this.busy ? el("p", { class: "busy", role: "status" }, "Looking for where this was taken …") : null,
+      this.busy ? el("p", { class: "busy", role: "status" }, "Localizing the images …") : null,
       result ? this.told(result) : null, this.scenes.length > 1 ? this.list() : null);
   }
 
@@ -123,7 +123,7 @@ export class Inside {
       ondragleave: () => box.classList.remove("over"),
       ondrop: (event) => { event.preventDefault(); this.take(event.dataTransfer.files); } },
     files("Take a picture", { capture: "environment" }), files("Choose images", {}),
-    el("p", { class: "note" }, "One picture of the room will do; several as you walk are better. The camera's focal length is read from the image."),
+    el("p", { class: "note" }, "One image of the room is enough; several taken while walking are better. The camera's focal length is read from the image."),
     el("div", { class: "key" }, words),
     this.images.length ? el("div", { class: "thumbs" }, this.images.map(({ url, file, zip }) => (zip ? el("bdi", {}, file.name) : el("img", { src: url, alt: file.name })))) : null,
     this.images.length && !this.busy ? button(null, { class: "act", onclick: () => this.localize() }, "Look again") : null);

@@ -14,13 +14,13 @@ export function voice(button, { heard, said }) {
     ear.lang = navigator.language;
     ear.interimResults = true;
     ear.continuous = false;
-    said("Listening. Your browser may send what it hears to a service of its maker; this server gets only the words.");
+    said("Listening. Your browser may send the recording to its vendor's service; this server receives only the text.");
     press(button, true);
     ear.onresult = ({ results }) => heard([...results].map(([best]) => best.transcript).join(" ").trim(),
       results[results.length - 1].isFinal);
     ear.onerror = ({ error }) => said({
-      "not-allowed": "The browser may not use the microphone; allow it for this page.",
-      "no-speech": "Nothing was heard.", network: "The browser's service for speech cannot be reached; type instead.",
+      "not-allowed": "The browser is not allowed to use the microphone; allow it for this page.",
+      "no-speech": "Nothing was heard.", network: "The browser's speech service cannot be reached; type instead.",
     }[error] ?? `The browser could not listen (${error}).`);
     ear.onend = () => { ear = null; press(button, false); };
     ear.start();
@@ -41,17 +41,17 @@ export function position(button, { here, said }) {
   button.addEventListener("click", () => {
     if (watch !== null) { stop(); said(""); return; }
     if (!isSecureContext) {
-      said("Browsers tell where they are only to pages of https:// or of this very machine.");
+      said("Browsers share their position only with https:// pages and pages of this computer; open the page that way.");
       return;
     }
     press(button, true);
-    said("Asking the device where it is …");
+    said("Requesting the device's position …");
     watch = navigator.geolocation.watchPosition(({ coords }) => {
       said("");
       here({ near: [coords.longitude, coords.latitude], radius: Math.max(150, 2 * coords.accuracy), accuracy: coords.accuracy });
     }, ({ code }) => {
       stop();
-      said(code === 1 ? "The browser may not tell where it is; allow it for this page." : "The device does not know where it is.");
+      said(code === 1 ? "The browser is not allowed to share its position; allow it for this page." : "The device has no position; choose a point on the map instead.");
     }, { enableHighAccuracy: true, maximumAge: 5000, timeout: 20000 });
   });
   return stop;
@@ -82,12 +82,12 @@ export function compass(button, { towards, said }) {
   button.addEventListener("click", async () => {
     if (on) { stop(); said(""); return; }
     if (Orientation.requestPermission && (await Orientation.requestPermission().catch(() => "denied")) !== "granted") {
-      said("The browser may not tell where it points; allow it for this page.");
+      said("The browser is not allowed to share its heading; allow it for this page.");
       return;
     }
     on = true;
     press(button, true);
-    said("Hold the device as you look. If nothing happens, it has no compass.");
+    said("Point the device in your viewing direction. If nothing happens, it has no compass.");
     for (const kind of ["deviceorientationabsolute", "deviceorientation"]) addEventListener(kind, turn);
   });
   return stop;

@@ -77,7 +77,7 @@ export class Walk {
     const told = log.length ? el("section", { class: "log", "aria-label": "What was said" }, el("h2", {}, "On the way"),
       el("ol", {}, log.map((text) => el("li", {}, el("bdi", {}, text)))),
       button(null, { class: "act", onclick: () => { this.end(); app.view.show(null, { move: false }); this.render(); } }, "Start again"))
-      : el("p", { class: "reason" }, "Tell what you see, walk on, and tell again: “I am on a square with a fountain.” "
+      : el("p", { class: "reason" }, "Describe what you see, walk on, and describe it again: “I am on a square with a fountain.” "
         + "“I walked about 100 metres south.” Each sentence makes the place clearer.");
     const mode = result?.estimate.modes[app.view.selected];
     app.show(chipRow(app.you.chips()), told, this.busy ? el("p", { class: "busy", role: "status" }, "Thinking …") : null,

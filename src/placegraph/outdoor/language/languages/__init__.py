@@ -274,7 +274,7 @@ def language(code: str, folder: Path | None = None) -> Language:
     try:
         content = tomllib.loads(table.read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{table}: is no table of a language ({error}).") from error
+        raise InputError(f"{table}: it is not a language table ({error}).") from error
     if (code, folder) != ("en", None):
         check_table(content, str(table), english().keys)
     return Language(code, content)
@@ -412,9 +412,9 @@ def check_table(table: Mapping[str, Any], where: str, keys: Mapping[str, frozens
             if field_ in _FIELDS:
                 _require(content, _FIELDS[field_], where, field_)
             elif field_ not in (*keys, *_FREE, *_ANGLED, *_NUMBERED):
-                raise InputError(f"{where}: there is no field {field_!r}; {_SEE}.")
+                raise InputError(f"{where}: the field {field_!r} is missing; {_SEE}.")
             elif not isinstance(content, dict):
-                raise InputError(f"{where}: the field {field_!r} is no table; {_SEE}.")
+                raise InputError(f"{where}: the field {field_!r} is not a table; {_SEE}.")
             else:
                 _check_entries(field_, content, where, keys)
 
@@ -426,7 +426,7 @@ def _check_entries(
         if not _is_key(section, key, keys):
             choice = ", ".join(sorted(keys.get(section, _ANGLES if section in _ANGLED else ())))
             choose = f"choose from {choice}: {_SEE}" if choice else _SEE
-            raise InputError(f"{where}: the key {key!r} of {section!r} is not known; {choose}.")
+            raise InputError(f"{where}: the key {key!r} of {section!r} is unknown; {choose}.")
         if section != "say":
             _require(value, _FLAG if section == "order" else _WORDS, where, f"{section}.{key}")
 

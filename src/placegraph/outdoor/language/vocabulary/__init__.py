@@ -200,7 +200,7 @@ _ASIDE = 0.6
 _GUESS = 0.6
 """Weight of ``shop=x`` for "x shop", where nothing is known of x."""
 UNKNOWN = "unknown word"
-NOT_DRAWN = "known, but no city map draws it"
+NOT_DRAWN = "is known, but never on a city map"
 _TAG = re.compile(r"([\w:]+)=(\*|[\w:.+-]+)")
 
 

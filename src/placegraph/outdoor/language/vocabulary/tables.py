@@ -70,8 +70,8 @@ def open_folder(path: str | Path) -> Path:
     folder = Path(path)
     if not folder.is_dir():
         raise InputError(
-            f"{folder}: no folder of vocabulary tables. Give a folder that holds your edited"
-            " objects.tsv or words.tsv; tables that are missing there are taken from placegraph."
+            f"{folder}: it is not a folder of vocabulary tables. Give a folder with your "
+            "objects.tsv or words.tsv; missing tables are taken from placegraph."
         )
     return folder
 
@@ -171,7 +171,7 @@ def weighted(text: str) -> list[tuple[str, float]]:
         label, _, number = part.partition("@")
         key, equals, value = label.partition("=")
         if not (key and equals and value):
-            raise ValueError(f"{label!r} is no label; write key=value or key=*")
+            raise ValueError(f"{label!r} is not a label; write key=value or key=*")
         try:
             weight = float(number or 1)
         except ValueError:
@@ -197,7 +197,7 @@ class Lexicon:
     def __init__(self, text: str) -> None:
         lines = text.rstrip("\n").split("\n")
         if len(lines) < 3 or "\t" not in lines[-1]:
-            raise ValueError("it is no list of words")
+            raise ValueError("it is not a list of words")
         self.languages = lines[0].split("\t")
         self.presets = lines[1].split("\t")
         self._lines = lines[2:]
@@ -316,7 +316,7 @@ def read_lexicon(table: Traversable | Path) -> Lexicon:
         return Lexicon(read_text(table))
     except ValueError as error:
         raise InputError(
-            f"{table}: {error}. Make it anew by `placegraph-lab vocabulary`, or delete it."
+            f"{table}: {error}. Create it again with `placegraph-lab vocabulary`, or delete it."
         ) from error
 
 
@@ -492,7 +492,7 @@ def read_objects(folder: Path | None = None) -> ObjectTable:
                 raise InputError(f"{where}: {key}={value} has a row already; keep one of the two.")
             known[value] = rule
     if not any(rule.role == OBJECT for values in rules.values() for rule in values.values()):
-        raise InputError(f"{table}: has no row with the role 'object'; nothing could be named.")
+        raise InputError(f"{table}: no row has the role 'object'; add at least one.")
     return ObjectTable(rules)
 
 
@@ -553,7 +553,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
         books = (english,) if language == "en" else non_english
         for form in [normal(word) for word in words.split(",")]:
             if not form:
-                raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
+                raise InputError(f"{where}: the field 'words' is {words!r}; it contains no word.")
             for key in dict.fromkeys((form, folded(form))):
                 for book in books:
                     known = book.setdefault(key, {})
