@@ -13,7 +13,7 @@ LIST = Path("tests/texts.txt")
 SOURCES = ("src", *sorted(str(p) for p in Path("packages").glob("*/src")))
 NO_TEXT = re.compile(
     r"^\s*(SELECT|INSERT|CREATE|UPDATE|DELETE|PRAGMA)\b|[\\^$]|^[-\w./]+( [-\w./]+)?$"
-    r"|\b(FROM|WHERE|JOIN)\b|_msgs/|float64 |uint8 |[a-z_]+=\* |[a-z]>[a-z]\w* \w+>|(default|style)-src|@media"
+    r"|\b(FROM|WHERE|JOIN)\b|_msgs/|float64 |uint8 |[a-z_]+=\* |[a-z]>[a-z]\w* \w+>|(default|style)-src"
     r"|\|\| | && |Math\.|</|\(prefers-|^[\w.]+(, [\w.()]+){2,}$|system-ui"
 )
 PAGE_TEXT = re.compile(r"\"([^\"\n]*)\"|'([^'\n]*)'|`([^`]*)`|>([^<>{}\n]+)<")

@@ -39,7 +39,7 @@ def test_words_find_a_building(run, world):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        ([], 7, "There is nothing to locate"),
+        ([], 7, "The query is empty"),
         (["the library", "--frames", ":3"], 7, "--capture"),
         (["the library", "--near", "here"], 7, "--near"),
         (["the library", "--capture", "nowhere"], 3, "nowhere"),

@@ -153,7 +153,7 @@ def test_a_world_of_elsewhere_is_left_alone(extract, tmp_path):
     build_world([extract], folder, SMALL)
     shutil.rmtree(folder / ".build")
     shards = sorted(folder.glob("shards/*"))
-    with pytest.raises(OptionError, match="holds a world already"):
+    with pytest.raises(OptionError, match="already contains a world; choose"):
         build_world([extract], folder, SMALL)
     assert sorted(folder.glob("shards/*")) == shards
 

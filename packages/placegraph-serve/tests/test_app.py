@@ -216,7 +216,7 @@ def test_their_number_is_bounded_and_they_end():
     async def visits():
         sessions = Sessions(WorkerQueue(), ServeOptions(sessions=2, session_seconds=0.05))
         begun = [(await sessions.open(BeginSession()))[0]["session"] for _ in range(2)]
-        with pytest.raises(RequestError, match="end one, or come again") as full:
+        with pytest.raises(RequestError, match="end one, or try again") as full:
             await sessions.open(BeginSession())
         assert (full.value.status, full.value.code) == (503, "busy")
         assert full.value.retry_after > 0

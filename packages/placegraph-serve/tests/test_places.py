@@ -38,7 +38,7 @@ def test_a_map_is_opened_once_and_anew_when_replaced(maps, tmp_path):
     (tmp_path / "new").replace(file)
     assert len(places.open("home")) != len(first)
     file.unlink()
-    with pytest.raises(RequestError, match="gone from the server") as gone:
+    with pytest.raises(RequestError, match="missing on the server") as gone:
         places.open("home")
     assert (gone.value.status, gone.value.code) == (503, "map_gone")
 

@@ -266,7 +266,7 @@ def spoil(glb, change):
         (lambda j: j.update(extensionsRequired=["ACME_new"]), "'ACME_new', unknown"),
         (lambda j: j["accessors"][0].update(sparse={}), "sparse"),
         (lambda j: j["accessors"][0].pop("bufferView"), "sparse"),
-        (lambda j: j["buffers"][0].update(uri="no.bin"), r"'no.bin', which is not there"),
+        (lambda j: j["buffers"][0].update(uri="no.bin"), r"'no.bin', refers to the missing"),
         (lambda j: j["bufferViews"][0].update(buffer=1), "not there"),
         (lambda j: j["accessors"][0].update(count=4), "beyond its data"),
         (lambda j: j["accessors"][0].update(count=1e9), "beyond its data"),
@@ -451,8 +451,8 @@ def test_nothing_outside_its_folder_is_read(glb, uri, tmp_path):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"buffer": "no.bin"}, r"buffers\[0\] lies in 'no.bin', which is not there"),
-        ({"image": "no.png"}, r"images\[0\] lies in 'no.png', which is not there"),
+        ({"buffer": "no.bin"}, r"buffers\[0\] lies in 'no.bin', which is missing"),
+        ({"image": "no.png"}, r"images\[0\] lies in 'no.png', which is missing"),
         ({"buffer": "parts"}, "not there"), ({"buffer": ""}, "not there"),
         ({"buffer": "x" * 5000}, "leads out|not there"), ({"buffer": "t.png"}, "ends beyond"),
         ({"buffer": BASE64 + "%%"}, "not base64"), ({"buffer": "data:text/plain,abc"}, "not base64"),

@@ -325,7 +325,7 @@ def test_other_texts_are_refused(text, tmp_path):
 def test_numbers_of_nodes_that_are_none(ids, tmp_path):
     nodes = "".join(node(i, 10, 50) for i in ids)
     path = write(tmp_path / "w.osm.pbf", f'<osm version="0.6">{nodes}{way(1, ids)}</osm>')
-    assert "no number of a node" in refused(path)
+    assert "not a node id" in refused(path)
 
 
 def test_wrong_endings_folders_and_missing_or_empty_files_are_refused(tmp_path):
@@ -424,5 +424,5 @@ def test_nodes_in_any_order_but_before_their_ways(on_disk, tmp_path):
     found = [e for e in read_osm(path, KEYS, index=index) if e.osm_type == WAY]
     assert found[0].parts[0].tolist() == [[10.0, 50.1], [10.0, 50.3]]
     raw(path, "".join([nodes[1], line, *nodes]))
-    with pytest.raises(InputError, match=r"lists nodes behind the ways.*osmium sort"):
+    with pytest.raises(InputError, match=r"lists nodes after the ways.*osmium sort"):
         list(read_osm(path, KEYS, index=index))

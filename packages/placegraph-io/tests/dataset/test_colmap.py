@@ -116,7 +116,7 @@ def test_points_and_colours(form, where, recorded, save, tmp_path):
     capture = open_capture(images(tmp_path, world, model, save))
     check(world, capture)
     said = " ".join(capture.notes)
-    assert "A unit of the COLMAP model is 0.37" in said
+    assert "The unit of the COLMAP model is 0.37" in said
     assert re.search(r"at 6[0-9][0-9] sparse points", said)
     assert "horizontal and vertical surfaces show" in said
 
@@ -168,7 +168,7 @@ def test_depth_of_colmaps_own(recorded, save, tmp_path):
     own_depth(tmp_path, world, model)
     check(world, open_capture(tmp_path, scale=UNIT))
     capture = open_capture(tmp_path)
-    assert "is taken for a metre" in capture.notes[0]
+    assert "is assumed to be the metre, because" in capture.notes[0]
     units = open_capture(tmp_path, scale=1.0)[0].depth()
     np.testing.assert_array_equal(capture[0].depth(), units)
 
@@ -236,7 +236,7 @@ def test_names_that_lead_elsewhere(recorded, tmp_path):
     model = Model(world, names="../img{}.jpg")
     model.binary(tmp_path / "sparse/0")
     (tmp_path / "depth").mkdir()
-    with pytest.raises(InputError, match="leads out of the folder"):
+    with pytest.raises(InputError, match="lies outside the folder; rename the image"):
         open_capture(tmp_path)
 
 

@@ -108,7 +108,10 @@ def test_short_rows_of_the_table_are_empty_cells(scan):
 @pytest.mark.parametrize(
     ("gone", "message"),
     [
-        ("_vh_clean_2.ply", r"has no scene0000_00_vh_clean_2\.ply; labels alone make no map"),
+        (
+            "_vh_clean_2.ply",
+            r"has no scene0000_00_vh_clean_2\.ply; labels alone are not enough for a",
+        ),
         (
             ".aggregation.json",
             r"has no scene0000_00\.aggregation\.json; download it, or give .*_2\.ply",

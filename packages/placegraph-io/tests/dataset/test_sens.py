@@ -111,14 +111,14 @@ def test_frames_without_depth_or_colour(recording, sens, monkeypatch):
     [
         ({"version": 3}, r"no \.sens file of version 4 \(it says 3\)"),
         ({"version": 0x474E5089}, r"no \.sens file of version 4"),
-        ({"colour": 3}, "colour is coded in way 3"),
-        ({"depth": 2}, r"depth is coded in way 2; .* SensReader"),
+        ({"colour": 3}, "the colour codec is 3"),
+        ({"depth": 2}, r"the depth codec is 2; .* SensReader"),
         ({"shift": 0.0}, "0 units of depth in a metre"),
         ({"shift": float("nan")}, "nan units of depth in a metre"),
-        ({"sides": (8, 6, 0, 3)}, r"images of \(8, 6\) and \(0, 3\) pixels cannot be"),
-        ({"sides": (1 << 31, 6, 4, 3)}, "pixels cannot be"),
+        ({"sides": (8, 6, 0, 3)}, r"images of \(8, 6\) and \(0, 3\) pixels are impossible"),
+        ({"sides": (1 << 31, 6, 4, 3)}, "pixels are impossible"),
         ({"sides": (2, 2, 4, 3)}, r"\(colour\): the principal point lies outside"),
-        ({"count": 0}, "holds not one whole frame"),
+        ({"count": 0}, "contains no complete frame"),
     ],
 )
 def test_a_header_that_is_none_of_ours_is_refused(sens, recording, options, message):

@@ -165,7 +165,8 @@ def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
     late = planet.locate(TEXTS[0], budget=1e-9, **fix)
     assert late.status is not Status.OK
     assert late.reason.startswith(
-        "The time was over: 100.0% of the world, where it may be as well, was not searched. In what was, "
+        "The time limit was reached: 100.0% of the world, where it may be as well, was not "
+        "searched. In what was, "
     )
 
 
@@ -185,7 +186,7 @@ def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, st
         assert found.best.probability == whole.best.probability
     else:
         assert found.status is not Status.OK
-        assert "The time was over" in found.reason
+        assert "The time limit was reached" in found.reason
 
 
 def test_a_table_of_another_world_is_refused(world):

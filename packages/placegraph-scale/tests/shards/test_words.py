@@ -76,7 +76,7 @@ def test_what_cannot_be_finished_says_why(world, tmp_path):
         finish(tmp_path, ZOOM, 150.0)
     with pytest.raises(OptionError, match="overlap"):
         finish(world, ZOOM, -1.0)
-    with pytest.raises(MapError, match="no key of zoom 3"):
+    with pytest.raises(MapError, match="not a key of zoom 3"):
         finish(world, 3, 150.0)
     first = next((world / "shards").iterdir())
     first.write_bytes(first.read_bytes()[:-40])
