@@ -36,8 +36,8 @@ def test_a_mixed_world_is_sound(build_world):
 @pytest.mark.parametrize(
     ("things", "finding"),
     [
-        ([*mixed(), (70_000, 0, BENCH)], r"spans 70 km.*Cut the extract"),
-        ([(0, 0, BENCH), (900, 900, TREE)], "No cell holds two objects"),
+        ([*mixed(), (70_000, 0, BENCH)], r"spans 70 km.*map projection. Split the extract"),
+        ([(0, 0, BENCH), (900, 900, TREE)], "No cell contains two objects"),
         ([(e, n, {"amenity": t["amenity"]}) for e, n, t in mixed(100)], "have a name"),
         ([(5 * i, 0, BENCH) for i in range(20)], "100% of the objects are amenity=bench"),
     ],
@@ -60,7 +60,7 @@ def test_twice(tmp_path):
 def test_clipped(write_world, tmp_path):
     ways = [([0, 1, 500 + i], {"highway": "path"}) for i in range(10)]
     path = write_world(mixed(), ways)
-    finding = r"10 elements of the extract lacked members.*Clip it with complete ways"
+    finding = r"10 elements of the extract lack members, because.*Clip it with complete ways"
     assert re.search(finding, found(build_city(path, tmp_path / "a.city")))
 
 
