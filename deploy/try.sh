@@ -2,7 +2,7 @@
 # What the container does, tried without Docker: another user, a read-only installation, no home, one folder
 # to write to. As root:  deploy/try.sh INSTALLATION MAPS [PORT]
 # INSTALLATION: a virtual environment as deploy/Dockerfile makes it, warmed into its folder `compiled`:
-#   python3 -m venv X && X/bin/pip install '.[serve]'
+#   python3 -m venv X && X/bin/pip install . ./packages/placegraph-io ./packages/placegraph-serve
 #   NUMBA_CPU_NAME=generic X/bin/placegraph --compiled X/compiled warm
 set -eu
 made=$(realpath "$1") maps=$(realpath "$2") port=${3:-8933}

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 WRITTEN = "Output"
 
 MapFile = Annotated[Path, Argument(help="City map (.city), made by `placegraph city build`.")]
-Near = Annotated[str | None, Option(help="Prior position LON,LAT; see --radius.", panel=KNOWN)]
+Near = Annotated[
+    str | None, Option(help="Prior position LON,LAT (longitude first); see --radius.", panel=KNOWN)
+]
 Preset = Annotated[
     str,
     Option(
@@ -298,7 +300,7 @@ def facts(city: CityMap) -> dict[str, object]:
 
 
 def check(map_file: MapFile, as_json: AsJson = False) -> None:
-    """Check a city map; each finding comes with a mend.
+    """Check a city map; print each finding with its remedy.
 
     Checksums, columns, and what may surprise.
 
@@ -412,7 +414,7 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
             f"cell {mode.cell}"
         )
     if estimate.evidence:
-        rows = table("", "statement", "nat", "served by")
+        rows = table("", "statement", "nat", "matched objects")
         for e in estimate.evidence:
             things = ", ".join(f"{o.name or o.label} ({o.id})" for o in e.objects)
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")

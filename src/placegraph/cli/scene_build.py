@@ -257,7 +257,7 @@ def check(
     search: Annotated[dict[str, Any], Fields(PoseSearchOptions, "heights")],
     as_json: AsJson = False,
 ) -> None:
-    """Say what is wrong with a scene map: units, floor, gravity, holes, objects; each with a mend.
+    """Check units, floor, gravity, holes and objects of a scene map; print remedies.
 
     Ends with 0 where nothing makes localizing fail, with 4 where something does.
 

@@ -480,9 +480,13 @@ def read_map(
     with open_file(path) as file:
         header = read_head(file, Path(path))
         if header.kind != kind:
-            raise MapError(
-                f"{path} is a {header.kind} map, not a {kind} map; open it with `pg.open_map`."
+            opened = header.kind in ("city", "scene", "library")
+            remedy = (
+                f"use `placegraph {header.kind}`, or `pg.open_map` in Python"
+                if opened
+                else f"give a {kind} map"
             )
+            raise MapError(f"{path} is a {header.kind} map, not a {kind} map; {remedy}.")
         if header.version > max_version:
             raise MapError(
                 f"{path} is a {kind} map of version {header.version}, but this placegraph "
