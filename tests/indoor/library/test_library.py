@@ -101,7 +101,7 @@ def test_library_and_maps_move_together(folder, tmp_path):
     assert len(library.scene("study"))
     (moved / "study.scene").unlink()
     library = SceneLibrary.open(moved / "homes.library")
-    with pytest.raises(InputError, match="'study' is not there"):
+    with pytest.raises(InputError, match="map of 'study' is missing"):
         library.scene("study")
     shutil.copy(moved / "bedroom.scene", moved / "study.scene")
     with pytest.raises(MapError, match="not the map that was added as 'study'"):

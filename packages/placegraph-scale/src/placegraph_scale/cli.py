@@ -28,7 +28,7 @@ def build(
     files: Annotated[
         list[str],
         Argument(
-            help="OpenStreetMap extracts, as of `city build`, or URLs of such; they may overlap."
+            help="OpenStreetMap extracts or their URLs, as for `city build`; they may overlap."
         ),
     ],
     out: Annotated[
@@ -40,7 +40,7 @@ def build(
 ) -> None:
     """Build a folder of shards from OpenStreetMap extracts of any size.
 
-    Interrupted or killed, the same command goes on where it stopped.
+    Run the same command again to resume an interrupted build.
 
     Example: placegraph world build germany.osm.pbf -o germany/
     """
