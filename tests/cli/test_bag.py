@@ -1,6 +1,7 @@
 """`placegraph bag info`, and bags wherever a capture is taken."""
 
 import json
+import re
 import shutil
 from types import SimpleNamespace
 
@@ -47,7 +48,7 @@ def test_what_lies_in_it(run, world):
     assert {"parent": "odom", "child": "base_link", "fixed": False} in told["transforms"]
     words = run("bag", "info", world.bag).out
     assert "sensor_msgs/Image, rgb8 160 x 90" in words
-    assert "build: yes, 6 frames" in words
+    assert "localize, refine, build, track: yes, 6 frames" in words
 
 
 @pytest.mark.parametrize(
@@ -67,9 +68,18 @@ def test_what_it_lacks_for_what(layout, lacks, run, world, tmp_path):
     uses = run("bag", "info", tmp_path / "walk", "--json").json["uses"]
     for use, words in lacks.items():
         assert any(words in sentence for sentence in uses[use])
-        assert f"{use}: no. " in result.out
+        assert re.search(rf"^(\w+, )*{use}(, \w+)*: no\. ", result.out, re.MULTILINE)
     if layout == Layout(depth=False):
         assert uses["localize"] == []
+
+
+def test_files_that_are_no_bag_are_named(run, tmp_path):
+    (tmp_path / "flat.glb").write_bytes(b"glTF" + bytes(range(256)))
+    (tmp_path / "empty").mkdir()
+    for name, words in (("flat.glb", "is no bag; give"), ("empty", "holds no .mcap or .db3 file")):
+        result = run("bag", "info", tmp_path / name)
+        assert result.code == 3
+        assert words in result.err
 
 
 def test_what_is_not_read_is_said(run, world, tmp_path):

@@ -47,6 +47,12 @@ def test_a_recording_of_rerun_beside_it(run, room, tmp_path):
     assert rerun.stat().st_size > 10_000
 
 
+def test_an_unknown_device_is_refused(run, room):
+    result = run("live", room.map, room.walk, "--device", "gpu")
+    assert result.code == 7
+    assert "device is 'gpu'; it must be" in result.err
+
+
 def test_follow_a_folder_and_a_pipe(run, room, tmp_path, monkeypatch, capsys):
     result = run("live", room.map, room.walk, "--speed", "inf", "--wait", 0, "--json")
     assert result.code == 0, result.err

@@ -125,7 +125,7 @@ def pose_words(mode: PoseMode) -> str:
     sx, sy, *_, turn = (sqrt(max(v, 0.0)) for v in mode.covariance.diagonal().tolist())
     scene = f"  in {mode.scene}" if mode.scene else ""
     return (
-        f"x {x:.3f} m  y {y:.3f} m  z {z:.3f} m  yaw_deg {degrees(yaw):.2f}  "
+        f"x {x:.3f} m  y {y:.3f} m  z {z:.3f} m  yaw {degrees(yaw):.2f}°  "
         f"{mode.probability:6.1%}  ±{100 * hypot(sx, sy):.1f} cm ±{degrees(turn):.2f}°{scene}"
     )
 

@@ -69,7 +69,7 @@ def test_some_frames_as_text(run, room):
     assert numbers[:2] == ["1.", "x"]
     pose, _ = split_pose(room.truth[4])
     assert float(numbers[2]) == pytest.approx(pose[0], abs=0.3)
-    assert "yaw_deg" in numbers
+    assert "yaw" in numbers
     assert "+  " in result.out, "what spoke for it"
     again = run("scene", "localize", room.map, room.walk, "--frames", "2:5", "--quiet")
     assert again.out == result.out, "the same seed gives the same answer"
@@ -298,7 +298,7 @@ def estimate_of(status, *probabilities, evidence=()):
 def test_a_mode_in_words(capsys):
     words = pose_words(estimate_of(Status.OK, 0.93).modes[0])
     assert words == (
-        "x 1.250 m  y -2.500 m  z 1.600 m  yaw_deg 90.00   93.0%  ±5.0 cm ±2.00°  in study"
+        "x 1.250 m  y -2.500 m  z 1.600 m  yaw 90.00°   93.0%  ±5.0 cm ±2.00°  in study"
     )
     show(estimate_of(Status.LOST))
     assert capsys.readouterr().out == "LOST: Because [of/] that.\n"

@@ -279,6 +279,10 @@ def test_folders(folder, tmp_path_factory):
     for nothing in (folder.path / "camera.json", empty):
         with pytest.raises(InputError, match=r"is not a capture of a known.*Polycam.*odometry.tum"):
             open_capture(nothing)
+    map_file = empty / "flat.scene"
+    map_file.write_bytes(b"")
+    with pytest.raises(InputError, match=r"flat.scene is a map, not a capture"):
+        open_capture(map_file)
     (empty / "rgb").mkdir()
     with pytest.raises(InputError, match=r"camera.json does not exist"):
         open_capture(empty)

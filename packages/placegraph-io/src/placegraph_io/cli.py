@@ -14,8 +14,8 @@ BagFile = Annotated[Path, Argument(help="Bag of ROS: .mcap, .db3, .bag, or a fol
 def info(bag: BagFile, as_json: AsJson = False) -> None:
     """Show the topics of a bag, their roles, and what each use lacks.
 
-    Topics are found by type. A file beside the bag, BAG.json, chooses others and adds what was not
-    recorded: {"colour": "/cam/image_raw", "frame": "odom"}.
+    Topics are chosen by type. A file beside the bag, BAG.json, chooses other topics and adds
+    what was not recorded: {"colour": "/cam/image_raw", "frame": "odom"}.
 
     Example: placegraph bag info walk.mcap
     """
@@ -39,11 +39,12 @@ def info(bag: BagFile, as_json: AsJson = False) -> None:
         out.print(f"Note: {note}")
     for reason, count in facts["left_out"].items():
         out.print(f"Left out: {count:,}: {reason}")
+    uses_of: dict[str, list[str]] = {}
     for use, lacks in facts["uses"].items():
-        if not lacks:
-            out.print(f"{use}: yes, {facts['frames']:,} frames")
-        for sentence in lacks:
-            out.print(f"{use}: no. {sentence}")
+        for verdict in [f"no. {s}" for s in lacks] or [f"yes, {facts['frames']:,} frames"]:
+            uses_of.setdefault(verdict, []).append(use)
+    for verdict, uses in uses_of.items():
+        out.print(f"{', '.join(uses)}: {verdict}")
 
 
 def _row(t: dict[str, Any]) -> tuple[str, ...]:

@@ -94,7 +94,7 @@ def live(
         Option(help="continuous, or once (stop localizing when the pose is known)."),
     ] = "continuous",
     speed: Annotated[
-        float, Option(help="Playback speed: 1 is real time, inf is as fast as possible.")
+        float, Option(help="Playback speed: 1 is real time, inf is without pauses.")
     ] = 1.0,
     wait: Annotated[
         float,
@@ -107,9 +107,9 @@ def live(
 ) -> None:
     """Localize live: use messages and images as they arrive, and drop images that arrive too fast.
 
-    Prints the camera's pose when the status changes, and every second. In a terminal the space bar
-    pauses, + and - change the speed, and q or Ctrl-C ends; Foxglove's buttons do the same. A file
-    SOURCE.json (stdin.json) adds what the stream lacks, as for bags.
+    Prints the camera's pose when the status changes, and every second, from the first one found. In a
+    terminal the space bar pauses, + and - change the speed, and q or Ctrl-C ends; Foxglove's buttons
+    do the same. A file SOURCE.json (stdin.json) adds what the stream lacks, as for bags.
 
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """

@@ -150,7 +150,10 @@ def open_source(path: Path, policy: WaitPolicy, stdin: BinaryIO | None = None) -
 def bag_source(path: Path) -> Source:
     """Open a bag as a source; `InputError` where it is none or incomplete."""
     if not is_bag(path):
-        raise InputError(f"{path} is no bag; give an .mcap, .db3 or .bag, or a folder of rosbag2.")
+        hint = " The bag comes before the map." if path.suffix in {".scene", ".library"} else ""
+        raise InputError(
+            f"{path} is no bag; give an .mcap, .db3 or .bag, or a folder of rosbag2.{hint}"
+        )
     choice = read_topic_choice(path, None)
     plan = plan_capture(open_bag(path), choice)
     if plan.missing:

@@ -1,1 +1,1 @@
-"""Frames and odometry as they come: a pose followed, lost and found again, and told at any time."""
+"""Tracking of a camera by frames and odometry, offline and live, with relocalization."""

@@ -20,7 +20,7 @@ from placegraph.core.mapfile import read_map, write_map
 from placegraph.core.threads import count_processors, limit_threads
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import PoseSearchOptions
+from placegraph.indoor.options import PoseSearchOptions, check_device
 from placegraph.indoor.track.belief import (
     JUMP,
     Belief,
@@ -208,7 +208,7 @@ class SavedPose:
     """(6, 6)"""
 
     def write(self, path: str | PathLike[str]) -> None:
-        """Write it (atomically); `MapError` where the file cannot be written."""
+        """Write the file atomically; `MapError` if it cannot be written."""
         meta = {"scene": self.scene, "digest": self.digest, "moved": self.moved}
         names = ("odom_from_camera", "map_from_camera", "covariance")
         arrays = {name: np.asarray(getattr(self, name), np.float64) for name in names}
@@ -216,7 +216,7 @@ class SavedPose:
 
     @classmethod
     def read(cls, path: str | PathLike[str]) -> SavedPose:
-        """Read it; raises `InputError` and `MapError` where it is missing, or no sound file."""
+        """Read the file; `InputError` if it is missing, `MapError` if it is damaged."""
         if not Path(path).exists():
             raise InputError(f"{path} does not exist; `LiveTracker.save` writes it.")
         file = read_map(path, KIND, VERSION)
@@ -258,29 +258,29 @@ def _text(value: object) -> str:
 class LiveTracker:
     """Live tracker: pose of a camera at any time, from asynchronous odometry and images.
 
-    Images are followed one after the other. If the pose is unknown, they are searched in the whole map, or
-    library, while the pose goes on by odometry. The state is the pose of odometry's frame in the map, so a
-    late image counts from its own time on. Maps are only read. Time and memory are bounded. All methods
-    may be called from any thread.
+    Each image corrects the pose of the one before. If the pose is unknown, images are searched in the whole
+    map, or library, while odometry continues the pose. The state is the pose of odometry's frame in the
+    map, so a late image corrects the pose at the image's own time. Maps are only read. Time and memory are
+    bounded. All methods may be called from any thread.
 
     Parameters
     ----------
     maps
         A scene map, or a library of several.
     camera
-        Camera of the images; that of the first image if not given. Images of another are refused.
+        Camera of the images; that of the first image if not given. Images of another camera are refused.
     seed
-        Of all randomness; without `background` the same calls give the same poses.
+        Seed of all random numbers; without `background` the same calls give the same poses.
     background
-        Images are looked at by threads of its own, and those that come too fast are dropped; or by an
-        executor; or (False) by the caller, in `see` itself.
+        True: the tracker's own threads process images, and drop those that come too fast. An executor:
+        its threads do. False: `see` processes the image itself.
     **known
         options, encoder and device, as of `SceneMap.localize`.
 
     Raises
     ------
     OptionError
-        The options are of a recipe that cannot be followed frame by frame (`FilterOptions.tracked`).
+        The options cannot be used frame by frame (`FilterOptions.tracked`); the device is unknown.
 
     """
 
@@ -296,6 +296,7 @@ class LiveTracker:
         options = known.get("options") or PoseSearchOptions()
         if not options.tracked:
             raise OptionError("options: a live tracker needs start='table' and answer='fit'.")
+        check_device(known.get("device", "auto"), network=True)
         self.maps, self.camera = maps, camera
         self._finder = Relocalizer(maps, known)
         self._follower = Follower(self._finder, camera, seed)
@@ -327,18 +328,19 @@ class LiveTracker:
         Parameters
         ----------
         stamp
-            [s], of the same clock as the images'. A sample older than the newest is left out, and
-            counted in `late`; one that is older by more than a second says that the clock was set back.
+            Time [s] on the clock of the images. A sample older than the newest is dropped and counted in
+            `late`. If it is older by more than a second, the clock was set back.
         odom_from_camera
-            (4, 4) [m]
+            (4, 4) pose of the camera's optical frame in odometry's frame [m]: that of the robot's base
+            times the mounting of the camera, ``odom_from_base @ base_from_camera``
         covariance
-            (6, 6) of it in odometry's axes, growing as it goes, as ``nav_msgs/Odometry`` has it. Zeros
-            say nothing.
+            (6, 6) covariance of this pose in the axes of odometry's frame, accumulated since the start, as
+            in ``nav_msgs/Odometry``. Zeros mean unknown.
 
         Raises
         ------
         OptionError
-            It is no time, no rigid pose, or no covariance; the tracker is closed.
+            The time, pose or covariance is invalid; the tracker is closed.
 
         """
         sample = checked_odometry(stamp, odom_from_camera, covariance)
@@ -357,7 +359,7 @@ class LiveTracker:
         Raises
         ------
         OptionError
-            It is of another camera; the tracker is closed.
+            The image is of another camera; the tracker is closed.
 
         """
         if self.camera is None:
@@ -411,14 +413,14 @@ class LiveTracker:
         map_from_camera
             (4, 4) [m]
         covariance
-            (6, 6) as of `PoseMode`.
+            (6, 6), as `PoseMode.covariance`
         scene
-            Name of the map in a library; that of now if not given.
+            Name of the map in a library; the current one if not given.
 
         Raises
         ------
         OptionError
-            It is no rigid pose, or no covariance; there is no map of this name, or several.
+            The pose or covariance is invalid; no map, or more than one, has this name.
 
         """
         pose = checked_pose("map_from_camera", map_from_camera)
@@ -440,7 +442,7 @@ class LiveTracker:
         Raises
         ------
         OptionError
-            Nobody knows the pose: there is nothing to save.
+            The pose is unknown.
         MapError, MapLockedError
             The file cannot be written.
 
@@ -476,7 +478,7 @@ class LiveTracker:
         Raises
         ------
         InputError, MapError
-            The file is missing, or no sound file of a tracker; it is of another map than these.
+            The file is missing, damaged, no saved tracker, or belongs to another map.
 
         """
         saved = SavedPose.read(path)

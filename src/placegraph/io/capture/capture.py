@@ -167,6 +167,8 @@ def find_format(path: Path) -> Format | AbsentFormat:
     for format_ in capture_formats():
         if format_.matches(path):
             return format_
+    if path.suffix in {".scene", ".city", ".library"}:
+        raise InputError(f"{path} is a map, not a capture; check the order of map and capture.")
     known = "; ".join(map(str, capture_formats()))
     raise InputError(f"{path} is not a capture of a known format. Known formats are: {known}.")
 

@@ -544,10 +544,8 @@ def _files(path: Path, notes: list[str]) -> tuple[list[Path], bool]:
     )
     stems = {re.sub(r"_\d+$", "", p.name.partition(".")[0]) for p in found}
     if len(stems) > 1 or not found:
-        raise InputError(
-            f"{path} has no metadata.yaml, and holds {' and '.join(sorted(stems)) or 'no file'}; give "
-            "the file of one bag."
-        )
+        what = f"several bags ({', '.join(sorted(stems))})" if stems else "no .mcap or .db3 file"
+        raise InputError(f"{path} has no metadata.yaml and holds {what}; give the file of one bag.")
     notes.append(
         f"{path.name} has no metadata.yaml; its files are read in the order of their names."
     )
@@ -627,10 +625,14 @@ def read_rosbag1(path: Path) -> list[TopicPart]:
         with Reader(path) as reader:
             parts = _parts(path, reader)
     except Exception as error:  # damaged bytes raise anything, also assertions
+        if path.suffix.lower() != ".bag":
+            raise InputError(
+                f"{path} is no bag; give an .mcap, .db3 or .bag, or a folder of rosbag2."
+            ) from error
         why = str(error) or "its index is damaged"
         raise InputError(
-            f"{path} cannot be read as a bag of ROS 1 ({why}); run `rosbag reindex` if it was not "
-            "closed, else copy it again."
+            f"{path} is a damaged ROS 1 bag ({why}); run `rosbag reindex` if the recording was not "
+            "closed properly, else copy the bag again."
         ) from error
     if not any(len(part.times) for part in parts):
         raise InputError(f"{path} holds no message; record again.")

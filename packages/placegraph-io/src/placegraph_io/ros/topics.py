@@ -127,7 +127,7 @@ def _named(bag: Bag, views: Sequence[ImageTopic], name: str, kinds: tuple[str, .
     if view is None:
         there = ", ".join(v.topic.name for v in views) or "none"
         other = bag.topics.get(name)
-        what = f"is {other.short} with {len(other)} messages" if other else "is not there"
+        what = f"is {other.short} with {len(other)} messages" if other else "is not in the bag"
         raise InputError(f"{bag.path}: {name} {what}; image topics are {there}.")
     if view.kind not in kinds:
         raise InputError(
