@@ -181,7 +181,10 @@ def test_odometry_that_leads_nowhere(bag):
         writer.odometry("/odom", START + 100.0, np.eye(4), child="wheels")
 
     path = bag(layout=Layout(poses="none"), more=wheels)
-    fails(path, r"/odom moves .wheels., which no transform connects.*add the missing ones as \"transforms\" in")
+    fails(
+        path,
+        r"/odom moves .wheels., which no transform connects.*missing ones as \"transforms\" in",
+    )
     fails(path, "/wheels has no nav_msgs/Odometry", topics={"odometry": "/wheels"})
     join = {"parent": "wheels", "child": "base_link", "xyz": [0, 0, 0], "xyzw": [0, 0, 0, 1]}
     assert len(pg.open_capture(path, topics={"transforms": [join]})) == 4, "it stands still"
@@ -307,7 +310,7 @@ def test_topics_of_another_type(bag):
     capture = pg.open_capture(path)
     assert len(capture) == 4
     assert any("holds messages of sensor_msgs/msg/Image and" in note for note in capture.notes)
-    fails(path, "/junk: a message is no sensor_msgs/Image", topics={"colour": "/junk"})
+    fails(path, "/junk: a message does not match the ROS definition of", topics={"colour": "/junk"})
     fails(path, "/tf is tf2_msgs/TFMessage with 4 messages; image", topics={"colour": "/tf"})
     fails(path, "/no is not in the bag", topics={"depth": "/no"})
     fails(path, "shows depth", topics={"colour": DEPTH})
