@@ -287,7 +287,7 @@ def test_ranks_are_printed_without_a_percentage(run, city, preset, candidates):
 def test_candidates_that_nothing_counts_are_refused(run, city, options):
     refused = run("city", "locate", city, CLEAR, *options, "--candidates", 5)
     assert (refused.code, refused.out) == (7, "")
-    assert "candidates is 5, but relational by sparse" in refused.err
+    assert "candidates is 5, but relational search with sparse" in refused.err
 
 
 def test_ask_until_the_place_is_clear(run, city):
@@ -414,7 +414,7 @@ def test_demo(run, tmp_path):
     assert result.code == 0
     for word in ("OK", "AMBIGUOUS", "LOST", "To be sure"):
         assert word in result.out
-    way = result.out.partition("Somebody speaks")[2].partition("\nBuilt ")[0]
+    way = result.out.partition("A person describes")[2].partition("\nBuilt ")[0]
     assert [word for word in way.split() if word in ("AMBIGUOUS:", "OK:")] == (
         ["AMBIGUOUS:", "AMBIGUOUS:", "OK:"]
     )

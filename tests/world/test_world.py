@@ -18,14 +18,14 @@ def test_maps_are_opened_when_they_are_asked_for_and_kept(folder):
     assert not world.cities._opened
     assert world.cities["west"] is world.cities["west"]
     assert {path.name for path, _ in world.ignored} == {"west.osm", "east.osm"}
-    with pytest.raises(OptionError, match="'north' is no map"):
+    with pytest.raises(OptionError, match="'north' is not a map"):
         world.cities["north"]
 
 
 def test_bad_files_are_named_all(folder, tmp_path):
     (tmp_path / "broken.city").write_bytes((folder / "west.city").read_bytes()[:40])
     shutil.copy(folder / "west.city", tmp_path / "west.scene")
-    with pytest.raises(MapError, match=r"(?s)broken.city.*west.scene holds a city map"):
+    with pytest.raises(MapError, match=r"(?s)broken.city.*west.scene contains a city map"):
         pg.open_world(tmp_path)
     shutil.copy(folder / "west.city", tmp_path / "twin.city")
     (tmp_path / "more").mkdir()

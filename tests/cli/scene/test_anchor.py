@@ -100,7 +100,7 @@ def test_by_a_pose_in_place_and_off_again_where_north_is_0(run, scene):
         (["--pair", "0,0"], "give x and y in the map"),
         (["--pair", "0,0=7,43"], "at least 3"),
         (["--pose", "7,43,0,0", "--accuracy=-1,2"], "give metres and degrees"),
-        (["--pose", "7,43,0,0", "--level", "top"], "--level is 'top'; give a number"),
+        (["--pose", "7,43,0,0", "--level", "top"], "--level is 'top'; give an OpenStreetMap level"),
     ],
 )
 def test_bad_options_leave_the_map_alone(run, scene, options, named):

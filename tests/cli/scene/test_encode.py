@@ -57,7 +57,7 @@ def test_what_contradicts_itself(run, file, tmp_path):
         (("--encoder", "votes"), 7, "labels"),
         (("--encoder", "features"), 7, "--captures FOLDER"),
         (("--encoder", "labels", "--captures", tmp_path), 7, "remove --captures"),
-        (("--encoder", "labels", "--poses", "odometry"), 7, "--poses belongs"),
+        (("--encoder", "labels", "--poses", "odometry"), 7, "--poses applies only"),
         (("--encoder", "labels", "--frames", "3:"), 7, "--frames applies only"),
         (("--encoder", "labels", "--weights", file), 7, "--weights applies"),
         (("--encoder", "features layer=1"), 7, "--captures FOLDER"),
@@ -78,7 +78,7 @@ def test_an_encoder_that_knows_nothing_of_it_writes_nothing(run, tmp_path):
     SceneMap.create(mesh, ["1"], ["floor"], floor=0.0).save(tmp_path / "bare.scene")
     out = tmp_path / "o.scene"
     told = run("scene", "encode", tmp_path / "bare.scene", "-o", out, "--encoder", "appearance")
-    assert (told.code, "colours" in told.err) == (7, True)
+    assert (told.code, "coloured" in told.err) == (7, True)
     assert not out.exists()
 
 

@@ -53,8 +53,8 @@ def test_a_table_goes_before_exif(folder):
 @pytest.mark.parametrize(
     ("row", "named"),
     [
-        ("100 43 170 0 1", "line 1: longitude is"), ("100 nan 43 0 1", "longitude is nan"),
-        ("100 7 43 0 0", "accuracy above 0"), ("100 7 43", "3 columns are given, expected 5 belong"),
+        ("100 43 170 0 1", "line 1: longitude must be"), ("100 nan 43 0 1", "longitude is nan"),
+        ("100 7 43 0 0", "accuracy above 0"), ("100 7 43", "3 columns are given, expected 5"),
     ],
 )  # fmt: skip
 def test_bad_tables_are_named(folder, row, named):

@@ -120,7 +120,7 @@ def test_whole_stamps_stay_whole(tmp_path):
     [
         ([0, 1], np.eye(4)[None], "shape"), ([[0]], np.eye(4)[None], "shape"),
         ([np.nan], np.eye(4)[None], "not finite"), ([0], np.full((1, 4, 4), np.inf), "not finite"),
-        ([1, 1], np.tile(np.eye(4), (2, 1, 1)), "do not ascend"),
+        ([1, 1], np.tile(np.eye(4), (2, 1, 1)), "do not increase"),
     ],
 )  # fmt: skip
 def test_what_would_not_be_read_is_not_written(stamps, poses, says, tmp_path):

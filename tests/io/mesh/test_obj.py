@@ -174,12 +174,12 @@ def test_black_beside_a_texture_means_nothing(room):
     ("text", "message"),
     [
         ("", "holds no vertex"), ("v 0 0 0\nv 1 0\n", "line 2: it is cut off"),
-        ("v 0 0 0\nv 1 nonsense 0\n", r"a.obj, line 2: 'nonsense' is no number"),
-        ("v 0 0 0\nvt\nvt 1x\n", "line 3: '1x' is no number"),
+        ("v 0 0 0\nv 1 nonsense 0\n", r"a.obj, line 2: 'nonsense' is not a number"),
+        ("v 0 0 0\nvt\nvt 1x\n", "line 3: '1x' is not a number"),
         ("v 0 0 0\nf 1 2 3\n", "vertices 3 of 1"), ("v 0 0 0\nf 1/2 1 1\n", "uv 2 of 0"),
         ("v 0 0 0\nf 1 1 -2\n", "line 2: a face refers to a missing vertex"),
         ("v 0 0 0\nf 1/ 1 1\n", "line 2"), ("v 0 0 0\nf 0 1 1\n", "line 2"),
-        ("v 0 0 0\nf 1.5 1 1\n", "line 2: '1.5' is no number"),
+        ("v 0 0 0\nf 1.5 1 1\n", "line 2: '1.5' is not a number"),
     ],
 )  # fmt: skip
 def test_nonsense_is_named(tmp_path, text, message):

@@ -373,7 +373,7 @@ def test_a_reader_may_be_left_early_and_takes_strings(tmp_path):
     ("name", "signal", "says"),
     [
         ("bad.osm.pbf", "SIGSEGV", "fault.*again"), ("bad.osm.pbf", "SIGABRT", "Abort.*again"),
-        ("bad.osm", "SIGSEGV", "by Segmentation fault"),
+        ("bad.osm", "SIGSEGV", "with Segmentation fault"),
     ],
 )  # fmt: skip
 def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, name, signal, says):
@@ -411,7 +411,7 @@ def test_a_file_with_history_is_refused(tmp_path):
                 id=1, version=version, location=(10.0, 50.0), tags={"amenity": "bench"}
             )
             writer.add_node(node)
-    with pytest.raises(InputError, match=r"holds history.*osmium time-filter"):
+    with pytest.raises(InputError, match=r"contains the history.*osmium time-filter"):
         list(read_osm(path, KEYS))
 
 

@@ -284,7 +284,7 @@ def test_a_download_that_breaks_off_or_holds_nothing(servers, out):
     assert "Overpass cannot be reached, or closed the connection" in failure(ServiceError, out)
     servers.extra_length, servers.answers = 0, [(200, HEAD + b"</osm>\n")]
     said = failure(InputError, out, keys=["shop"])
-    assert "knows nothing in 'Mühlenend, Bezirk Unterland" in said
+    assert "has no data in 'Mühlenend, Bezirk Unterland" in said
 
 
 @pytest.mark.parametrize("service", ["nominatim", "overpass"])
@@ -321,7 +321,7 @@ def test_server_has_a_strange_address(out, url):
 def test_place_is_unknown_or_has_no_outline(servers, out):
     servers.places = b"[]"
     said = failure(InputError, out, place="Atlantiß")
-    assert said.startswith("No place named 'Atlantiß'; check the spelling")
+    assert said.startswith("No place named 'Atlantiß' was found; check the spelling")
     assert len(servers.asked) == 1
     servers.places = json.dumps(PLACES[:1]).encode()
     assert "point or line" in failure(InputError, out)
@@ -364,7 +364,7 @@ def spoilt(**changes):
 def test_nominatim_answers_nonsense(servers, out, places):
     servers.places = places
     said = failure(ServiceError, out)
-    assert said.startswith("Nominatim answered something else than was asked for")
+    assert said.startswith("Nominatim returned an unexpected answer")
     assert len(servers.asked) == 1
 
 

@@ -145,7 +145,7 @@ def test_over_http(server, extract, tmp_path, ranges, monkeypatch):
 def test_a_cut_connection_is_told_and_taken_up(server, tmp_path, ranges):
     server.content, server.ranges = bytes(range(256)) * 80_000, ranges  # 20 MB, of several pieces
     server.cut = 15_000_000
-    with pytest.raises(ServiceError, match="the same command goes on"):
+    with pytest.raises(ServiceError, match="the same command resumes"):
         fetch_file(server.url, tmp_path)
     (part,) = tmp_path.rglob("*.part")
     held = part.stat().st_size
@@ -179,7 +179,7 @@ def test_a_small_part_of_what_is_only_read_whole(server, tmp_path):
 def test_a_city_is_taken_up_and_tells_no_key(server, extract, tmp_path, monkeypatch):
     monkeypatch.setattr(urls, "CHUNK", 1000)
     server.content, server.cut = extract.read_bytes(), 2500
-    with pytest.raises(ServiceError, match="the same command goes on"):
+    with pytest.raises(ServiceError, match="the same command resumes"):
         pg.build_city(server.url, tmp_path / "a.city")
     (part,) = tmp_path.rglob("*.part")
     held = part.stat().st_size
@@ -193,7 +193,7 @@ def test_a_city_is_taken_up_and_tells_no_key(server, extract, tmp_path, monkeypa
 def test_what_is_not_there_or_no_extract(server, tmp_path):
     base = server.url.partition("/town")[0]
     for url, error, message in (
-        (f"{base}/gone.osm", InputError, "not there"),
+        (f"{base}/gone.osm", InputError, "does not exist"),
         (f"{base}/secret.osm", ServiceError, "403"),
         (f"{base}/town.zip", InputError, "unknown ending"),
         ("http://127.0.0.1:9/town.osm", ServiceError, "cannot be read"),
@@ -206,7 +206,7 @@ def test_what_is_not_there_or_no_extract(server, tmp_path):
     memory("memory:///empty.osm", b"")
     memory("memory:///folder.osm/x", b"x")
     for name, message in (
-        ("none/a", "not there"),
+        ("none/a", "does not exist"),
         ("empty", "is empty"),
         ("folder", "is a folder"),
     ):
@@ -223,7 +223,7 @@ def test_a_city_of_a_damaged_extract_names_its_url(tmp_path):
 def test_nothing_is_fetched_where_another_is_missing(remote, tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         build_world([remote, tmp_path / "none.osm"], tmp_path / "W", BuildOptions(workers=1))
-    with pytest.raises(InputError, match="not there"):
+    with pytest.raises(InputError, match="does not exist"):
         build_world([remote, "memory:///none.osm"], tmp_path / "W", BuildOptions(workers=1))
     assert not list((tmp_path / "W").rglob("*.osm"))
 

@@ -18,7 +18,7 @@ from placegraph.outdoor.language.scan import scan_english
     [
         ("", "say what is around you"), (" \n\t ", "say what is around you"),
         ("north " * 20_000, "are allowed; shorten it"),
-        ("a bakery\x00 north of me", "Remove it"), ("a bakery \x1b[1m north of me", "Remove it"),
+        ("a bakery\x00 north of me", "remove it"), ("a bakery \x1b[1m north of me", "remove it"),
         (b"a bakery north of me", "pass a str"), (None, "pass a str"),
     ],
 )  # fmt: skip

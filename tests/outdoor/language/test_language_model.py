@@ -146,7 +146,7 @@ def test_nonsense_is_refused_by_its_field(service):
 def test_no_json_is_refused(service):
     bodies = (b"", b"<html>", b"{}", b'{"choices": []}', b"[1]", b"\xff\xfe")
     for body in (*bodies, reply("Sure!"), reply(None)):
-        with pytest.raises(ServiceError, match="is no JSON"):
+        with pytest.raises(ServiceError, match="is not JSON"):
             ask(service, body)
 
 

@@ -129,9 +129,9 @@ def test_a_language_that_there_is_not():
     [
         ("[who]\nME = ['i']", "the field 'name' is missing"),
         ("name = 'X'\n[who]\nME = 'i'", r"the field 'who\.ME' is 'i'; write a list of phrases"),
-        ("name = 'X'\n[who]\nMI = ['i']", "the key 'MI' of 'who' is not known; choose from"),
-        ("name = 'X'\n[compass]\n10 = ['i']", "the key '10' of 'compass' is not known"),
-        ("name = 'X'\n[compas]\n0 = ['i']", "there is no field 'compas'"),
+        ("name = 'X'\n[who]\nMI = ['i']", "the key 'MI' of 'who' is unknown; choose from"),
+        ("name = 'X'\n[compass]\n10 = ['i']", "the key '10' of 'compass' is unknown"),
+        ("name = 'X'\n[compas]\n0 = ['i']", "the field 'compas' is unknown"),
         ("name = 'X'\n[forms]\nchanges = ['kk']", r"the field 'forms\.changes' is"),
         ("name = 'X'\n[measures.units]\nm = ['m']", r"the key 'm' of 'measures\.units'"),
         ("name = ", "it is not a language"),

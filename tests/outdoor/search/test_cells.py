@@ -321,9 +321,9 @@ def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({}, "candidates is 5, but relational by sparse"),
-        ({"preset": "paper", "matcher": "fused"}, "but fused by sparse"),
-        ({"matcher": "embedding", "by": "all"}, "but embedding by all"),
+        ({}, "candidates is 5, but relational search with sparse"),
+        ({"preset": "paper", "matcher": "fused"}, "but fused search with sparse"),
+        ({"matcher": "embedding", "by": "all"}, "but embedding search with all"),
     ],
 )
 def test_a_count_of_cells_is_refused_where_none_are_counted(harbour, text, options, says):

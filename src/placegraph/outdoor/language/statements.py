@@ -600,7 +600,7 @@ class PlaceReader:
     def _start(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "two blocks from the station"; a bare "from the station" opens a walk."""
         if place.distance is None:
-            self.reason = "only says only says where a walk starts"
+            self.reason = "only says where a walk starts"
         else:
             self._of(place, source, context)
 

@@ -412,7 +412,7 @@ def check_table(table: Mapping[str, Any], where: str, keys: Mapping[str, frozens
             if field_ in _FIELDS:
                 _require(content, _FIELDS[field_], where, field_)
             elif field_ not in (*keys, *_FREE, *_ANGLED, *_NUMBERED):
-                raise InputError(f"{where}: the field {field_!r} is missing; {_SEE}.")
+                raise InputError(f"{where}: the field {field_!r} is unknown; {_SEE}.")
             elif not isinstance(content, dict):
                 raise InputError(f"{where}: the field {field_!r} is not a table; {_SEE}.")
             else:
