@@ -437,7 +437,7 @@ def test_demo(run, tmp_path):
         *(f"home{i}.scene" for i in range(1, 5)),
     }
     assert "placegraph scene localize" in result.out.partition("The same with commands:")[2]
-    asked = result.out.partition("two flats are the same")[2].partition("Look at")[0]
+    asked = result.out.partition("two flats are identical")[2].partition("Look at")[0]
     assert [word for word in asked.split() if word in ("AMBIGUOUS:", "OK:")] == (
         ["AMBIGUOUS:", "OK:", "AMBIGUOUS:", "OK:", "OK:"]
     )

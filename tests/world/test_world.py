@@ -30,7 +30,7 @@ def test_bad_files_are_named_all(folder, tmp_path):
     shutil.copy(folder / "west.city", tmp_path / "twin.city")
     (tmp_path / "more").mkdir()
     shutil.copy(folder / "west.city", tmp_path / "more" / "twin.city")
-    with pytest.raises(MapError, match="one name"):
+    with pytest.raises(MapError, match="the same name"):
         pg.open_world([tmp_path / "twin.city", tmp_path / "more"])
 
 

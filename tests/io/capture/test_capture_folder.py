@@ -296,7 +296,7 @@ def test_images_that_belong_to_nothing_or_bear_one_name(folder):
     with pytest.raises(InputError, match=r"000009.png belongs to no image in rgb/"):
         open_capture(folder.path)
     folder.image("rgb/000001.jpg", folder.rgb[0])
-    with pytest.raises(InputError, match="have one name"):
+    with pytest.raises(InputError, match="have the same name"):
         open_capture(folder.path)
 
 
@@ -393,7 +393,7 @@ def test_captures_of_frames():
     assert repr(capture) == "Capture(in memory, 2 frames of 8 x 6)"
     other = frame(stamp=1.0, depth=np.ones((3, 4)))
     for frames, message in (
-        ([], "there is none"), ([frame(), frame()], "do not ascend"), ([frame(), other], "cameras differ"),
+        ([], "there is none"), ([frame(), frame()], "do not increase"), ([frame(), other], "cameras differ"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=message):
             Capture.from_frames(frames)

@@ -197,7 +197,7 @@ def test_what_is_not_there_or_no_extract(server, tmp_path):
         (f"{base}/secret.osm", ServiceError, "403"),
         (f"{base}/town.zip", InputError, "unknown ending"),
         ("http://127.0.0.1:9/town.osm", ServiceError, "cannot be read"),
-        ("nonsense://a.osm", OptionError, "knows this URL"),
+        ("nonsense://a.osm", OptionError, "kind of URL is not supported"),
         ("zip://a.osm::file:///none.zip", OptionError, "cannot be opened"),
         ("github://a.osm", OptionError, "cannot be opened"),
     ):
