@@ -157,7 +157,7 @@ def test_rows_become_the_elements_that_openstreetmap_would_have(release):
     assert found[0x16].tags == {"highway": "footway", "footway": "sidewalk"}
     assert (found[0x17].tags, found[0x17].kind) == ({"railway": "tram", "name": "Linie 8"}, LINE)
     assert found[0x1F].tags == {"amenity": "bench"}
-    nothing = r"nothing that can be told lies in bbox 0,0,1,1; left out: 1 files"
+    nothing = r"1 files of connector\. Give west,south,east,north of a part"
     with pytest.raises(InputError, match=nothing):
         read(release, box=Box(0, 0, 1, 1))
     assert left_out == {

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tests.indoor.conftest import render, room, room_world, truth, walk  # noqa: F401  # fixtures
 from tests.indoor.encode.conftest import timm  # noqa: F401
-from tests.indoor.refine.matching.conftest import errors, picture, texture, warped  # noqa: F401
+from tests.indoor.refine.matching.conftest import picture  # noqa: F401
 
 from placegraph_learn.training import Progress
 

@@ -261,7 +261,7 @@ def test_options_out_of_range_are_refused(library, library_v2):
         with pytest.raises(OptionError, match=named):
             matcher(name, weights=library.roma, **options)
     library_v2.where.device = torch.device("cuda")
-    with pytest.raises(OptionError, match="lets nobody choose"):
+    with pytest.raises(OptionError, match="device is 'cpu', but romav2 always runs on 'cuda'"):
         matcher("romav2", weights=library_v2.weights, device="cpu")
 
 

@@ -4,6 +4,7 @@ import urllib.error
 import numpy as np
 import pytest
 import torch
+from tests.indoor.refine.matching.conftest import draw_texture, measure_errors, warp
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching import matcher
@@ -29,32 +30,32 @@ def xfeat(request, weights):
     "homography",
     [[[1, 0, 3.5], [0, 1, 2.25], [0, 0, 1]], [[1.1, 0.05, -9], [-0.04, 0.95, 6], [2e-4, -1e-4, 1]]],
 )
-def test_a_homography_is_recovered(xfeat, picture, warped, errors, homography):
+def test_a_homography_is_recovered(xfeat, picture, homography):
     h = np.array(homography, float)
-    (found,) = xfeat.match(picture, [warped(picture, h)])
-    off = errors(found, h)
+    (found,) = xfeat.match(picture, [warp(picture, h)])
+    off = measure_errors(found, h)
     assert len(found) > 150
     assert np.median(off) < 1.8
     assert np.mean(off < 4.0) > 0.8
-    (again,) = xfeat.match(picture, [warped(picture, h)])
+    (again,) = xfeat.match(picture, [warp(picture, h)])
     assert np.array_equal(found.query, again.query)
     assert np.array_equal(found.rendered, again.rendered)
 
 
-def test_points_are_counted_from_the_corner_of_the_first_pixel(xfeat, texture, rng, warped):
+def test_points_are_counted_from_the_corner_of_the_first_pixel(xfeat, rng):
     # were a centre said to lie where its corner is, points of the larger picture would be off
-    picture = texture(rng, 256, 320)
+    picture = draw_texture(rng, 256, 320)
     for scale in (0.8, 1.25):
         h = np.diag([scale, scale, 1.0])
-        (found,) = xfeat.match(picture, [warped(picture, h)])
+        (found,) = xfeat.match(picture, [warp(picture, h)])
         off = found.rendered - scale * found.query
         off = off[np.linalg.norm(off, axis=1) < 4]
         assert len(off) > 100
         assert np.abs(off.mean(axis=0)).max() < 0.5
 
 
-def test_sizes_that_the_network_cannot_take_are_resized_and_back(xfeat, texture, rng):
-    picture = texture(rng, 241, 333)
+def test_sizes_that_the_network_cannot_take_are_resized_and_back(xfeat, rng):
+    picture = draw_texture(rng, 241, 333)
     wide = picture[:, :301]  # other sizes, other steps
     (found,) = xfeat.match(picture, [wide])
     off = found.query - found.rendered
@@ -62,12 +63,12 @@ def test_sizes_that_the_network_cannot_take_are_resized_and_back(xfeat, texture,
     assert np.abs(np.median(off, axis=0)).max() < 0.35
 
 
-def test_cells_are_refined_as_kornia_does_it(weights, picture, warped):
+def test_cells_are_refined_as_kornia_does_it(weights, picture):
     theirs = feature.XFeat()
     theirs.net.load_state_dict(torch.load(weights, weights_only=True))
     theirs.eval()
     a = np.ascontiguousarray(picture[:224])  # a size that needs no resizing
-    b = warped(a, np.array([[1, 0, 4.5], [0, 1, 2], [0, 0, 1.0]]))
+    b = warp(a, np.array([[1, 0, 4.5], [0, 1, 2], [0, 0, 1.0]]))
     tensors = [torch.from_numpy(i).permute(2, 0, 1)[None].float() / 255 for i in (a, b)]
     (found,) = matcher("xfeat", weights=weights, dense=True, least=-1.0).match(a, [b])
     with torch.inference_mode():

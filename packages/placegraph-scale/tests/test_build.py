@@ -141,7 +141,7 @@ def test_words_that_were_kept_and_are_lost_are_counted_again(
 
 def test_another_build_in_the_same_folder(extract, tmp_path):
     build_world([extract], tmp_path / "w", SMALL)
-    with pytest.raises(OptionError, match="begun with other options"):
+    with pytest.raises(OptionError, match="use the same, choose another folder, or remove"):
         build_world([extract], tmp_path / "w", replace(SMALL, zoom=14))
     extract.write_text(extract.read_text().replace("bench", "clock"))
     with pytest.raises(OptionError, match="begun with other extracts"):

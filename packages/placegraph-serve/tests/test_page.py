@@ -315,7 +315,7 @@ def test_what_is_spoken_is_asked_however_early(browser, url):
     with opened(browser, f"{url}#map=hafenstadt", first=EAR) as page:
         page.click("#voice")
         assert page.get_attribute("#voice", "aria-pressed") == "true"
-        assert "a service of its maker" in page.inner_text("#note")
+        assert "its vendor's service" in page.inner_text("#note")
         page.evaluate("ear.hear('There is a', false)")
         assert page.input_value("#text") == "There is a"
         page.evaluate(f"ear.hear({SQUARE!r}, true)")
@@ -372,7 +372,7 @@ def test_satellites_and_compass_go_along_only_when_asked(browser, url):
 def test_what_is_denied_or_unknown_is_told_in_words(browser, url):
     with opened(browser, url) as page:
         page.click("#gps")
-        page.wait_for_selector("#note:has-text('may not tell where it is; allow it')")
+        page.wait_for_selector("#note:has-text('allow it for this page')")
         assert page.get_attribute("#gps", "aria-pressed") == "false"
     with opened(browser, url, first=LOST) as page:
         page.click("#gps")

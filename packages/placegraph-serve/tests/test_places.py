@@ -53,7 +53,7 @@ def test_worlds_share_what_is_open_and_outlive_its_file(maps, tmp_path):
     assert (set(alone.scenes), len(alone.library)) == ({"home"}, 1)
     file.unlink()  # between two steps of a worker that warms up
     assert len(world.library) == 2
-    with pytest.raises(RequestError, match="'home' is gone"):
+    with pytest.raises(RequestError, match="The file of map 'home' is missing on the"):
         places.world("home")
     assert set(places.world().scenes) == {"home2"}
 

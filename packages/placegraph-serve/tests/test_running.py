@@ -154,7 +154,7 @@ def test_the_page_asks_for_the_key(browser, small):
     with opened(browser, f"{small.url}/", refused=True) as page:
         page.fill("[type=password]", "wrong")
         page.keyboard.press("Enter")
-        page.wait_for_selector(".problem:has-text('does not know this key')")
+        page.wait_for_selector(".problem:has-text('The key is not valid')")
         page.fill("[type=password]", "secret")
         page.keyboard.press("Enter")
         page.wait_for_selector(".examples button")

@@ -48,7 +48,7 @@ def test_a_dead_process_is_told_and_replaced(stopped, end):
         os.kill(process.pid, signal.SIGCONT)
         told = asked.result()
     assert (told.status_code, told.json()["code"]) == (500, "worker_died")
-    assert "ask again" in told.json()["detail"]
+    assert "try again" in told.json()["detail"]
     assert replaced(stopped) == before + 1
     ready(lambda: stopped.get("/healthz"))
     assert stopped.post("/v1/locate", json=SAID).status_code == 200

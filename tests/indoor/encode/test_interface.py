@@ -85,7 +85,7 @@ def test_a_bound_encoder_compares_all_patches_with_all_objects(room, walk):
     "image", [np.full((2, 2, 3), np.nan), np.zeros((2, 2, 4)), np.zeros((4, 3))]
 )
 def test_patches_that_are_none(image, walk):
-    with pytest.raises(OptionError, match="finite numbers belong"):
+    with pytest.raises(OptionError, match=r"patches are \(2, 2, 3\) in frame 0, expected"):
         encode_patches(Fixed(image.astype(np.float32)), walk[0])
 
 

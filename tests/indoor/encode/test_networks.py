@@ -254,7 +254,7 @@ def test_measured_is_lazy_and_remembers(colours):
 def test_what_is_refused(colours, capture, weights):
     with pytest.raises(OptionError, match="segmenter"):
         label_capture(capture, Halves((5, 5)))[0].labels()
-    with pytest.raises(InputError, match=r"mean\.json does not exist; say"):
+    with pytest.raises(InputError, match="create it to describe the output of the network"):
         depth_network(weights)
     rule = Rule(lambda _: np.ones((5, 5)))
     seen = estimate_depth(colours, rule)

@@ -104,7 +104,7 @@ def test_rooms_of_a_home_are_described_one_by_one():
 
 
 def test_rooms_are_named_one_an_object():
-    with pytest.raises(OptionError, match="one for each"):
+    with pytest.raises(OptionError, match="1 values for 7 objects"):
         score(read("a sofa"), KITCHEN, ["kitchen"])
 
 

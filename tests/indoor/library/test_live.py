@@ -44,5 +44,5 @@ def test_a_saved_pose_knows_its_map(rooms, by_labels, tmp_path):
     other = make_library({"study": rooms["study"].scene}, encoders="labels")
     with pytest.raises(MapError, match="bedroom"):
         type(live).load(tmp_path / "robot.track", other)
-    with pytest.raises(OptionError, match="name one of parlour"):
+    with pytest.raises(OptionError, match=r"choose one of parlour, study, bedroom\."):
         by_labels.live(background=False).place(np.eye(4), np.eye(6))

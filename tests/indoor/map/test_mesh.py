@@ -49,14 +49,14 @@ def test_columns_have_their_types_and_cannot_be_written():
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({"triangles": [[0, 1, 4]] * 2}, "triangles: a row lies outside 0 to 3"),
+        ({"triangles": [[0, 1, 4]] * 2}, r"a row index is outside 0 to 3\."),
         ({"triangles": [[0, 1, -1]] * 2}, "triangles: a row"),
         ({"triangles": [[0, 1, 2**32]] * 2}, "triangles: a number does not fit into int32"),
         ({"triangles": [[0.0, 1.0, 2.0]] * 2}, "triangles: float64"),
         ({"triangles": [[0, 1]] * 2}, "triangles: shape"),
         ({"object_of": [0]}, "object_of: shape"),
         ({"object_of": [0, -1]}, "object_of: a row"),
-        ({"texture_of": [0, 1]}, "texture_of: a row lies outside 0 to 0"),
+        ({"texture_of": [0, 1]}, r"a row index is outside 0 to 0\."),
         ({"vertices": [[0, 0, np.nan]] * 4}, "vertices: a number is not finite"),
         ({"vertices": [[0, 0, 1e39]] * 4}, "vertices: a number is not finite"),
         ({"uv": [[0, np.inf]] * 4}, "uv: a number is not finite"),

@@ -97,7 +97,7 @@ def test_parts_of_things_do_not_tell_the_unit(room):
 
 def test_kinds_of_things_that_agree_tell_the_unit(room):
     (finding,) = said(check(scaled(0.35)(room)), "high")
-    assert "things 0.3" in finding.what
+    assert "objects 0.3" in finding.what
     assert "as high as" in finding.what
 
 
@@ -150,8 +150,8 @@ def test_double_triangles_twins_and_giants_are_told(room):
 def test_words_are_checked(room):
     count = len(room)
     unlabelled = check(spoilt(room, labels=["object"] * count))
-    assert [f.severity for f in said(unlabelled, "no label")] == ["warning"]
-    assert "--labels" in said(unlabelled, "no label")[0].remedy
+    assert [f.severity for f in said(unlabelled, "no meaningful label")] == ["warning"]
+    assert "--labels" in said(unlabelled, "no meaningful label")[0].remedy
     names = ["thing"] * count
     assert len(said(check(spoilt(room, names=names)), "are used by several")[0].objects) <= 20
     ids = ["Chair", "chair", *map(str, range(count - 2))]
@@ -164,16 +164,16 @@ def test_what_lies_far_off_is_told(room):
     lamp = room.graph.labels.index("lamp")
     own = np.unique(room.mesh.triangles[room.mesh.object_of == lamp])
     vertices[own] += (60.0, 0.0, 0.0)
-    found = said(check(spoilt(room, mesh=replace(room.mesh, vertices=vertices))), "far off")
+    found = said(check(spoilt(room, mesh=replace(room.mesh, vertices=vertices))), "far from the rest")
     assert [f.objects for f in found] == [(room.graph.ids[lamp],)]
 
 
 def test_a_map_without_colours_is_told(room):
     white = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
-    (finding,) = said(check(spoilt(room, mesh=white)), "no colours")
+    (finding,) = said(check(spoilt(room, mesh=white)), "has no colours")
     assert finding.severity == "warning"
     grey = replace(white, colours=np.full_like(white.colours, 170))
-    (finding,) = said(check(spoilt(room, mesh=grey)), "one colour")
+    (finding,) = said(check(spoilt(room, mesh=grey)), "a single colour")
     assert finding.severity == "note"
 
 

@@ -134,7 +134,7 @@ def test_odometry_of_another_length_or_none(folder):
         with pytest.raises(InputError, match=message):
             open_capture(folder.path)
     folder.remove("odometry.tum")
-    with pytest.raises(InputError, match=r"odometry.tum does not exist.*a single image"):
+    with pytest.raises(InputError, match="create it with one row `stamp tx ty tz"):
         open_capture(folder.path)
 
 
@@ -222,7 +222,7 @@ def test_labels_without_names(labelled):
     labelled.image("labels/000001.png", np.array([[1] * 4, [200] * 4, [7] * 4], np.uint8))
     capture = open_capture(labelled.path)
     capture[0].labels()
-    with pytest.raises(InputError, match=r"000001.png holds.*labels.json: 7, 200") as caught:
+    with pytest.raises(InputError, match=r"add their names \(null for ids to ignore\)\.") as caught:
         capture[1].labels()
     assert str(labelled.path) in str(caught.value)
     labelled.remove("labels.json")
@@ -293,7 +293,7 @@ def test_folders(folder, tmp_path_factory):
 
 def test_images_that_belong_to_nothing_or_bear_one_name(folder):
     folder.image("depth/000009.png", folder.depth[0])
-    with pytest.raises(InputError, match=r"000009.png belongs to no image in rgb/"):
+    with pytest.raises(InputError, match=r"name depth images like their colour images\."):
         open_capture(folder.path)
     folder.image("rgb/000001.jpg", folder.rgb[0])
     with pytest.raises(InputError, match="have the same name"):
@@ -303,7 +303,7 @@ def test_images_that_belong_to_nothing_or_bear_one_name(folder):
 def test_images_of_another_size_or_kind(folder):
     capture = open_capture(folder.path)
     folder.image("rgb/000000.png", folder.rgb[0][:, :7])
-    with pytest.raises(InputError, match=r"000000.png has 7 x 6.*says 8 x 6"):
+    with pytest.raises(InputError, match="has 7 x 6 pixels, but its camera has"):
         capture[0].rgb()
     folder.image("depth/000000.png", np.zeros((3, 4), np.uint8))
     with pytest.raises(InputError, match=r"mode 'L'.*16 bits"):
@@ -393,7 +393,7 @@ def test_captures_of_frames():
     assert repr(capture) == "Capture(in memory, 2 frames of 8 x 6)"
     other = frame(stamp=1.0, depth=np.ones((3, 4)))
     for frames, message in (
-        ([], "there is none"), ([frame(), frame()], "do not increase"), ([frame(), other], "cameras differ"),
+        ([], r"give at least one frame\."), ([frame(), frame()], "do not increase"), ([frame(), other], "cameras differ"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=message):
             Capture.from_frames(frames)

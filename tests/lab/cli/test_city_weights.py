@@ -54,7 +54,7 @@ def test_presets_and_what_overrides_them(run, city, weights):
     edits = modes("--preset", "paper", "--matcher", "edit-distance-plain", "--candidates", 2)
     assert len(edits) == 2
     lost = run("city", "locate", city, TEXT, "--score", "cosine")
-    assert (lost.code, "only the transformer has" in lost.err) == (7, True)
+    assert (lost.code, "applies only to the transformer" in lost.err) == (7, True)
 
 
 def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):

@@ -37,7 +37,7 @@ def test_points_and_colours(recorded, save, tmp_path):
     capture = open_capture(folder)
     world.check(capture, sure=False)
     np.testing.assert_allclose(capture.stamps, world.stamps, atol=1e-5)
-    assert "groundtruth.txt, the truth" in capture.notes[0]
+    assert "groundtruth.txt, the ground truth" in capture.notes[0]
     content = json.loads((folder / "camera.json").read_text())
     content["depth"]["scale"] = 1000
     (folder / "camera.json").write_text(json.dumps(content))

@@ -174,7 +174,7 @@ def test_options_out_of_range_are_refused(learn, tmp_path, changes, says):
 def test_pools_come_back_as_they_were_kept(pool, tmp_path):
     write_pool(tmp_path / "a.pool", pool)
     found = read_pool(tmp_path / "a.pool")
-    for part in ("texts", "fits"):
+    for part in ("texts", "word_weights"):
         ours, theirs = getattr(pool, part), getattr(found, part)
         for name in type(ours).__annotations__:
             a, b = getattr(ours, name), getattr(theirs, name)

@@ -33,7 +33,7 @@ def test_the_command_loads_a_server_and_resumes(run, fake, harbour, harbour_file
     fake.dead = False
     assert run("city", "embed", harbour_file, "--store", URI).code == 11
     half = run("city", "stores", URI)
-    assert half.out.count("half loaded") == 1
+    assert half.out.count("incomplete: finish it") == 1
     done = run("city", "embed", harbour_file, "--store", URI, "--resume", "--json")
     assert done.json["cells"] == len(harbour.cells)
     assert done.json["store"] == URI

@@ -109,7 +109,7 @@ def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypa
         planet = pg.open_world(sharded, scheduler=address)
         before = planet.locate(TEXTS[0]).to_dict()
     for _ in range(2):
-        with pytest.raises(ServiceError, match=r"went away|No scheduler answers"):
+        with pytest.raises(ServiceError, match=r"The connection to the scheduler at .* was lost|No scheduler"):
             planet.locate(TEXTS[0])
     with local(**options | {"scheduler_port": int(address.rpartition(":")[2])}):
         assert planet.locate(TEXTS[0]).to_dict() == before
@@ -181,7 +181,7 @@ def test_where_no_worker_is_left_it_is_said(monkeypatch):
 
     monkeypatch.setattr(workers, "REPLACED", 0.0)
     work = workers._Dispatch(Empty(None, "x", []), TASKS, None)
-    with pytest.raises(ServiceError, match="no worker"):
+    with pytest.raises(ServiceError, match="start some with"):
         ran(work.do())
 
 

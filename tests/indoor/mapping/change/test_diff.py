@@ -204,7 +204,7 @@ def test_a_room_that_shares_three_walls_with_another_is_doubtful(room, tmp_path)
     for one, two in ((room, other), (other, room)):
         found = diff(one, two)
         assert len(found) > 5
-        assert "doubtful" in found.alignment
+        assert "therefore uncertain" in found.alignment
         assert all(c.confidence < 0.5 for c in found)
         assert update(one, found).graph.ids == one.graph.ids
 

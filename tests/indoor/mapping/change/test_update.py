@@ -219,7 +219,7 @@ def test_a_failure_leaves_the_map_and_its_backup(room, found, tmp_path, monkeypa
 
 
 def test_foreign_diffs_and_empty_maps_are_refused(room):
-    with pytest.raises(OptionError, match="'nobody' is no object"):
+    with pytest.raises(OptionError, match="use the map that the diff was made from,"):
         update(room, diff_of(Change("vanished", "x", 0.9, "", id="nobody")))
     with pytest.raises(OptionError, match="neither a kind of change"):
         update(room, diff_of(), take=["flown"])
