@@ -209,7 +209,7 @@ def test_parts_that_are_missing(recorded, save, tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"t_03": float("nan")}, "not finite"), ({"t_00": 5.0}, "no rotation"),
+        ({"t_03": float("nan")}, "not finite"), ({"t_00": 5.0}, "is not a rotation and translation"),
         ({"t_12": None}, "t_12 is not a list of 1 numbers"), ({"fx": 0}, "greater than 0"),
         ({"fx": "wide"}, "fx is not"), ({"width": 0}, "greater than 0"),
         ({"height": 10**400}, "out of range"), ({"width": float("nan")}, "whole numbers"),

@@ -103,7 +103,7 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
         ((city, "-o", out, "--work", other, "--pools", pools, *TINY), 7, "another"),
         ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "it is 'cpu', 'cuda' or 'auto'"),
         ((*here, *TINY, "--rate", 50), 7, "rate is 50"),
-        ((*here, *TINY, "--heads", 5), 7, "width 48 for 5 heads"),
+        ((*here, *TINY, "--heads", 5), 7, "width 48 does not fit 5 heads"),
     ):
         result = run("city", "train", *arguments)
         assert (result.code, words in result.err) == (code, True), result.err

@@ -144,7 +144,7 @@ def test_another_build_in_the_same_folder(extract, tmp_path):
     with pytest.raises(OptionError, match="use the same, choose another folder, or remove"):
         build_world([extract], tmp_path / "w", replace(SMALL, zoom=14))
     extract.write_text(extract.read_text().replace("bench", "clock"))
-    with pytest.raises(OptionError, match="begun with other extracts"):
+    with pytest.raises(OptionError, match="use the same, choose another folder, or remove"):
         build_world([extract], tmp_path / "w", SMALL)
 
 

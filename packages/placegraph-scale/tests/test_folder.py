@@ -68,7 +68,7 @@ def test_what_is_not_there_is_named(url, extract, tmp_path):
     made = build_world([extract], url, options(tmp_path))
     system, root = fsspec.core.url_to_fs(url)
     system.rm_file(f"{root}/{made.shards[0].file}")
-    with pytest.raises(InputError, match=f"{made.shards[0].key}.city is not there"):
+    with pytest.raises(InputError, match=f"{made.shards[0].key}.city is missing"):
         fetch(url, tmp_path / "kept")
 
 

@@ -212,7 +212,9 @@ def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp
 
 
 def test_nothing_worth_naming(write_world, tmp_path):
-    with pytest.raises(InputError, match=r"nothing\. Choose a larger extract, or extend the vocabulary\."):
+    with pytest.raises(
+        InputError, match=r"nothing\. Choose a larger extract, or extend the vocabulary\."
+    ):
         split_up(write_world([(0, 0, {"source": "survey"})]), tmp_path / "things")
 
 

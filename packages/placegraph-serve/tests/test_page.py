@@ -376,7 +376,7 @@ def test_what_is_denied_or_unknown_is_told_in_words(browser, url):
         assert page.get_attribute("#gps", "aria-pressed") == "false"
     with opened(browser, url, first=LOST) as page:
         page.click("#gps")
-        page.wait_for_selector("#note:has-text('does not know where it is')")
+        page.wait_for_selector("#note:has-text('The device has no position')")
 
 
 def test_buttons_of_absent_senses_are_not_shown(browser, url):

@@ -40,7 +40,7 @@ def test_scenes_come_and_go(maps):
     assert library.own_index.starts[-1] == sum(len(maps[n]) for n in library)
     with pytest.raises(OptionError, match="'study' is not a scene of this library"):
         library.remove("study")
-    with pytest.raises(OptionError, match="'parlour' is taken"):
+    with pytest.raises(OptionError, match=r"remove it first, or choose another name\."):
         library.add("parlour", maps["parlour"])
     for name in ("", "a/b"):
         with pytest.raises(OptionError, match="without a slash"):
@@ -144,9 +144,7 @@ def test_a_text_finds_its_room(by_labels):
 
 @pytest.mark.parametrize("text", ["", "   ", "hello there"])
 def test_a_text_that_says_nothing(by_labels, text):
-    with pytest.raises(
-        PlacegraphError, match="mention a room, its objects, their number, or their"
-    ):
+    with pytest.raises(PlacegraphError, match="mention a room|description is empty"):
         by_labels.search(text)
 
 

@@ -164,7 +164,9 @@ def test_what_lies_far_off_is_told(room):
     lamp = room.graph.labels.index("lamp")
     own = np.unique(room.mesh.triangles[room.mesh.object_of == lamp])
     vertices[own] += (60.0, 0.0, 0.0)
-    found = said(check(spoilt(room, mesh=replace(room.mesh, vertices=vertices))), "far from the rest")
+    found = said(
+        check(spoilt(room, mesh=replace(room.mesh, vertices=vertices))), "far from the rest"
+    )
     assert [f.objects for f in found] == [(room.graph.ids[lamp],)]
 
 

@@ -325,9 +325,9 @@ def test_word_vectors_come_along(knowing):
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
-        ({"words": None}, "other labels"),
-        ({"words": pack_strings(("cafe",))}, "other labels"),
-        ({"words": pack_strings(("cafe", "cafe", "öl"))}, "other labels"),
+        ({"words": None}, "different labels"),
+        ({"words": pack_strings(("cafe",))}, "different labels"),
+        ({"words": pack_strings(("cafe", "cafe", "öl"))}, "different labels"),
         ({"word_vectors": None}, "word_vectors"),
         ({"word_vectors": np.zeros((3, 3), np.float16)}, "2 words with 3 vectors"),
         ({"word_vectors": np.zeros((2, 5), np.float16)}, r"meaning\.weight has shape"),
@@ -378,9 +378,18 @@ BAD_SHAPES = (
     [
         ({"version": 2}, r"version 2, but this placegraph reads up to 1"),
         ({"kind": "city"}, r"is a city map, not a weights file"),
-        ({"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}}, r"\[3, 5\]\}\) from those of this version of placegraph"),
-        ({"meta": {"labels": None}}, r"the network was trained with different labels \(None\) from"),
-        ({"meta": {"graphs": {"channels": ["north"]}}}, r"\['north', 'south', 'east', 'west', 'near', 'inside', 'contains', 'along', 'present'\],"),
+        (
+            {"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}},
+            r"\[3, 5\]\}\) from those of this version of placegraph",
+        ),
+        (
+            {"meta": {"labels": None}},
+            r"the network was trained with different labels \(None\) from",
+        ),
+        (
+            {"meta": {"graphs": {"channels": ["north"]}}},
+            r"\['north', 'south', 'east', 'west', 'near', 'inside', 'contains', 'along', 'present'\],",
+        ),
         *(({"meta": {"shape": shape}}, r"do not fit together") for shape in BAD_SHAPES),
         ({"meta": {"training": 3}}, r"do not fit together"),
         ({"arrays": {"table": None}}, r"'table' is missing"),

@@ -163,7 +163,9 @@ def test_speakers_differ_in_their_words(speakers):
 
 def test_a_city_with_nothing_to_say_is_refused(build_world, vocabulary):
     city = build_world([(0.0, 0.0, {"amenity": "bench"}), (8.0, 0.0, {"natural": "tree"})])
-    with pytest.raises(OptionError, match=r"CityMap\('world\.osm', 2 objects, 1 cells\) has no place with"):
+    with pytest.raises(
+        OptionError, match=r"CityMap\('world\.osm', 2 objects, 1 cells\) has no place with"
+    ):
         Speaker(city, vocabulary).places  # noqa: B018
 
 

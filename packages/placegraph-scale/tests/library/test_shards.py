@@ -102,7 +102,10 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
     for words, ask in (
         ("no scene", lambda: write_shards(tmp_path / "none", [])),
         ("size", lambda: write_shards(tmp_path / "none", [], size=0)),
-        ("mention a room, its objects, their number, or their", lambda: shards.search("I do not know")),
+        (
+            "mention a room, its objects, their number, or their",
+            lambda: shards.search("I do not know"),
+        ),
         ("most", lambda: shards.search("a sofa", most=0)),
         ("row", lambda: shards.name(SCENES)),
     ):

@@ -7,7 +7,7 @@ from placegraph_lab.tables.named.scene_changes import WindowChanges, ask, figure
 def told(**columns):
     plain = {
         "sequence": "seq01", "first": 0, "frames": 10, "status": "OK", "changed": True,
-        "visible": ("1", "2", "3"), "found": ("1", "2"), "moves": 1, "moves_found": 1, "removed": 1,
+        "visible": ("1", "2", "3"), "detected": ("1", "2"), "moves": 1, "moves_found": 1, "removed": 1,
         "removed_found": 1, "errors": ((0.02, 1.0),), "right": (0.9, 0.8), "wrong": (0.3,),
         "new_right": 1, "new_wrong": 1, "seconds": 2.0,
     }  # fmt: skip
