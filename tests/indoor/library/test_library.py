@@ -144,7 +144,7 @@ def test_a_text_finds_its_room(by_labels):
 
 @pytest.mark.parametrize("text", ["", "   ", "hello there"])
 def test_a_text_that_says_nothing(by_labels, text):
-    with pytest.raises(PlacegraphError, match="mention a room|description is empty"):
+    with pytest.raises(PlacegraphError, match=r"mention a room|description is empty"):
         by_labels.search(text)
 
 

@@ -263,9 +263,7 @@ def test_nothing_worth_naming(write_world, tmp_path):
     path = write_world([(0, 0, {"source": "survey"}), (5, 5, {})])
     for text in (path.read_text(), '<osm version="0.6"/>'):
         path.write_text(text)
-        with pytest.raises(
-            InputError, match=r"nothing\. Choose a larger extract, or extend the vocabulary\."
-        ):
+        with pytest.raises(InputError, match="Choose a larger extract, or extend the vocabulary"):
             build_city(path, tmp_path / "a.city")
     assert not (tmp_path / "a.city").exists()
 

@@ -380,15 +380,15 @@ BAD_SHAPES = (
         ({"kind": "city"}, r"is a city map, not a weights file"),
         (
             {"meta": {"labels": {"buckets": 64, "subwords": [3, 5]}}},
-            r"\[3, 5\]\}\) from those of this version of placegraph",
+            "different labels",
         ),
         (
             {"meta": {"labels": None}},
-            r"the network was trained with different labels \(None\) from",
+            "different labels",
         ),
         (
             {"meta": {"graphs": {"channels": ["north"]}}},
-            r"\['north', 'south', 'east', 'west', 'near', 'inside', 'contains', 'along', 'present'\],",
+            "'along', 'present'",
         ),
         *(({"meta": {"shape": shape}}, r"do not fit together") for shape in BAD_SHAPES),
         ({"meta": {"training": 3}}, r"do not fit together"),

@@ -174,7 +174,7 @@ def test_of_several_cameras_the_first(recorded, tmp_path):
         ("UPDATE Admin SET opt_poses = ?", (b"x" * 40,), "Admin.opt_poses says it has"),
         ("UPDATE Admin SET opt_ids = ?", (packed(np.arange(3, dtype=np.int32)),), "twelve numbers"),
         ("UPDATE Admin SET opt_ids = ?", (struct.pack("<3i", 1 << 30, 1 << 30, 4) * 2,), "opt_ids says"),
-        ("UPDATE Data SET calibration = ?", (b"12345",), "node 1, calibration is not an RTAB-Map calibration"),
+        ("UPDATE Data SET calibration = ?", (b"12345",), "calibration is not an RTAB-Map calibration"),
         ("UPDATE Data SET calibration = ?", (struct.pack("<11i", 0, 21, 4, 1, *[0] * 7),), "stereo"),
         ("DROP TABLE Data", (), "is not an RTAB-Map database"),
         ("DELETE FROM Node", (), "holds no usable frame"),

@@ -115,7 +115,7 @@ def one(**said):
     ("changes", "says"),
     [
         ({"frames": []}, "not a list of objects"), ({"frames": [3]}, "not a list of objects"),
-        (one(transform_matrix=[[1] * 4] * 4), r"frames\[0\]\.transform_matrix is not a rotation and translation"),
+        (one(transform_matrix=[[1] * 4] * 4), "is not a rotation and translation"),
         (one(transform_matrix="a"), "4 x 4 numbers"),
         (one(transform_matrix=[[1, 2], [3]]), "4 x 4 numbers"),
         (one(), "not the name of an image"),
