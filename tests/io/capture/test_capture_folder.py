@@ -393,7 +393,7 @@ def test_captures_of_frames():
     assert repr(capture) == "Capture(in memory, 2 frames of 8 x 6)"
     other = frame(stamp=1.0, depth=np.ones((3, 4)))
     for frames, message in (
-        ([], "at least one frame"), ([frame(), frame()], "do not increase"), ([frame(), other], "cameras differ"),
+        ([], "one frame"), ([frame(), frame()], "do not increase"), ([frame(), other], "cameras differ"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=message):
             Capture.from_frames(frames)
