@@ -19,7 +19,7 @@ from ros_world import FRAMES, START, off
 ONE_BY_ONE = LiveOptions(background=False)
 
 
-class Heard:
+class Sink:
     def __init__(self):
         self.messages = []
 
@@ -38,7 +38,7 @@ def matrix(pose):
 
 
 def followed(source, room, options=ONE_BY_ONE, **given):
-    heard = Heard()
+    heard = Sink()
     localizer = Localizer(room.scene, options, plan=source.plan, **given)
     return run(source.events, localizer, [heard]), heard
 

@@ -238,13 +238,13 @@ def test_a_worker_killed_in_between_loses_nothing(sharded, count):
 def test_a_worker_stops_while_its_answer_is_still_in_time():
     sent = []
 
-    class Asked(Ending):
+    class EndingWorker(Ending):
         async def ask(self, _worker, tasks, seconds):
             sent.append(seconds)
             return [None for _ in tasks]
 
     for until in (workers.monotonic() + 100.0, None):
-        ran(workers._Dispatch(Asked(None, "x", [source("1")]), TASKS, until).do())
+        ran(workers._Dispatch(EndingWorker(None, "x", [source("1")]), TASKS, until).do())
     assert 0.0 < sent[0] < 90.0
     assert sent[1] is None
 
