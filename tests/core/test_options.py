@@ -5,7 +5,7 @@ from typing import Literal
 
 import pytest
 
-from placegraph.core.options import check_options, in_radians, option, option_info, write_table
+from placegraph.core.options import check_options, in_radians, option, options_of, write_table
 from placegraph.errors import OptionError
 
 
@@ -72,6 +72,7 @@ def test_tables_bounds_and_units():
         "| `noise` | `Noise(floor=0.2)` | a Noise | Noise. |",
         "| `file` | `None` | a Path or None | File. |",
     ]
-    assert option_info(Base, "share").bounds == {"gt": 0, "lt": 1}
-    assert option_info(Noise, "floor").text == "Least deviation. [m]"
+    infos = {entry.name: entry.info for owner in (Base, Noise) for entry in options_of(owner)}
+    assert infos["share"].bounds == {"gt": 0, "lt": 1}
+    assert infos["floor"].text == "Least deviation. [m]"
     assert in_radians({"yaw_deg": 180, "x": 1, "z": None}) == {"yaw": math.pi, "x": 1}

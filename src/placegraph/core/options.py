@@ -76,11 +76,6 @@ def options_of(owner: type) -> tuple[OptionField, ...]:
     )
 
 
-def option_info(owner: type, name: str) -> OptionInfo:
-    """Return the description of one option of a dataclass."""
-    return next(entry.info for entry in options_of(owner) if entry.name == name)
-
-
 def check_options(owner: object) -> None:
     """Raise `OptionError` if an option of a dataclass instance has another type or is out of range."""
     cls: Any = type(owner)
