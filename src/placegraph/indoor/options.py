@@ -116,6 +116,7 @@ class Pass:
     particles: int = option(
         300, "Maximum number of particles at the start of the pass and after resampling.", minimum=1
     )
+    scaled: bool = option(True, "Enlarge the stride in images larger than 640 px (paper: never).")
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -133,11 +134,11 @@ _PRINTED = 2500  # particles on 3RScan (Sec. 5)
 
 
 def _passes(first: float, second: float, third: float) -> tuple[Pass, ...]:
-    """The paper's three passes at these strides (Sec. 3.5)."""
+    """The paper's three passes at these strides, whatever the size of images (Sec. 3.5)."""
     return (
-        Pass(stride=first, box=0.0, turn=pi, particles=10 * _PRINTED),
-        Pass(stride=second, box=1.6, turn=pi / 4, particles=_PRINTED),
-        Pass(stride=third, box=0.8, turn=pi / 8, particles=_PRINTED),
+        Pass(stride=first, box=0.0, turn=pi, particles=10 * _PRINTED, scaled=False),
+        Pass(stride=second, box=1.6, turn=pi / 4, particles=_PRINTED, scaled=False),
+        Pass(stride=third, box=0.8, turn=pi / 8, particles=_PRINTED, scaled=False),
     )
 
 
@@ -162,7 +163,7 @@ class PoseSearchOptions:
     heights: tuple[float, ...] = option(
         (0.15, 2.3),
         "Camera heights above the floor. The visibility table spans them; a uniform start "
-        "uses each of them, and those of `STANDING` in between.",
+        "uses each of them and, between two, those of `STANDING`.",
         unit="m",
         minimum=-inf,
         flag="--height",

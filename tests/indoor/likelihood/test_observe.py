@@ -12,7 +12,7 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.observe import Background, observe_frame, views
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.map.map_kernels import opponent_colour
-from placegraph.indoor.options import Likelihood, PoseSearchOptions
+from placegraph.indoor.options import FilterOptions, Likelihood, PoseSearchOptions
 from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 90, 115.0, 112.0, 78.0, 47.0)
@@ -106,6 +106,20 @@ def test_large_images_have_larger_pixels_not_more_samples(width, height):
     inside = many.patch >= 0
     np.testing.assert_allclose(many.directions[inside], few.directions[inside], atol=2e-3)
     assert many.footprint == pytest.approx(few.footprint, rel=0.01)
+
+
+@pytest.mark.parametrize("stride", [20, 8, 4, 12, 1])
+@pytest.mark.parametrize(("width", "height"), [(540, 960), (1296, 968)])
+def test_strides_of_the_paper_are_pixels_of_images_of_any_size(width, height, stride):
+    """Those of 3RScan and of ScanNet: rows and columns are as many as the stride goes in."""
+    camera = Camera(width, height, 700.0, 700.0, width / 2, height / 2)
+    seen, model = observe_frame(frame(camera), None, OPTIONS), model_of(OPTIONS.likelihood)
+    (view,) = views([seen], stride, model, background(), scaled=False)
+    samples = (view.patch >= 0).sum()
+    assert samples == round(width / stride) * round(height / stride)
+    assert view.footprint * camera.fx == pytest.approx(stride, rel=0.02)
+    for options in (FilterOptions.paper(), FilterOptions.published(), FilterOptions.coarse()):
+        assert not any(one.scaled for one in options.passes)
 
 
 def test_where_a_lens_cannot_be_undone_there_is_no_sample():

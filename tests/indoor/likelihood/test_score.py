@@ -58,22 +58,23 @@ def slow_scores(caster, surface, pose, view, model):
 
 
 def slow_semantic(hits, surface, view, used, model):
-    """Per patch: the mean ratio over its rays, whatever objects they hit; misses are column N."""
+    """Per patch: the mean ratio over its rays, whatever objects they hit; misses are column N.
+
+    Sec. 3.3: of the object that most rays hit, summed and divided by all patches of the grid.
+    """
     nothing = view.semantic.shape[1] - 1
     terms = []
     for patch, weight in enumerate(view.weight):
         rows = np.flatnonzero(used & (view.patch == patch))
         if not rows.size or weight == 0:
             continue
-        ratios = [
-            view.semantic[patch, surface.object_of[t] if t >= 0 else nothing]
-            for t in hits.triangle[rows]
-        ]
-        mean = float(np.mean(ratios))
-        terms.append(mean if model.gaussian else weight * math.log(mean))
-    if model.gaussian:
-        return float(np.mean(terms)) if terms else 0.0
-    return sum(terms)
+        seen = [surface.object_of[t] if t >= 0 else nothing for t in hits.triangle[rows]]
+        if model.gaussian:
+            if patch < len(view.weight) - 1:
+                terms.append(view.semantic[patch, np.bincount(seen).argmax()])
+            continue
+        terms.append(weight * math.log(float(np.mean(view.semantic[patch, seen]))))
+    return float(sum(terms)) / ((len(view.weight) - 1) if model.gaussian else 1)
 
 
 def slow_depth(hits, view, used, model):

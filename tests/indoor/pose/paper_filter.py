@@ -43,7 +43,7 @@ class Image:
     focal: float
     depth: np.ndarray  # (H, W) [m], 0: no reading
     rgb: np.ndarray  # (H, W, 3) 0 to 255
-    best: np.ndarray  # (n, m) object that each patch is most similar to
+    best: np.ndarray  # (n, m) object that each patch is most similar to; -1: it says nothing
     cosine: np.ndarray  # (n, m) and how similar
 
     def at(self, stride):
@@ -114,16 +114,23 @@ def cast(world, poses, rays):
 
 
 def similarity(world, image, stride, nearest):
-    """s in [0, 2]: mean over patches of the shifted cosine where the predicted object is seen."""
+    """s in [0, 2] (Sec. 3.3): a patch is assigned one object, that of most of its rays.
+
+    Shifted cosines are summed where that is the predicted one, and divided by the number of all patches.
+    """
     u, v, _ = image.at(stride)
     h, w = image.depth.shape
     n, m = image.best.shape
     patch = (v * n / h).astype(int) * m + (u * m / w).astype(int)
-    seen = np.where(nearest >= 0, world.object_of[nearest], -1)
-    valid = seen == image.best.ravel()[patch]
-    values = np.where(valid, image.cosine.ravel()[patch] + 1.0, 0.0)
-    there = np.unique(patch)
-    return np.mean([values[:, patch == p].mean(axis=1) for p in there], axis=0)
+    seen = np.where(nearest >= 0, world.object_of[nearest], world.object_of.max() + 1)
+    total = np.zeros(len(nearest))
+    for p, (predicted, cosine) in enumerate(zip(image.best.flat, image.cosine.flat, strict=True)):
+        if predicted < 0 or not (patch == p).any():
+            continue
+        for k, rays in enumerate(seen[:, patch == p]):
+            if np.bincount(rays).argmax() == predicted:
+                total[k] += cosine + 1.0
+    return total / (n * m)
 
 
 def depth_score(image, stride, depth):

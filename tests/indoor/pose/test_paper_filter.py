@@ -67,7 +67,7 @@ def world(scene):
 
 
 def rendered(world, pose, rng):
-    """Image of the room: every ninth patch is wrong, every tenth reading is missing."""
+    """Image of the room: of nine patches one is wrong and one silent, every tenth reading is missing."""
     blank = np.zeros((HEIGHT, WIDTH))
     image = theirs.Image(FOCAL, blank, blank, np.zeros(GRID, int), rng.uniform(0.3, 0.9, GRID))
     nearest, depth, (u, v) = theirs.cast(world, pose[None], image.at(1)[2])
@@ -82,8 +82,9 @@ def rendered(world, pose, rng):
     things = world.object_of[nearest[0]].reshape(4, HEIGHT // 4, 8, WIDTH // 8)
     for row, column in np.ndindex(GRID):
         seen = np.bincount(things[row, :, column].ravel(), minlength=10)
-        wrong = rng.random() < 1 / 9
-        image.best[row, column] = rng.integers(10) if wrong else seen.argmax()
+        chance = rng.random() * 9
+        image.best[row, column] = rng.integers(10) if chance < 1 else seen.argmax()
+        image.best[row, column] = -1 if chance > 8 else image.best[row, column]
     image.cosine = image.cosine.astype(np.float32).astype(float)
     return image
 
@@ -117,8 +118,9 @@ class Told:
     def encode(self, frame):
         image = self.images[frame.index]
         table = np.full((image.best.size, 10), -0.2, np.float32)
-        table[np.arange(image.best.size), image.best.ravel()] = image.cosine.ravel()
-        return Patches(frame.camera, GRID, np.arange(len(table), dtype=np.int32), table)
+        rows = np.arange(image.best.size, dtype=np.int32)
+        table[rows, image.best.ravel()] = image.cosine.ravel()
+        return Patches(frame.camera, GRID, np.where(image.best.ravel() < 0, -1, rows), table)
 
 
 def scattered(rng, count):
@@ -147,6 +149,33 @@ def test_the_start(scene, rng):
         ]
         assert ks_2samp(*within).pvalue > 0.001
         assert kstest(within[0] / size, "uniform").pvalue > 0.001
+
+
+def test_a_grid_of_heights_gets_no_others(scene, rng):
+    """Table 7, *Uniform sampling*: a grid of 0.2 m upwards, too; two heights are a span."""
+    for heights, expected in (
+        ((1.4, 1.6, 1.8, 2.0), (1.4, 1.6, 1.8, 2.0)),
+        ((1.4, 2.0), (1.4, *theirs.HEIGHTS, 2.0)),
+    ):
+        options = replace(PAPER, heights=heights)
+        window = Window(
+            PoseQuery(scene=scene, options=options), Scorer(scene, PAPER.likelihood), []
+        )
+        told, counts = np.unique(
+            everywhere(window, options, rng)[:, 2].round(6), return_counts=True
+        )
+        np.testing.assert_allclose(told - scene.floors[0], expected, atol=1e-6)
+        assert np.ptp(counts) == 0
+
+
+def test_silent_patches_are_counted(scene, images, frames):
+    """Sec. 3.3 divides by all patches, so the scores of two halves add up to that of both."""
+    (view,) = view_frames(scene, frames[:1], PAPER, Told(images), 4.0)
+    score = Scorer(scene, PAPER.likelihood).terms
+    whole = float(score(TRUE[:1], view)[0, 0])
+    parts = np.arange(len(view.weight)) % 2
+    halves = [view._replace(weight=(view.weight * (parts == k)).astype("f4")) for k in (0, 1)]
+    assert sum(float(score(TRUE[:1], half)[0, 0]) for half in halves) == pytest.approx(whole, 1e-6)
 
 
 def test_equation_1(rng):

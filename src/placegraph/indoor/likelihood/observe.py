@@ -79,7 +79,7 @@ class View(NamedTuple):
     """(R,) patch of each sample."""
     semantic: NDArray[np.float32]
     """(P + 1, N + 1) likelihood ratio of each patch if it sees object n, against anywhere; column N:
-    the map ends there. Under ``gaussian``: cosine + 1 where they agree."""
+    the map ends there. Under ``gaussian``: cosine + 1 if n is its most similar object, else 0."""
     weight: NDArray[np.float32]
     """(P + 1,) weight of each patch; 0: no evidence. The last patch is for samples in none."""
     depth: NDArray[np.float32]
@@ -196,7 +196,7 @@ def observe_frame(
 
 
 ViewCache = dict[tuple[Observation, float], View]
-"""Views of frames by their stride, before patches are weighted."""
+"""Views of frames by their stride [px], before patches are weighted."""
 
 
 def views(
@@ -205,24 +205,31 @@ def views(
     model: Model,
     background: Background,
     cut: ViewCache | None = None,
+    *,
+    scaled: bool = True,
 ) -> list[View]:
     """Make the views of frames of one window, `stride` pixels of the colour image between samples.
 
     An object seen in many patches of the window is weighted down (`Likelihood.object_patches`). `cut`:
-    cache of views, which other windows of the same map may share.
+    cache of views, which other windows of the same map may share. `scaled`: strides are for images up
+    to `REFERENCE` wide; larger images have larger pixels, not more samples.
     """
     cut = {} if cut is None else cut
-    for observation in observations:
-        if (observation, stride) not in cut:
-            cut[observation, stride] = _view(observation, stride, model, background)
+    found = []
     weights = _patch_weights([s.patches for s in observations], model)
-    pairs = zip(observations, weights, strict=True)
-    return [cut[observation, stride]._replace(weight=weight) for observation, weight in pairs]
+    for observation, weight in zip(observations, weights, strict=True):
+        camera, pixels = observation.frame.camera, float(stride)
+        if scaled:
+            pixels *= max(1.0, max(camera.width, camera.height) / REFERENCE)
+        if (observation, pixels) not in cut:
+            cut[observation, pixels] = _view(observation, pixels, model, background)
+        found.append(cut[observation, pixels]._replace(weight=weight))
+    return found
 
 
 def _view(observation: Observation, stride: float, model: Model, background: Background) -> View:
     frame, patches = observation.frame, observation.patches
-    samples = _samples(frame.camera, float(stride))
+    samples = _samples(frame.camera, stride)
     inside = samples.inside
     patch = np.where(inside, 0, -1).astype(np.int32)
     semantic = np.ones((1, len(background.objects) + 1), np.float32)
@@ -282,12 +289,7 @@ class _Samples:
 
 @lru_cache(maxsize=16)
 def _samples(camera: Camera, stride: float) -> _Samples:
-    """Return samples at the centres of cells about `stride` pixels wide that fill the whole image.
-
-    Strides are for images up to `REFERENCE` wide; larger ones have larger pixels, not more samples.
-    """
-    asked = stride
-    stride *= max(1.0, max(camera.width, camera.height) / REFERENCE)
+    """Return samples at the centres of cells about `stride` pixels wide that fill the whole image."""
     columns = max(_TILE, round(camera.width / stride))
     rows = max(_TILE, round(camera.height / stride))
     across, down = -(-columns // _TILE), -(-rows // _TILE)
@@ -314,7 +316,7 @@ def _samples(camera: Camera, stride: float) -> _Samples:
         directions=directions,
         footprint=camera.width / columns / camera.fx,
         camera=camera,
-        stride=asked,
+        stride=stride,
     )
 
 

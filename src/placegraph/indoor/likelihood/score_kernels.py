@@ -55,6 +55,10 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
     packet, ints, valid = new_packet()
     patch_sums = np.zeros(patches, np.float32)
     count = np.zeros(patches, np.float32)
+    objects = view.semantic.shape[1]
+    voted = noise.gaussian and view.terms[SEMANTIC]
+    seen = np.zeros(len(view.directions) if voted else 0, np.int32)
+    votes = np.zeros((patches, objects) if voted else (0, 0), np.int32)
     map_colours, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
     steps, tones = np.zeros(5, np.float64), np.zeros((3, 6), np.float64)
     for k in range(first, last):
@@ -76,10 +80,14 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if patch < 0:
                     continue
                 triangle = ints[TRIANGLE, lane]
-                seen_object = view.semantic.shape[1] - 1
+                seen_object = objects - 1
                 if triangle >= 0:
                     seen_object = surface.object_of[triangle]
-                patch_sums[patch] += view.semantic[patch, seen_object]
+                if voted:
+                    seen[r] = seen_object
+                    votes[patch, seen_object] += 1
+                else:
+                    patch_sums[patch] += view.semantic[patch, seen_object]
                 count[patch] += np.float32(1.0)
                 if view.terms[DEPTH] and view.depth[r] > 0:
                     readings += 1
@@ -98,8 +106,10 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 _steps(tile, view, map_colours, hit, steps)
                 if view.terms[DEPTH]:
                     _tones(tile, view, map_colours, hit, tones)
-        if view.terms[SEMANTIC]:
-            scores[k, SEMANTIC] = _semantic(patch_sums, count, view.weight, noise.gaussian)
+        if voted:
+            scores[k, SEMANTIC] = _patch_similarity(votes, seen, view)
+        elif view.terms[SEMANTIC]:
+            scores[k, SEMANTIC] = _semantic(patch_sums, count, view.weight)
         samples = np.float32(0.0)
         for patch in range(patches):
             samples += count[patch]
@@ -131,18 +141,41 @@ def aim(packet, pose, directions, first):
 
 
 @kernel(inline="always", fastmath=True)
-def _semantic(patch_sums, count, weight, gaussian):
+def _semantic(patch_sums, count, weight):
     """Sum over patches of the log of their mean ratio: a patch sees its objects by their shares."""
     total = np.float32(0.0)
-    patches = np.float32(0.0)
     for patch in range(len(patch_sums)):
         if count[patch] > 0 and weight[patch] > 0:
-            patches += np.float32(1.0)
-            mean = patch_sums[patch] / count[patch]
-            total += mean if gaussian else weight[patch] * np.log(mean)
-    if gaussian:
-        total = total / patches if patches else np.float32(0.0)
+            total += weight[patch] * np.log(patch_sums[patch] / count[patch])
     return total
+
+
+@kernel
+def _patch_similarity(votes, seen, view):
+    """Return s of Sec. 3.3: the sum of cosine + 1 over patches that agree, divided by all patches.
+
+    A patch sees the object that most of its rays hit; of equals, that of the lowest row. It agrees if
+    that is its most similar object. Silent patches and patches without a ray count as disagreeing.
+    `votes`: (P + 1, N + 1) rays of each patch by object, cleared on return; `seen`: (R,) object of each
+    ray. Returns 0 to 2.
+    """
+    patches = len(view.weight) - 1  # the last one is for samples that lie in no patch
+    best = np.full(patches, -1, np.int32)
+    for r in range(len(seen)):
+        patch = view.patch[r]
+        if 0 <= patch < patches and view.weight[patch] > 0:
+            won = best[patch]
+            lead = votes[patch, seen[r]] - (votes[patch, won] if won >= 0 else 0)
+            if lead > 0 or (lead == 0 and seen[r] < won):
+                best[patch] = seen[r]
+    total = 0.0
+    for patch in range(patches):
+        if best[patch] >= 0:
+            total += view.semantic[patch, best[patch]]
+    for r in range(len(seen)):
+        if view.patch[r] >= 0:
+            votes[view.patch[r], seen[r]] = 0
+    return np.float32(total / max(1, patches))
 
 
 @kernel(inline="always", fastmath=True)

@@ -318,7 +318,8 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
                 particles, _ = particles.reweighted(window.log_prior.at(ends))
             filter_ = ParticleFilter(window.scorer, options, rng, particles, spec.particles)
             frames = [s.frame.index for s in window.observations]
-            run = run_pass(filter_, window.views(spec.stride), steps, frames, elsewhere, tick)
+            views = window.views(spec.stride, scaled=spec.scaled)
+            run = run_pass(filter_, views, steps, frames, elsewhere, tick)
             modes, masses = run.modes, run.masses
             counts.append(list(run.counts))
             if options.record:
@@ -352,12 +353,13 @@ def _start(
 def everywhere(window: Window, options: FilterOptions, rng: Generator) -> Floats:
     """Draw the paper's start (Sec. 3.1): `per_cell` poses a free cell and height, with random yaws.
 
-    Of a span of heights, its ends and those of `STANDING` between them. Free cells are those of the
-    visibility table. If a large map makes its grid wider, a cell gets as many more poses.
+    Two heights are a span: its ends and those of `STANDING` between them are used. Free cells are
+    those of the visibility table. If a large map makes its grid wider, a cell gets as many more poses.
     """
     table = window.table
-    low, high = min(options.heights), max(options.heights)
-    heights = np.union1d(options.heights, [h for h in STANDING if low < h < high])
+    heights = np.unique(options.heights)
+    if len(heights) == 2:
+        heights = np.union1d(heights, [h for h in STANDING if heights[0] < h < heights[1]])
     cells = np.unique(np.column_stack([table.positions[:, :2], table.ground]), axis=0)
     each = round(options.per_cell * (table.spacing / options.spacing) ** 2)
     count = len(heights) * each

@@ -230,7 +230,7 @@ class Window:
     """Seconds of each stage."""
     cut: ViewCache = field(default_factory=dict)
     """Views of its frames, which other windows of the same frames and map may share."""
-    _views: dict[float, list[View]] = field(default_factory=dict)
+    _views: dict[tuple[float, bool], list[View]] = field(default_factory=dict)
     _derived: dict[Hashable, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -300,14 +300,14 @@ class Window:
         """Rows of the newest frames, which the last level is fitted to."""
         return np.arange(max(0, len(self) - NEWEST), len(self))
 
-    def views(self, stride: float) -> list[View]:
-        """Views of all frames at a stride."""
-        if stride not in self._views:
-            background = self.table.background
-            self._views[stride] = views(
-                self.observations, stride, self.scorer.model, background, self.cut
+    def views(self, stride: float, *, scaled: bool = True) -> list[View]:
+        """Views of all frames at a stride, which grows in large images if `scaled`."""
+        if (stride, scaled) not in self._views:
+            background, model = self.table.background, self.scorer.model
+            self._views[stride, scaled] = views(
+                self.observations, stride, model, background, self.cut, scaled=scaled
             )
-        return self._views[stride]
+        return self._views[stride, scaled]
 
 
 def observe(query: PoseQuery) -> Window:
