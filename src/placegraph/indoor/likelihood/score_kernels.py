@@ -57,7 +57,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
     count = np.zeros(patches, np.float32)
     objects = view.semantic.shape[1]
     voted = noise.gaussian and view.terms[SEMANTIC]
-    seen = np.zeros(len(view.directions) if voted else 0, np.int32)
+    ray_objects = np.zeros(len(view.directions) if voted else 0, np.int32)
     votes = np.zeros((patches, objects) if voted else (0, 0), np.int32)
     map_colours, hit = np.zeros((LANES, 3), np.float32), np.zeros(LANES, np.bool_)
     steps, tones = np.zeros(5, np.float64), np.zeros((3, 6), np.float64)
@@ -84,7 +84,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if triangle >= 0:
                     seen_object = surface.object_of[triangle]
                 if voted:
-                    seen[r] = seen_object
+                    ray_objects[r] = seen_object
                     votes[patch, seen_object] += 1
                 else:
                     patch_sums[patch] += view.semantic[patch, seen_object]
@@ -107,7 +107,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
                 if view.terms[DEPTH]:
                     _tones(tile, view, map_colours, hit, tones)
         if voted:
-            scores[k, SEMANTIC] = _patch_similarity(votes, seen, view)
+            scores[k, SEMANTIC] = _patch_similarity(votes, ray_objects, view)
         elif view.terms[SEMANTIC]:
             scores[k, SEMANTIC] = _semantic(patch_sums, count, view.weight)
         samples = np.float32(0.0)
@@ -151,30 +151,30 @@ def _semantic(patch_sums, count, weight):
 
 
 @kernel
-def _patch_similarity(votes, seen, view):
+def _patch_similarity(votes, ray_objects, view):
     """Return s of Sec. 3.3: the sum of cosine + 1 over patches that agree, divided by all patches.
 
     A patch sees the object that most of its rays hit; of equals, that of the lowest row. It agrees if
     that is its most similar object. Silent patches and patches without a ray count as disagreeing.
-    `votes`: (P + 1, N + 1) rays of each patch by object, cleared on return; `seen`: (R,) object of each
-    ray. Returns 0 to 2.
+    `votes`: (P + 1, N + 1) rays of each patch by object, cleared on return; `ray_objects`: (R,)
+    object of each ray. Returns 0 to 2.
     """
     patches = len(view.weight) - 1  # the last one is for samples that lie in no patch
     best = np.full(patches, -1, np.int32)
-    for r in range(len(seen)):
+    for r in range(len(ray_objects)):
         patch = view.patch[r]
         if 0 <= patch < patches and view.weight[patch] > 0:
             won = best[patch]
-            lead = votes[patch, seen[r]] - (votes[patch, won] if won >= 0 else 0)
-            if lead > 0 or (lead == 0 and seen[r] < won):
-                best[patch] = seen[r]
+            lead = votes[patch, ray_objects[r]] - (votes[patch, won] if won >= 0 else 0)
+            if lead > 0 or (lead == 0 and ray_objects[r] < won):
+                best[patch] = ray_objects[r]
     total = 0.0
     for patch in range(patches):
         if best[patch] >= 0:
             total += view.semantic[patch, best[patch]]
-    for r in range(len(seen)):
+    for r in range(len(ray_objects)):
         if view.patch[r] >= 0:
-            votes[view.patch[r], seen[r]] = 0
+            votes[view.patch[r], ray_objects[r]] = 0
     return np.float32(total / max(1, patches))
 
 
