@@ -414,7 +414,7 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
             f"cell {mode.cell}"
         )
     if estimate.evidence:
-        rows = table("", "statement", "nat", "matched objects")
+        rows = table("", "statement", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence:
             things = ", ".join(f"{o.name or o.label} ({o.id})" for o in e.objects)
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")

@@ -385,7 +385,7 @@ def show_scenes(estimate: SceneEstimate) -> None:
     for rank, mode in enumerate(estimate.modes, 1):
         out.print(f"{rank}. {mode.scene:{width}}  {mode.probability:6.1%}")
     if estimate.evidence:
-        rows = table("", "evidence", "nat")
+        rows = table("", "evidence", "log-likelihood ratio")
         for e in estimate.evidence[: MOST_OBJECTS + 2]:
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
             rows.add_row(sign, e.statement, f"{e.weight:+.1f}")

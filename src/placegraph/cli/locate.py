@@ -98,7 +98,7 @@ def show(estimate: WorldEstimate) -> None:
         if rank == 1 and mode.pose is not None:
             out.print(f"   {pose_words(mode.pose)}")
     if estimate.evidence:
-        rows = table("", "evidence", "nat", "matched objects")
+        rows = table("", "evidence", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence[: MOST_OBJECTS + 4]:
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
             things = ", ".join(o.name or o.label for o in e.objects[:3])

@@ -110,7 +110,7 @@ def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:
     of_objects = [e for e in estimate.evidence if e.objects]
     of_senses = [e for e in estimate.evidence if not e.objects]
     if estimate.evidence:
-        rows = table("", "evidence", "nat", "")
+        rows = table("", "evidence", "log-likelihood ratio", "")
         for e in [*of_objects[:MOST_OBJECTS], *of_senses]:
             sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
             rows.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
