@@ -62,7 +62,9 @@ def _modes(modes: Sequence[Any]) -> str:
 
 def _evidence(estimate: Estimate[Any]) -> str:
     rows = [(e.verdict, e.statement, f"{e.weight:+.1f}", e.note) for e in estimate.evidence]
-    return _table(("", "evidence of the best", "log-likelihood ratio", ""), rows[:MAX_ROWS], len(rows))
+    return _table(
+        ("", "evidence of the best", "log-likelihood ratio", ""), rows[:MAX_ROWS], len(rows)
+    )
 
 
 def _picture(draw: Callable[[Path], object]) -> str:
