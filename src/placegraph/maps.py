@@ -217,8 +217,8 @@ def check_map_files(places: Sequence[Path]) -> MapFiles:
     if not any(files.paths.values()):
         names = ", ".join(map(str, places)) or "nothing"
         raise InputError(
-            f"{names} holds no map ({', '.join(KINDS)}); build some with `placegraph city build` and "
-            "`placegraph scene build`."
+            f"{names} contains no map ({', '.join(KINDS)}); build some with `placegraph city "
+            "build` and `placegraph scene build`."
         )
     return files
 

@@ -54,10 +54,10 @@ def test_what_lies_in_it(run, world):
 @pytest.mark.parametrize(
     ("layout", "lacks"),
     [
-        (Layout(depth=False), {"build": "holds no depth, which a map needs; record"}),
+        (Layout(depth=False), {"build": "contains no depth, which a map needs; record"}),
         (Layout(poses="none"), {"localize": "no transform leads", "track": "no transform leads"}),
         (Layout(infos=False), {"localize": "no CameraInfo of", "build": "no CameraInfo of"}),
-        (Layout(images="none"), {"localize": "holds no colour images", "refine": "no colour"}),
+        (Layout(images="none"), {"localize": "contains no colour images", "refine": "no colour"}),
     ],
 )
 def test_what_it_lacks_for_what(layout, lacks, run, world, tmp_path):
@@ -76,7 +76,10 @@ def test_what_it_lacks_for_what(layout, lacks, run, world, tmp_path):
 def test_files_that_are_no_bag_are_named(run, tmp_path):
     (tmp_path / "flat.glb").write_bytes(b"glTF" + bytes(range(256)))
     (tmp_path / "empty").mkdir()
-    for name, words in (("flat.glb", "is no bag; give"), ("empty", "holds no .mcap or .db3 file")):
+    for name, words in (
+        ("flat.glb", "is not a bag; give"),
+        ("empty", "contains no .mcap or .db3 file"),
+    ):
         result = run("bag", "info", tmp_path / name)
         assert result.code == 3
         assert words in result.err

@@ -271,7 +271,7 @@ def test_missing_or_empty_files_and_things_that_are_not_files(path, tmp_path):
     for name in (tmp_path / "pipe", "/dev/zero"):
         with pytest.raises(InputError, match="not a regular file"):
             open_map(name)
-    with pytest.raises(InputError, match="holds no scene map"):
+    with pytest.raises(InputError, match="contains no scene map"):
         open_map(tmp_path)
     with pytest.raises(InputError, match="cannot be read"):
         open_map("a\0b")

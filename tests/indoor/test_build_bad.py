@@ -176,7 +176,7 @@ def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
 def test_empty_files_and_folders(ending, tmp_path):
     path = tmp_path / f"a{ending}"
     path.touch()
-    with pytest.raises(InputError, match=rf"a\{ending} (is empty|holds no vertex)"):
+    with pytest.raises(InputError, match=rf"a\{ending} (is empty|contains no vertex)"):
         build_scene(path, None)
     path.unlink()
     path.mkdir()

@@ -157,16 +157,16 @@ def test_rows_become_the_elements_that_openstreetmap_would_have(release):
     assert found[0x16].tags == {"highway": "footway", "footway": "sidewalk"}
     assert (found[0x17].tags, found[0x17].kind) == ({"railway": "tram", "name": "Linie 8"}, LINE)
     assert found[0x1F].tags == {"amenity": "bench"}
-    nothing = r"1 files of connector\. Give west,south,east,north of a part"
+    nothing = r"1 files of connector\. Give west,south,east,north of an area"
     with pytest.raises(InputError, match=nothing):
         read(release, box=Box(0, 0, 1, 1))
     assert left_out == {
-        "places kept by name only, because no tag matches their category": 1,
-        "places of a class without a matching tag": 1,
+        "places stored by name only, because no tag matches their category": 1,
+        "places whose class has no matching tag": 1,
         "places permanently closed": 1,
         "places below the confidence limit": 1,
-        "buildings of a class without a matching tag": 1,
-        "segments of a class without a matching tag": 1,
+        "buildings whose class has no matching tag": 1,
+        "segments whose class has no matching tag": 1,
         "files of connector": 1,
     }
 
@@ -249,7 +249,7 @@ def test_files_by_url(release):
     assert len(read("memory://release")[0]) == 3
     assert len(read(f"file://{release}/{name}")[0]) == 3
     assert is_overture("memory://release")
-    with pytest.raises(OptionError, match="no file system knows"):
+    with pytest.raises(OptionError, match="this kind of URL is not supported"):
         read("gopher://release")
 
 
@@ -257,7 +257,7 @@ def test_files_by_url(release):
     ("numbers", "said"),
     [
         ((7.5, 43.7, 7.4, 43.8), "Exchange them"), ((7.4, 43.8, 7.5, 43.7), "Exchange them"),
-        ((43.7, 97.4, 43.8, 97.5), "beyond the Earth"), ((7.4, 43.7), "four numbers"),
+        ((43.7, 97.4, 43.8, 97.5), "out of range"), ((7.4, 43.7), "four numbers"),
         ((7.4, 43.7, float("nan"), 43.8), "four numbers"),
     ],
 )  # fmt: skip
@@ -270,7 +270,7 @@ def test_a_missing_column_is_named(tmp_path):
     file = write(tmp_path / "p.parquet", "place", [place(10, 50, 1, "cafe")])
     for column in ("id", "geometry", "bbox", "names"):
         pq.write_table(pq.read_table(file).drop([column]), tmp_path / "q.parquet")
-        with pytest.raises(InputError, match=f"q.parquet has no column.* {column}"):
+        with pytest.raises(InputError, match=f"q.parquet lacks the column {column}"):
             read(tmp_path / "q.parquet")
 
 
@@ -280,7 +280,7 @@ def test_another_schema(tmp_path):
         read(tmp_path / "sales.parquet")
     (tmp_path / "type=division").mkdir()
     pq.write_table(pa.table({"id": ["a"]}), tmp_path / "type=division/part.parquet")
-    with pytest.raises(InputError, match="holds division"):
+    with pytest.raises(InputError, match="contains division"):
         read(tmp_path / "type=division/part.parquet")
     with pytest.raises(InputError, match="1 files of division, 1 files of no known type"):
         read(tmp_path)
@@ -304,7 +304,7 @@ def test_no_parquet(content, tmp_path):
     (tmp_path / "p.parquet").unlink()
     with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "p.parquet")
-    with pytest.raises(InputError, match="holds no Parquet file"):
+    with pytest.raises(InputError, match="contains no Parquet file"):
         read(tmp_path)
     assert not is_overture(str(tmp_path))
 
@@ -324,11 +324,11 @@ def test_geometry_that_is_no_wkb_is_counted(tmp_path):
     table = pq.read_table(tmp_path / "p.parquet")
     text = table.set_column(1, "geometry", pa.array(["POINT (10 50)"] * len(table)))
     pq.write_table(text, tmp_path / "q.parquet")
-    with pytest.raises(InputError, match="geometry is string, and not WKB"):
+    with pytest.raises(InputError, match="geometry is string, not WKB"):
         read(tmp_path / "q.parquet")
     assert len(elements) == 1
     assert sum(left_out.values()) == len(bad)
-    assert left_out["places whose geometry is no WKB"] == 2
+    assert left_out["places whose geometry is not WKB"] == 2
 
 
 @given(st.binary(max_size=64))
@@ -352,7 +352,9 @@ def test_a_damaged_file_is_read_or_refused(tmp_path, data):
 def test_a_footer_that_ends_pyarrow_ends_another_process(tmp_path, monkeypatch):
     path = write(tmp_path / "p.parquet", "place", [place(0.2, 50.0, 0, "cafe")])
     monkeypatch.setattr(overture_files, "_STATISTICS_CHECK", "import os; os.abort()")
-    with pytest.raises(InputError, match=r"p\.parquet is damaged: .* ends PyArrow, by Aborted"):
+    with pytest.raises(
+        InputError, match=r"p\.parquet is damaged: PyArrow crashes .*, with Aborted"
+    ):
         read(path, box=Box(0.0, 49.0, 1.0, 51.0))
 
 

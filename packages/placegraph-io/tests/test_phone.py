@@ -54,8 +54,8 @@ def test_most_frames_have_no_image(recorded, save, tmp_path):
         ({"cameraPoseARFrame": [1.0] * 16}, "cameraPoseARFrame is not a rotation and translation"),
         ({"cameraPoseARFrame": [float("nan")] * 16}, "not finite"),
         ({"cameraPoseARFrame": [0.0] * 12}, "list of 16"), ({"intrinsics": None}, "is missing"),
-        ({"intrinsics": [80, 0, 990, 0, 80, 720, 0, 0, 1]}, "made smaller or turned"),
-        ({"intrinsics": [80, 0, float("nan"), 0, 80, 36, 0, 0, 1]}, "made smaller"),
+        ({"intrinsics": [80, 0, 990, 0, 80, 720, 0, 0, 1]}, "resized or rotated"),
+        ({"intrinsics": [80, 0, float("nan"), 0, 80, 36, 0, 0, 1]}, "resized or rotated"),
         ({"intrinsics": [-80, 0, 48, 0, 80, 36, 0, 0, 1]}, "greater than 0"),
         ({"time": 101.0}, "has the stamp of"), ({"time": "now"}, "time is not"),
     ],
@@ -198,7 +198,7 @@ def test_parts_that_are_missing(recorded, save, tmp_path):
         sorted((tmp_path / "keyframes" / kind).iterdir())[row].unlink()
     assert open_capture(tmp_path).left_out == {"no depth": 1, "no camera": 1}
     for kind, says in (
-        ("depth", r"depth holds no image; only captures of LiDAR"), ("images", "images holds no image"),
+        ("depth", r"depth contains no image; only captures in LiDAR"), ("images", "images contains no image"),
     ):  # fmt: skip
         for file in (tmp_path / "keyframes" / kind).iterdir():
             file.unlink()
@@ -379,7 +379,7 @@ def test_damaged_depth(data, recorded, save, tmp_path):
     with refusing("0.depth"):
         assert open_capture(tmp_path)[0].depth().shape == (36, 48)
     path.write_bytes(liblzfse.compress(np.zeros(100, "<f4").tobytes()))
-    with pytest.raises(InputError, match=r"0.depth has 100 pixels, but metadata says 48 x 36"):
+    with pytest.raises(InputError, match=r"0.depth has 100 pixels, but metadata declares 48 x 36"):
         open_capture(tmp_path)[0].depth()
 
 
@@ -449,9 +449,9 @@ def test_frames_without_depth_or_picture(recorded, save, tmp_path):
 
 BAD_ROWS = (
     ("1.0, 0, 0, 0, 0, 0, 0, 0, 0.5", "length 0.5"), ("1.0, 0, nan, 0, 0, 0, 0, 0, 1", "x is no"),
-    ("1.0, 0, 1", "y is no finite"), ("1.0, a, 0, 0, 0, 0, 0, 0, 1", "could not"),
+    ("1.0, 0, 1", "y is not a finite"), ("1.0, a, 0, 0, 0, 0, 0, 0, 1", "could not"),
     ("1.0, -1, 0, 0, 0, 0, 0, 0, 1", "frame is no"),
-    ("1.0, 0, inf, 0, 0, 0, 0, 0, 1", "x is no finite"),
+    ("1.0, 0, inf, 0, 0, 0, 0, 0, 1", "x is not a finite"),
 )  # fmt: skip
 NO_ODOMETRY = ("", "x, y\n1, 2\n", "\0", HEADER.replace("qw", "qq"))
 NO_MATRIX = ("", "1,2,3", "a", "1,0,0,0,-1,0,0,0,1")
@@ -482,7 +482,7 @@ def test_missing_parts_and_damaged_videos(recorded, save, tmp_path, capfd):
     capfd.readouterr()
     (tmp_path / "rgb.mp4").write_bytes(data)
     (tmp_path / "depth").rename(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="depth holds no image"):
+    with pytest.raises(InputError, match="depth contains no image"):
         open_capture(tmp_path)
     (tmp_path / "rgb.mp4").unlink()
     with pytest.raises(InputError, match=r"rgb.mp4 does not exist"):

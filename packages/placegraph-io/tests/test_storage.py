@@ -33,7 +33,7 @@ def test_files_by_name(compression, tmp_path):
     flat = Archive(path, flat=True)
     assert flat.names == {"one.txt", "two.bin", "empty"}
     assert flat.read("two.bin") == FILES["b/two.bin"]
-    with pytest.raises(InputError, match=r"a\.zip holds no one\.txt"):
+    with pytest.raises(InputError, match=r"a\.zip contains no one\.txt"):
         archive.read("one.txt")
 
 

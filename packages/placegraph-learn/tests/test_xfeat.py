@@ -94,7 +94,7 @@ def test_weights_of_another_network_are_named(tmp_path, weights):
     for content, words in (
         ({"layer.weight": torch.zeros(3, 3)}, "holds weights of another network"),
         (state | {name: torch.zeros(2, 2, 2, 2)}, "holds weights of another network"),
-        ([torch.zeros(3)], "holds no tensors by name"),
+        ([torch.zeros(3)], "contains no tensors by name"),
     ):
         torch.save(content, path)
         with pytest.raises(InputError, match=rf"other\.pt {words}"):

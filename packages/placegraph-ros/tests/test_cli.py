@@ -95,12 +95,12 @@ def test_what_lacks_is_named_with_the_mend(piped, run, room, tmp_path, monkeypat
     if piped:
         with next((tmp_path / "walk").glob("*.mcap")).open("rb") as pipe:
             monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=pipe, isatty=lambda: False))
-            with pytest.raises(InputError, match="stdin holds no CameraInfo"):
+            with pytest.raises(InputError, match="stdin contains no CameraInfo"):
                 live(room.map, Path("-"), out=tmp_path / "out.mcap", speed=float("inf"))
     else:
         result = run("bag", "localize", tmp_path / "walk", room.map, "-o", tmp_path / "out.mcap")
         assert result.code == 3
-        assert "holds no CameraInfo of /camera/color/image_raw" in result.err
+        assert "contains no CameraInfo of /camera/color/image_raw" in result.err
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -151,7 +151,7 @@ def test_ctrl_c_ends_it_between_two_messages():
         (("live", "{map}", "{bag}", "--wait", "-1"), 7, "wait is -1"),
         (("live", "{map}", "{bag}", "--foxglove", "8765"), 7, "is no valid address"),
         (("live", "{map}", "{map}"), 3, "room.scene"),
-        (("bag", "localize", "{walk}", "{map}", "-o", "out.mcap"), 3, "is no bag"),
+        (("bag", "localize", "{walk}", "{map}", "-o", "out.mcap"), 3, "is not a bag"),
         (("bag", "localize", "{bag}", "{bag}", "-o", "{walk}/out.mcap"), 4, "bag.mcap"),
     ],
 )

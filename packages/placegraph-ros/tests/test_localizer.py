@@ -221,7 +221,7 @@ def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
     without = [p for p in packets if "camera_info" not in p.topic]
     said = statuses(taken(localizer, without))
     assert len(said) == 1, "it is said once"
-    assert said[0].startswith("LOST: robot holds no CameraInfo of /camera/color/image_raw")
+    assert said[0].startswith("LOST: robot contains no CameraInfo of /camera/color/image_raw")
     assert localizer.summary.lacks
     later = [p._replace(time=p.time + 10.0) for p in packets]
     taken(localizer, later)

@@ -73,7 +73,7 @@ def test_maps_of_one_stem_keep_their_endings(maps, tmp_path):
 
 
 def test_what_is_no_map_is_refused_at_the_start(tmp_path):
-    with pytest.raises(InputError, match="holds no map"):
+    with pytest.raises(InputError, match="contains no map"):
         Places([tmp_path])
     with pytest.raises(InputError, match="does not exist"):
         Places([tmp_path / "none.city"])

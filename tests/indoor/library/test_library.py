@@ -90,7 +90,7 @@ def test_scenes_that_stand_on_earth_are_found_there(maps, tmp_path):
 
 def test_a_folder_is_a_library(folder):
     assert set(pg.open_map(folder).names) == {"parlour", "study", "bedroom"}
-    with pytest.raises(InputError, match="holds no scene map"):
+    with pytest.raises(InputError, match="contains no scene map"):
         SceneLibrary.open(folder.parent)
 
 

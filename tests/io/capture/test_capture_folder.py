@@ -287,7 +287,7 @@ def test_folders(folder, tmp_path_factory):
     with pytest.raises(InputError, match=r"camera.json does not exist"):
         open_capture(empty)
     folder.remove("rgb")
-    with pytest.raises(InputError, match="holds no image"):
+    with pytest.raises(InputError, match="contains no image"):
         open_capture(folder.path)
 
 

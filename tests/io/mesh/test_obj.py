@@ -173,7 +173,7 @@ def test_black_beside_a_texture_means_nothing(room):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no vertex"), ("v 0 0 0\nv 1 0\n", "line 2: it is cut off"),
+        ("", "contains no vertex"), ("v 0 0 0\nv 1 0\n", "line 2: it is cut off"),
         ("v 0 0 0\nv 1 nonsense 0\n", r"a.obj, line 2: 'nonsense' is not a number"),
         ("v 0 0 0\nvt\nvt 1x\n", "line 3: '1x' is not a number"),
         ("v 0 0 0\nf 1 2 3\n", "vertices 3 of 1"), ("v 0 0 0\nf 1/2 1 1\n", "uv 2 of 0"),

@@ -33,16 +33,16 @@ def first(graph):
 
 SPOILT = {
     "no nodes": (lambda g: g.__dict__.pop("nodes"), "has no nodes"),
-    "nodes in a list": (lambda g: g.__dict__.update(nodes=[]), "nodes is no dict"),
+    "nodes in a list": (lambda g: g.__dict__.update(nodes=[]), "nodes is not of type dict"),
     "no node at all": (lambda g: g.__dict__.update(nodes={}), "nodes are missing"),
-    "a node that is none": (lambda g: g.nodes.update({99: type(g)()}), "is no Node"),
+    "a node that is none": (lambda g: g.nodes.update({99: type(g)()}), "is not of type Node"),
     "the same node twice": (lambda g: g.nodes.update({99: first(g)}), "there twice"),
     "an edge to nowhere": (lambda g: g.edge_idx[0].__setitem__(0, 77), "node that is not there"),
     "an end too many": (lambda g: g.edge_idx[1].append(3), "two ends"),
     "a short vector": (lambda g: first(g).__dict__.update(features=[1.0]), "numbers"),
-    "a word for a vector": (lambda g: first(g).__dict__.update(features="bench"), "is no vector"),
-    "not a number": (lambda g: first(g).__dict__.update(features=[np.nan] * 6), "no number"),
-    "no index": (lambda g: first(g).__dict__.update(idx="0"), "idx is no int"),
+    "a word for a vector": (lambda g: first(g).__dict__.update(features="bench"), "is not a vector"),
+    "not a number": (lambda g: first(g).__dict__.update(features=[np.nan] * 6), "not a number"),
+    "no index": (lambda g: first(g).__dict__.update(idx="0"), "idx is not of type int"),
 }  # fmt: skip
 
 

@@ -106,29 +106,29 @@ def spoil(where, **changes):
     ("edit", "words"),
     [
         (spoil("cell", id=None), ["cells/", "cell 0", "has no id"]),
-        (spoil("cell", id=7), ["cell 0", "id is no text"]),
+        (spoil("cell", id=7), ["cell 0", "id is not text"]),
         (spoil("cell", id="0003_00001"), ["cell 1", "used before"]),
         (spoil("cell", bbox_w=np.zeros(6)), ["cell 0", "bbox_w is empty"]),
         (spoil("cell", bbox_w=np.full(6, np.nan)), ["bbox_w is not finite"]),
         (spoil("cell", bbox_w=np.zeros(5)), ["bbox_w is of shape (5,)"]),
         (spoil("cell", cell_size="30"), ["cell_size is not 0-dimensional"]),
         (spoil("cell", cell_size=-1.0), ["bbox_w is empty"]),
-        (spoil("cell", objects=()), ["objects is no list"]),
-        (spoil("cell", objects=[3]), ["object 0 is no Object3d"]),
-        (spoil("cell", objects=lambda m: [m.Pose()]), ["object 0 is no Object3d"]),
+        (spoil("cell", objects=()), ["objects is not a list"]),
+        (spoil("cell", objects=[3]), ["object 0 is not of type Object3d"]),
+        (spoil("cell", objects=lambda m: [m.Pose()]), ["object 0 is not of type Object3d"]),
         (spoil("object", xyz=np.zeros((4, 2))), ["(0003_00000): object 0", "xyz"]),
         (spoil("object", xyz=np.zeros((0, 3))), ["object 0: xyz is of shape (0, 3)"]),
         (spoil("object", xyz=np.full((200, 3), np.inf)), ["xyz is not finite"]),
         (spoil("object", xyz=np.full((4, 3), 1e8), rgb=np.eye(4)[:, :3]), ["xyz is far away"]),
         (spoil("object", rgb=np.zeros((4, 3))), ["rgb is of 4 points"]),
         (spoil("object", label=None), ["has no label"]),
-        (spoil("object", instance_id=1.5), ["instance_id is no whole number"]),
+        (spoil("object", instance_id=1.5), ["instance_id is not a whole number"]),
         (spoil("pose", cell_id="0003_99999"), ["poses/", "pose 0", "no cell '0003_99999'"]),
         (spoil("pose", pose_w=np.zeros(2)), ["pose_w is of shape (2,)"]),
         (spoil("pose", descriptions=None), ["has no descriptions"]),
-        (spoil("pose", descriptions=[None]), ["description 0 is no DescriptionBestCell"]),
+        (spoil("pose", descriptions=[None]), ["description 0 is not of type DescriptionBestCell"]),
         (spoil("description", direction="up"), ["direction is 'up', none of north"]),
-        (spoil("description", object_label=3), ["description 0: object_label is no text"]),
+        (spoil("description", object_label=3), ["description 0: object_label is not text"]),
         (spoil("description", offset_center=None), ["has no offset_center"]),
         (spoil("description", is_matched=None), ["has no is_matched"]),
     ],
@@ -143,7 +143,7 @@ def test_spoiled_fields_are_named(kitti360pose_world, tmp_path, edit, words):
 
 
 def test_folders_that_are_none(kitti360pose_world, tmp_path, out):
-    with pytest.raises(InputError, match="holds no cells"):
+    with pytest.raises(InputError, match="contains no cells"):
         convert_kitti360pose(tmp_path, tmp_path / "a")
     folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003", "0005"])
     lone = folder / "poses" / SYNC.format("0003")

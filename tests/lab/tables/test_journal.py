@@ -52,5 +52,5 @@ def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
     changed = code_key(folders)
     (tmp_path / "indoor/a.py").rename(tmp_path / "indoor/b.py")
     assert len({before, changed, code_key(folders)}) == 3
-    with pytest.raises(ValueError, match="is no folder"):
+    with pytest.raises(ValueError, match="is not a folder"):
         code_key(("placegraph/outdoor",))

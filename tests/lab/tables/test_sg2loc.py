@@ -107,7 +107,7 @@ REFUSED = [
     ("sg2loc-1 --frames -3", "Invalid value for '--frames'"),
     ("sg2loc-6 --pace -1", "pace is 0 or more"),
     ("sg2loc-6 --pace nan", "pace is 0 or more"),
-    ("sg2loc-1 --only x", "'x' is no row"),
+    ("sg2loc-1 --only x", "'x' is not a row"),
     ("sg2loc-1 --pace 1", "No such option"),
     ("sg2loc-3 --only x", "No such option"),
     ("sg2loc-3 --lengths 5", "No such option"),

@@ -421,8 +421,8 @@ def _scenes(folder: Path) -> list[tuple[str, Path, Path]]:
                 raise InputError(f"{path} and {other} are of the same drive; remove one.")
     if not files:
         raise InputError(
-            f"{folder} holds no cells/*.pkl and poses/*.pkl; give the folder of KITTI360Pose that "
-            "does, such as k360_30-10_scG_pd10_pc4_spY_all."
+            f"{folder} contains no cells/*.pkl and poses/*.pkl; give the folder of KITTI360Pose "
+            "that does, such as k360_30-10_scG_pd10_pc4_spY_all."
         )
     for drive, pair in files.items():
         for kind in ("cells", "poses"):
@@ -444,7 +444,9 @@ class _Fields:
     @classmethod
     def of(cls, value: object, kinds: tuple[str, ...], where: str) -> _Fields:
         if not isinstance(value, Record) or value.kind not in kinds:
-            raise InputError(f"{where} is no {' or '.join(kinds)}; download the file again.")
+            raise InputError(
+                f"{where} is not of type {' or '.join(kinds)}; download the file again."
+            )
         return cls(value, where)
 
     def get(self, name: str) -> Any:  # noqa: ANN401
@@ -455,19 +457,19 @@ class _Fields:
     def text(self, name: str) -> str:
         value = self.get(name)
         if type(value) is not str or not value:
-            raise self.wrong(name, "no text")
+            raise self.wrong(name, "not text")
         return value
 
     def integer(self, name: str) -> int:
         value = self.get(name)
         if type(value) is not int or not -(1 << 31) <= value < 1 << 31:
-            raise self.wrong(name, "no whole number")
+            raise self.wrong(name, "not a whole number")
         return value
 
     def list_of(self, name: str) -> list[Any]:
         value = self.get(name)
         if type(value) is not list:
-            raise self.wrong(name, "no list")
+            raise self.wrong(name, "not a list")
         return value
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> Floats:
@@ -580,7 +582,7 @@ class _Gather:
         id_ = pose.text("cell_id")
         if id_ not in self.cell_rows:
             raise InputError(
-                f"{pose.where}: there is no cell {id_!r}; are both files of one folder?"
+                f"{pose.where}: there is no cell {id_!r}; use two files of one folder."
             )
         row = self.cell_rows[id_]
         hints = pose.list_of("descriptions")
@@ -646,7 +648,7 @@ class _Gather:
 def _read_list(path: Path) -> list[Any]:
     value = read_pickle(path, RELEASE)
     if type(value) is not list:
-        raise InputError(f"{path} holds no list; download it again.")
+        raise InputError(f"{path} contains no list; download it again.")
     return value
 
 

@@ -196,8 +196,8 @@ def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa:
         return finished(_Reader(data, release).load())
     except RefusedError as error:
         raise InputError(
-            f"{path}, before byte {data.tell():,}: {error}. It is no file of {release.name}, or it is "
-            "damaged; nothing of it was run. Download it again from where you trust it."
+            f"{path}, before byte {data.tell():,}: {error}. It is not a file of {release.name}, or "
+            "it is damaged; nothing of it was run. Download it again from where you trust it."
         ) from None
 
 
@@ -234,7 +234,7 @@ class _Reader(_Base):  # type: ignore[misc]  # untyped
         """Value that the pickle leaves behind."""
         head = self.data[:2]
         if len(head) < 2 or head[0] != 0x80 or not 2 <= head[1] <= 5:
-            raise RefusedError("it is no pickle of protocol 2 to 5")
+            raise RefusedError("it is not a pickle of protocol 2 to 5")
         try:
             return super().load()
         except RefusedError:
@@ -271,7 +271,7 @@ class _Reader(_Base):  # type: ignore[misc]  # untyped
         state, target = self.stack.pop(), self.stack[-1]
         if isinstance(target, Record):
             if type(state) is not dict or not all(type(key) is str for key in state):
-                raise RefusedError(f"the state of a {target.kind} is no dict of fields")
+                raise RefusedError(f"the state of a {target.kind} is not a dict of fields")
             target.fields.update(state)
         elif isinstance(target, Array) and target.value is None:
             if type(state) is not tuple or len(state) != 5:
@@ -346,7 +346,7 @@ def read_graphs(path: str | PathLike[str]) -> Graphs:
     """
     value = read_pickle(path, RELEASE)
     if type(value) is not dict or not value:
-        raise InputError(f"{path} holds no graphs by id; download it again.")
+        raise InputError(f"{path} contains no graphs by id; download it again.")
     vectors = _Vectors()
     found = {str(key): _graph(graph, f"{path}, {key}", vectors) for key, graph in value.items()}
     return Graphs(found, np.stack(vectors.rows))
@@ -391,9 +391,11 @@ def _vector(value: object, where: str) -> NDArray[np.float32]:
     if isinstance(value, list | tuple) and all(type(x) in (int, float) for x in value):
         value = np.array(value, np.float64)
     if not isinstance(value, np.ndarray) or value.ndim != 1 or not 1 <= len(value) <= LONGEST:
-        raise InputError(f"{where} is no vector; download the file again.")
+        raise InputError(f"{where} is not a vector; download the file again.")
     if not (np.abs(value.astype(np.float64)) < 1e9).all():
-        raise InputError(f"{where} holds what is no number; download the file again.")
+        raise InputError(
+            f"{where} contains something that is not a number; download the file again."
+        )
     return value.astype(np.float32)
 
 
@@ -440,10 +442,12 @@ def _edges(value: object, where: str) -> tuple[list[list[Any]], list[Any]]:
 def _field(value: object, kind: str, name: str, type_: type, where: str) -> Any:  # noqa: ANN401
     """Return a field of a record; `InputError` for another record or type."""
     if not isinstance(value, Record) or value.kind != kind:
-        raise InputError(f"{where} is no {kind}; download the file again.")
+        raise InputError(f"{where} is not of type {kind}; download the file again.")
     if name not in value.fields:
         raise InputError(f"{where} has no {name}; is this another release of the data?")
     found = value.fields[name]
     if not isinstance(found, type_) or type(found) is bool:
-        raise InputError(f"{where}: {name} is no {type_.__name__}; download the file again.")
+        raise InputError(
+            f"{where}: {name} is not of type {type_.__name__}; download the file again."
+        )
     return found

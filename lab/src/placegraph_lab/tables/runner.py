@@ -49,7 +49,7 @@ def code_key(folders: Iterable[str]) -> str:
         package, _, below = folder.partition("/")
         root = next(path for path in SOURCES if path.name == package)
         if not (root / below).is_dir():
-            raise ValueError(f"{folder} is no folder of {root}.")
+            raise ValueError(f"{folder} is not a folder of {root}.")
         for path in sorted((root / below).rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
                 digest.update(path.relative_to(root).as_posix().encode() + b"\0")
@@ -393,7 +393,7 @@ def check_names(given: Sequence[str], there: Iterable[str], what: str) -> list[s
     every = list(there)
     unknown = sorted(set(given) - set(every))
     if unknown:
-        raise typer.BadParameter(f"{unknown[0]!r} is no {what}; there are {'; '.join(every)}")
+        raise typer.BadParameter(f"{unknown[0]!r} is not a {what}; choose from {'; '.join(every)}")
     return list(given) or every
 
 

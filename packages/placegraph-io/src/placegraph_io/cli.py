@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from placegraph.cli.command import Argument
 from placegraph.cli.common import AsJson, console, echo_json
 
-BagFile = Annotated[Path, Argument(help="Bag of ROS: .mcap, .db3, .bag, or a folder of rosbag2.")]
+BagFile = Annotated[Path, Argument(help="ROS bag: .mcap, .db3, .bag, or a folder of rosbag2.")]
 
 
 def info(bag: BagFile, as_json: AsJson = False) -> None:

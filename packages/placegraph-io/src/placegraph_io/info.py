@@ -95,7 +95,7 @@ def _find_lacks(plan: CapturePlan, use: str) -> list[str]:
     path, pose_reader = plan.bag.path, plan.pose_reader
     if use == "build" and plan.colour is not None and plan.depth is None:
         lacks.append(
-            f"{path} holds no depth, which a map needs; record the depth camera's image topic, "
+            f"{path} contains no depth, which a map needs; record the depth camera's image topic, "
             "16UC1 or 32FC1, with its CameraInfo."
         )
     if use == "track" and pose_reader is not None and pose_reader.frame in MAP_FRAMES:

@@ -44,8 +44,8 @@ Tags = dict[str, str]
 TABLE = "data/overture.tsv"
 BASE = frozenset({"infrastructure", "land", "land_use", "water"})
 """Types of the base theme, which bring tags of OpenStreetMap along."""
-NO_TAG = "of a class without a matching tag"
-BY_NAME = "kept by name only, because no tag matches their category"
+NO_TAG = "whose class has no matching tag"
+BY_NAME = "stored by name only, because no tag matches their category"
 _VARIANTS = {"official": "official_name", "alternate": "alt_name", "short": "short_name"}
 _LANGUAGE = re.compile(r"[a-z]{2,3}(-[A-Za-z]+)?")
 _NUMBER_FIRST = re.compile(r"(\d+\w?)\s+(\D[^,]*)")
@@ -271,8 +271,8 @@ def find_files(
                 yield OvertureFile(name, filesystem, kind)
             elif alone:
                 raise InputError(
-                    f"{path} holds {kind or 'rows of no known type'}; of Overture places, buildings, "
-                    "segments and the base theme are read."
+                    f"{path} contains {kind or 'rows of no known type'}, but only Overture's "
+                    "places, buildings, segments and base theme are supported."
                 )
             else:
                 counts[f"files of {kind or 'no known type'}"] += 1
@@ -293,7 +293,7 @@ def _filesystem(path: str) -> tuple[Any, str]:
             found, root = fsspec.core.url_to_fs(path)
         except (ImportError, ValueError) as other:
             raise OptionError(
-                f"{path}: no file system knows this URL ({one_line(error)}; {one_line(other)})."
+                f"{path}: this kind of URL is not supported ({one_line(error)}; {one_line(other)})."
             ) from other
         return fs.PyFileSystem(fs.FSSpecHandler(found)), str(root)
 
@@ -315,8 +315,8 @@ def _list_files(filesystem: Any, root: str, suffixes: tuple[str, ...], given: st
     names = sorted(i.path for i in inside if i.is_file and i.path.lower().endswith(suffixes))
     if not names:
         raise InputError(
-            f"{given} holds no Parquet file ({', '.join(suffixes)}); give a folder of Overture's, such as "
-            "theme=places."
+            f"{given} contains no Parquet file ({', '.join(suffixes)}); give an Overture folder, "
+            "such as theme=places."
         )
     yield from names
 
@@ -349,8 +349,8 @@ def _type(filesystem: Any, name: str, given: str) -> str:  # noqa: ANN401
     lacks += [f"bbox.{edge}" for edge in EDGES if f"bbox.{edge}" not in columns]
     if lacks:
         raise InputError(
-            f"{name if name != given else given} has no column {', '.join(lacks)}, which Overture's "
-            f"{kind}s have; download it again, with all columns of a release since 2024-07."
+            f"{name if name != given else given} lacks the column {', '.join(lacks)} of Overture's "
+            f"{kind}s; download it again, with all columns of a release since 2024-07."
         )
     return kind
 
@@ -373,7 +373,7 @@ def _columns(filesystem: Any, name: str) -> set[str]:  # noqa: ANN401
         kind = getattr(kind, "storage_type", kind)
         if not (pa.types.is_binary(kind) or pa.types.is_large_binary(kind)):
             raise InputError(
-                f"{name}: geometry is {kind}, and not WKB; export it as GeoParquet with WKB."
+                f"{name}: geometry is {kind}, not WKB; export it as GeoParquet with WKB."
             )
     if "bbox" in out and pa.types.is_struct(schema.field("bbox").type):
         out |= {f"bbox.{field.name}" for field in schema.field("bbox").type}
@@ -391,7 +391,7 @@ def _check_statistics(stream: Any, name: str) -> None:  # noqa: ANN401
         died = subprocess.run(look, input=footer, capture_output=True, check=False)  # noqa: S603
         if died.returncode < 0:
             raise InputError(
-                f"{name} is damaged: reading its statistics ends PyArrow, by "
+                f"{name} is damaged: PyArrow crashes while reading its statistics, with "
                 f"{signal.strsignal(-died.returncode)}. Download it again."
             )
 
@@ -453,7 +453,7 @@ class Box(NamedTuple):
         """Return the box of west, south, east, north [deg]; raises `OptionError` where they make none."""
         if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
             raise OptionError(
-                "bbox has to be four numbers: west, south, east, north in degrees, such as "
+                "bbox must be four numbers: west, south, east, north in degrees, such as "
                 "7.41,43.72,7.44,43.75."
             )
         west, south, east, north = map(float, numbers)
@@ -464,14 +464,14 @@ class Box(NamedTuple):
             and -90 <= north <= 90
         ):
             raise OptionError(
-                f"bbox {_format_box(numbers)} lies beyond the Earth; give west, south, east, north in "
+                f"bbox {_format_box(numbers)} is out of range; give west, south, east, north in "
                 "degrees: longitude, latitude, longitude, latitude."
             )
         if west >= east or south >= north:
             raise OptionError(
-                f"bbox {_format_box(numbers)} is empty: west has to be less than east ({west:g}, {east:g}), "
-                f"and south less than north ({south:g}, {north:g}). Exchange them; across the date "
-                "line, build two maps."
+                f"bbox {_format_box(numbers)} is empty: west must be less than east ({west:g}, "
+                f"{east:g}), and south less than north ({south:g}, {north:g}). Exchange them; "
+                "across the date line, build two maps."
             )
         return cls(west, south, east, north)
 
@@ -494,7 +494,7 @@ class Overture:
 
     def __post_init__(self) -> None:
         if not self.paths:
-            raise OptionError("Name at least one file or folder of Overture.")
+            raise OptionError("Give at least one Overture file or folder.")
         if not 0.0 <= self.confidence <= 1.0:
             raise OptionError(f"confidence is {self.confidence}; choose between 0 and 1.")
 
@@ -525,7 +525,7 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
         import shapely  # noqa: F401
     except ImportError as error:
         raise MissingExtraError(
-            "Overture's files are read by PyArrow and Shapely: pip install 'placegraph[overture]'."
+            "Overture files need PyArrow and Shapely: pip install 'placegraph[overture]'."
         ) from error
     counts = (LeftOut() if left_out is None else left_out).counts
     found = 0
@@ -534,11 +534,11 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
             found += 1
             yield element
     if not found:
-        where = f" lies in bbox {source.box}" if source.box else ""
+        where = f" in bbox {source.box}" if source.box else ""
         left = ", ".join(f"{n} {why}" for why, n in sorted(counts.items())) or "nothing"
         raise InputError(
-            f"{source}: no usable objects{where}; ignored: {left}. Give "
-            "west,south,east,north of a part that the files hold, or other files."
+            f"{source}: no usable objects{where}; ignored: {left}. Give west,south,east,north of "
+            "an area that the files cover, or other files."
         )
 
 
@@ -570,7 +570,7 @@ def _element(
 ) -> OsmElement | None:
     """Return the element of a row, or None and a count of why there is none."""
     if shape is None:
-        counts[f"{kind}s whose geometry is no WKB"] += 1
+        counts[f"{kind}s whose geometry is not WKB"] += 1
         return None
     why = _why_closed(row, confidence)
     if why:
@@ -610,7 +610,7 @@ def _parts(shape: Any) -> tuple[int, list[NDArray[np.float64]]] | str:  # noqa: 
     elif number in _AREAS:
         kind, pieces = AREA, shapely.get_rings(shape)
     else:
-        return "of several kinds of geometry"
+        return "with several kinds of geometry"
     parts = [part for part in map(shapely.get_coordinates, pieces) if len(part)]
     if not parts:
         return "without a position"

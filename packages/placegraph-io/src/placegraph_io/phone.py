@@ -140,7 +140,8 @@ def read_exr_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
         import OpenEXR
     except ImportError as error:
         raise MissingExtraError(
-            f'{path} is OpenEXR, whose reader is not installed: pip install "placegraph[record3d]".'
+            f"{path} is an OpenEXR file, and its reader is not installed: pip install "
+            '"placegraph[record3d]".'
         ) from error
     if not path.is_file():
         raise InputError(f"{path} does not exist; it was there when the folder was read.")
@@ -170,8 +171,8 @@ def _decode_lzfse(data: bytes, camera: Camera, each: int, where: str) -> bytes:
         import liblzfse
     except ImportError as error:
         raise MissingExtraError(
-            f"{where} is packed by LZFSE, which is not installed: "
-            'pip install "placegraph[record3d]".'
+            f"{where} is compressed by LZFSE, and its decoder is not installed: pip install "
+            '"placegraph[record3d]".'
         ) from error
     if not (data.startswith(b"bvx") and data.endswith(_END)):
         raise InputError(
@@ -183,7 +184,7 @@ def _decode_lzfse(data: bytes, camera: Camera, each: int, where: str) -> bytes:
         raise InputError(f"{where} is a damaged LZFSE stream; copy it again.") from error
     if len(unpacked) != wanted:
         raise InputError(
-            f"{where} has {len(unpacked) // each} pixels, but metadata says {camera.width} x "
+            f"{where} has {len(unpacked) // each} pixels, but metadata declares {camera.width} x "
             f"{camera.height}; export the recording again."
         )
     return unpacked
@@ -275,7 +276,9 @@ def _record3d_table(
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{where}: {field} is not a list of rows of numbers.") from error
     if table.ndim != 2 or table.shape[1] != columns or not len(table):
-        raise InputError(f"{where}: {field} has shape {table.shape}; rows of {columns} belong.")
+        raise InputError(
+            f"{where}: {field} has shape {table.shape}; it must have rows of {columns} numbers."
+        )
     return table
 
 
@@ -315,7 +318,9 @@ def _record3d_size(
         return default
     values = [meta.get(name) for name in fields]
     if not all(isinstance(v, int) and 0 < v < 1 << 16 for v in values):
-        raise InputError(f"{where}: {' and '.join(fields)} are {values}; they are sizes in pixels.")
+        raise InputError(
+            f"{where}: {' and '.join(fields)} are {values}; they must be sizes in pixels."
+        )
     return int(values[0] or 0), int(values[1] or 0)
 
 
@@ -348,8 +353,8 @@ def read_arkit_app(path: Path) -> Capture:
             named.append(row)
     if not named:
         raise InputError(
-            f"{path} has no frame with frame_*.json, frame_*.jpg and depth_*.png; export all data, "
-            "recorded by a device with LiDAR."
+            f"{path} has no frame with frame_*.json, frame_*.jpg and depth_*.png; record with a "
+            "device with LiDAR, and export all data."
         )
     first = images[f"frame_{named[0]}"], images[f"depth_{named[0]}"]
     return make_capture(
@@ -370,7 +375,7 @@ def _read_arkit_app_frame(
     if not max(abs(cx / width - 0.5), abs(cy / height - 0.5)) < _MAX_OFFSET:
         raise InputError(
             f"{file}: the principal point {cx:g}, {cy:g} is not the middle of {first[0].name}, "
-            f"{width} x {height}; the images were made smaller or turned: export them again."
+            f"{width} x {height}, so the images were resized or rotated; export them again."
         )
     camera = make_camera(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
     depth, confidence = images[f"depth_{row}"], images.get(f"conf_{row}")
@@ -415,7 +420,9 @@ def read_ios_logger(path: Path) -> Capture:
     for (line, (stamp, index, *intrinsics)), at in zip(frames, found.tolist(), strict=True):
         number = int(index)
         if number != index or number < 0:
-            raise InputError(f"{line}: number is {index:g}; it is the frame's in Frames.m4v.")
+            raise InputError(
+                f"{line}: number is {index:g}; it must be the frame's number in Frames.m4v."
+            )
         if at < 0 or number >= len(video):
             left_out[f"no {'pose' if at < 0 else 'colour image'}"] += 1
             continue
@@ -448,10 +455,10 @@ def read_polycam(path: Path) -> Capture:
     cameras = list_images(folder / f"{kind}cameras", (".json",))
     depths, confidence = list_images(folder / "depth"), list_images(folder / "confidence")
     if not colours:
-        raise InputError(f"{folder / 'images'} holds no image; export the raw data again.")
+        raise InputError(f"{folder / 'images'} contains no image; export the raw data again.")
     if not depths:
         raise InputError(
-            f"{folder / 'depth'} holds no image; only captures of LiDAR or room mode have depth."
+            f"{folder / 'depth'} contains no image; only captures in LiDAR or room mode have depth."
         )
     first = next(iter(depths.values()))
     size, unit = image_size(first), DepthUnit(str(folder / "depth"), _UNIT)
@@ -499,7 +506,7 @@ def _read_polycam_camera(path: Path) -> tuple[Camera, NDArray[np.float64]]:
     try:
         width, height = (int(read_number(path, content, name)) for name in ("width", "height"))
     except (ValueError, OverflowError) as error:
-        raise InputError(f"{path}: width and height are whole numbers of pixels.") from error
+        raise InputError(f"{path}: width and height must be whole numbers of pixels.") from error
     intrinsics = [read_number(path, content, name) for name in ("fx", "fy", "cx", "cy")]
     rows = [read_number(path, content, f"t_{i}{j}") for i in range(3) for j in range(4)]
     pose = MAP_FROM_Y_UP @ orthonormalize_pose(rows, str(path)) @ ARKIT_FROM_OPENCV
@@ -525,7 +532,7 @@ def read_stray(path: Path) -> Capture:
     matrix = _read_stray_intrinsics(path / "camera_matrix.csv")
     depths, confidence = list_images(path / "depth"), list_images(path / "confidence")
     if not depths:
-        raise InputError(f"{path / 'depth'} holds no image; copy the whole recording.")
+        raise InputError(f"{path / 'depth'} contains no image; copy the whole recording.")
     first = next(iter(depths.values()))
     size, unit = image_size(first), DepthUnit(str(path / "depth"), _UNIT)
     left_out: Counter[str] = Counter()
@@ -559,9 +566,9 @@ def _read_stray_intrinsics(path: Path) -> dict[str, float]:
     try:
         values = [float(word) for word in read_text(path).replace(",", " ").split()]
     except ValueError as error:
-        raise InputError(f"{path}: {error}; it must be a matrix of 3 x 3 numbers.") from error
+        raise InputError(f"{path}: {error}; it must be a 3 x 3 matrix.") from error
     if len(values) != 9:
-        raise InputError(f"{path} holds {len(values)} numbers; it must be a matrix of 3 x 3.")
+        raise InputError(f"{path} contains {len(values)} numbers; it must be a 3 x 3 matrix.")
     return dict(zip(_INTRINSICS, (values[0], values[4], values[2], values[5]), strict=True))
 
 
@@ -570,10 +577,10 @@ def _read_stray_rows(path: Path) -> list[tuple[str, dict[str, float]]]:
     try:
         lines = list(csv.reader(io.StringIO(read_text(path)), skipinitialspace=True))
     except csv.Error as error:
-        raise InputError(f"{path} is no table ({error}).") from error
+        raise InputError(f"{path} is not a table ({error}).") from error
     names = [name.strip() for name in lines[0]] if lines else []
     if not set(_POSE) <= set(names):
-        raise InputError(f"{path}, line 1: the columns are not `{', '.join(_POSE)}`.")
+        raise InputError(f"{path}, line 1: the columns must be `{', '.join(_POSE)}`.")
     rows = []
     for row_number, cells in enumerate(lines[1:], 2):
         where = f"{path}, line {row_number}"
@@ -585,6 +592,6 @@ def _read_stray_rows(path: Path) -> list[tuple[str, dict[str, float]]]:
             continue
         lost = [n for n in _POSE if not np.isfinite(row.get(n, np.nan))]
         if lost or row["frame"] < 0:
-            raise InputError(f"{where}: {lost[0] if lost else 'frame'} is no finite number.")
+            raise InputError(f"{where}: {lost[0] if lost else 'frame'} is not a finite number.")
         rows.append((where, row))
     return rows

@@ -63,11 +63,15 @@ class Database:
         try:
             with self._lock, self._base.blobopen(*place, readonly=True) as value:
                 if len(value) >= LARGEST_VALUE:
-                    raise InputError(f"{name} has {len(value):,} bytes, too many to read.")
+                    raise InputError(
+                        f"{name} has {len(value):,} bytes, which is too large; record or export it "
+                        "again."
+                    )
                 return value.read(len(value) if most is None else most)
         except (sqlite3.Error, OverflowError) as error:
             raise InputError(
-                f"{name} cannot be read ({error}); `sqlite3 {self.path.name} .recover` rescues the rest."
+                f"{name} cannot be read ({error}); rescue the rest with `sqlite3 {self.path.name} "
+                ".recover`."
             ) from error
 
 
@@ -93,9 +97,12 @@ class Archive:
         """Return the content of a file."""
         entry = self._entries.get(name)
         if entry is None:
-            raise InputError(f"{self.path} holds no {name}; export or download it again.")
+            raise InputError(f"{self.path} contains no {name}; export or download it again.")
         if entry.file_size > LARGEST_VALUE:
-            raise InputError(f"{self.where(name)} has {entry.file_size} bytes, too many to read.")
+            raise InputError(
+                f"{self.where(name)} has {entry.file_size} bytes, which is too large; record or "
+                "export it again."
+            )
         try:
             with self.path.open("rb") as file:
                 file.seek(entry.header_offset)
@@ -130,9 +137,12 @@ def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
     """
     width, height = rvl_size(data)
     if not 0 < width * height <= _MOST_PIXELS:
-        raise InputError(f"{name} claims {width} x {height} pixels; record that image again.")
+        raise InputError(f"{name} declares {width} x {height} pixels; record that image again.")
     if len(data) - 8 > 3 * width * height + 16:  # the largest encoding
-        raise InputError(f"{name}: {len(data):,} bytes are too many for {width} x {height} pixels.")
+        raise InputError(
+            f"{name}: {len(data):,} bytes are too many for {width} x {height} pixels; record that "
+            "image again."
+        )
     pixels = _pixels(_numbers(data[8:]), width * height)
     if pixels is None:
         raise InputError(f"{name} ends before its {width} x {height} pixels; copy the file again.")
@@ -196,7 +206,8 @@ class CompressedBytes:
         """Return at most `count` bytes; `InputError` where damaged, or beyond `LARGEST_MESSAGE`."""
         if offset + count > LARGEST_MESSAGE:
             raise InputError(
-                f"{self._name} unpacks to more than {LARGEST_MESSAGE:,} bytes, too many to read."
+                f"{self._name} unpacks to more than {LARGEST_MESSAGE:,} bytes, which is too large; "
+                "record or export it again."
             )
         try:
             while len(self._content) < offset + count and not self._unpacker.eof:

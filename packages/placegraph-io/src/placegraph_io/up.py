@@ -34,7 +34,9 @@ def estimated_up(
     """
     up = -rotations[:, :, 1].mean(axis=0)
     if np.linalg.norm(up) < 1e-6:
-        raise InputError("The cameras have no common up direction; give `up` in their world.")
+        raise InputError(
+            "The cameras have no common up direction; give `up` in the frame of their poses."
+        )
     up /= np.linalg.norm(up)
     how = "according to the mean up direction of the images"
     right = rotations[:, :, 0]

@@ -76,9 +76,9 @@ def test_what_was_not_downloaded_and_names_without_stamps(recorded, save, tmp_pa
     write(tmp_path, recorded(turns=1), save)
     for kind in ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics"):
         (tmp_path / kind).rename(tmp_path / "elsewhere")
-        with pytest.raises(InputError, match=rf"{kind} holds no file; download"):
+        with pytest.raises(InputError, match=rf"{kind} contains no file; download"):
             open_capture(tmp_path)
         (tmp_path / "elsewhere").rename(tmp_path / kind)
     save(tmp_path / "lowres_wide" / "thumbnail.png", recorded(turns=1).rgb[0])
-    with pytest.raises(InputError, match=r"thumbnail.png: the name ends in no stamp"):
+    with pytest.raises(InputError, match=r"thumbnail.png: the file name has no stamp"):
         open_capture(tmp_path)

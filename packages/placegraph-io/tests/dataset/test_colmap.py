@@ -156,7 +156,7 @@ def test_other_camera_models(camera, recorded, save, tmp_path):
     for form in ("binary", "text"):
         getattr(model, form)(tmp_path / form)
         images(tmp_path / form, world, model, save)
-        with pytest.raises(InputError, match=rf"{camera} cannot be used.*image_undistorter"):
+        with pytest.raises(InputError, match=rf"{camera} is not supported.*image_undistorter"):
             open_capture(tmp_path / form)
 
 
@@ -205,7 +205,7 @@ def test_depth_that_is_missing_or_tells_no_scale(recorded, save, tmp_path):
     model = Model(world)
     model.binary(tmp_path / "sparse/0")
     images(tmp_path, world, model, save, depth=None)
-    with pytest.raises(InputError, match="has no depth: neither depth/"):
+    with pytest.raises(InputError, match="has no depth, which a map needs: add depth/"):
         open_capture(tmp_path)
     (tmp_path / "depth").mkdir()
     with pytest.raises(InputError, match="no image with both colour and depth"):
@@ -227,7 +227,7 @@ def test_depth_of_another_size_or_kind(recorded, save, tmp_path):
         open_capture(tmp_path)
     own_depth(tmp_path, world, model)
     (tmp_path / "depth/img1.png").unlink()
-    with pytest.raises(InputError, match="depth of two kinds"):
+    with pytest.raises(InputError, match="two kinds of depth"):
         open_capture(tmp_path)
 
 

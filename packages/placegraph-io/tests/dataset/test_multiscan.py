@@ -76,9 +76,9 @@ def test_a_pipe_is_no_stream_of_depth(tmp_path):
         (".json", "{}", "streams is not a list"), (".json", '{"streams": [], "depth_unit": "ft"}', "'ft'"),
         (".json", '{"streams": [], "depth_unit": {"m": 1}}', "depth_unit is"),
         (".json", '{"streams": [{"file_extension": "depth.zlib", "resolution": [0, 1e9]}]}', "0 x 1e"),
-        (".json", '{"streams": []}', "no stream depth.zlib has a resolution"),
+        (".json", '{"streams": []}', "the stream depth.zlib has no resolution"),
         (".jsonl", "[]", r"jsonl, line 1 must be"), (".jsonl", '{"intrinsics": [1]}', "list of 9 numbers"),
-        (".jsonl", "", "holds no usable frame"),
+        (".jsonl", "", "contains no usable frame"),
     ],
 )  # fmt: skip
 def test_wrong_files(file, text, says, recorded, tmp_path):

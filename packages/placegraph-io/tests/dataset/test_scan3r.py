@@ -133,7 +133,7 @@ def test_labels_texture_attributes_relations(scan):
     corner = model.triangles[2, 1]  # (1.5, 1) of the box
     assert model.uv[corner] == pytest.approx((0.375, 0.75))
     assert (model.colours == 255).all()  # the colours of labels are none
-    assert model.left_out == {"relations of objects that are not there": 1}
+    assert model.left_out == {"relations of missing objects": 1}
     assert np.allclose(model.vertices, scan.points)
 
 
@@ -143,7 +143,7 @@ def test_another_order_takes_the_nearest_labels(scan):
     model = read_scan3r(scan.path)
     assert labels_of(model) == ["floor"] * 2 + ["box"] * 2 + ["unknown"] * 2
     assert (
-        model.left_out["vertices labelled by their nearest neighbour, because the meshes differ"]
+        model.left_out["vertices labelled like their nearest neighbour, because the meshes differ"]
         == 12
     )
 
@@ -184,9 +184,9 @@ def test_labels_without_the_textured_mesh(scan):
     model = read_scan3r(scan.path)
     assert labels_of(model) == ["floor"] * 2 + ["box"] * 2 + ["unknown"] * 2
     assert (model.colours == 255).all()
-    assert model.left_out["colours, which mesh.refined.v2.obj would have"] == 1
+    assert model.left_out["colours; add mesh.refined.v2.obj to have them"] == 1
     (scan.path / "labels.instances.annotated.v2.ply").unlink()
-    with pytest.raises(InputError, match=r"neither mesh\.refined"):
+    with pytest.raises(InputError, match=r"has no mesh; download mesh\.refined"):
         read_scan3r(scan.path)
     assert not is_scan3r(scan.path)
 
@@ -196,7 +196,7 @@ def test_names_of_objects_from_either_file(scan):
     (scan.path / "semseg.v2.json").unlink()
     assert labels_of(read_scan3r(scan.path))[2] == "crate"
     (scan.root / "objects.json").unlink()
-    with pytest.raises(InputError, match=r"semseg.v2.json.*names the objects of the scan ddc73793"):
+    with pytest.raises(InputError, match=r"semseg.v2.json.*lists the objects of the scan ddc73793"):
         read_scan3r(scan.path)
 
 
@@ -211,7 +211,7 @@ def test_braces_in_names_mislead_nobody(scan):
         read_scan3r(scan.path)
     scan.write()
     scan.annotate("relationships", 3)
-    with pytest.raises(InputError, match=r"`relationships` of .* is no list"):
+    with pytest.raises(InputError, match=r"`relationships` of .* is not a list"):
         read_scan3r(scan.path)
 
 
@@ -263,15 +263,15 @@ def test_rooms(scan):
     assert np.allclose(move.scan_from_reference, MOVED)
     with pytest.raises(InputError, match="has no transform for the rescan 6bde60cb"):
         rooms.reference_from(HIDDEN)
-    with pytest.raises(InputError, match="knows no scan 'x'"):
+    with pytest.raises(InputError, match="has no scan 'x'"):
         rooms.room_of("x")
 
 
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
-        (ALIGN.T, "no rigid one"), (ALIGN + np.eye(4, k=3) * 2000, "in millimetres"),
-        (np.full((4, 4), np.inf), "no rigid one"), (ALIGN[:3], "not 16 numbers"),
+        (ALIGN.T, "not rigid"), (ALIGN + np.eye(4, k=3) * 2000, "in millimetres"),
+        (np.full((4, 4), np.inf), "not rigid"), (ALIGN[:3], "not 16 numbers"),
     ],
 )  # fmt: skip
 def test_matrices_that_cannot_be(scan, matrix, message):
@@ -284,9 +284,9 @@ def test_matrices_that_cannot_be(scan, matrix, message):
 
 def test_rooms_are_looked_for(scan):
     (scan.root / "3RScan.json").unlink()
-    with pytest.raises(InputError, match=r"no 3RScan.json around it"):
+    with pytest.raises(InputError, match=r"no 3RScan.json nearby"):
         read_scan3r(scan.path, reference_frame=True)
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not the folder"):
         read_scan3r(scan.root / "none")
     assert not is_scan3r(scan.root)
 

@@ -183,7 +183,7 @@ def test_nothing_to_use(recording, tmp_path):
     with pytest.raises(InputError, match=r"no frame to use \(frames with an invalid pose: 3\)"):
         read_scan3r_sequence(recording.folder(tmp_path))
     assert not is_scan3r_sequence(tmp_path / "none")
-    with pytest.raises(InputError, match="no recording of 3RScan"):
+    with pytest.raises(InputError, match="not a recording of 3RScan"):
         read_scan3r_sequence(tmp_path / "none")
 
 
@@ -192,7 +192,7 @@ def test_nothing_to_use(recording, tmp_path):
     [
         ("m_colorWidth = 192", "m_colorWidth = 0", "camera"),
         ("m_colorWidth = 192", "m_colorWidth = wide", "m_colorWidth is 'wide'"),
-        ("m_depthShift = 1000", "m_depthShift = 0", "units in a metre"),
+        ("m_depthShift = 1000", "m_depthShift = 0", "units per metre"),
         ("Intrinsic = 150 0", "Intrinsic = 150", "it must be 16 finite"),
         ("Intrinsic = 150 0", "Intrinsic = nan 0", "it must be 16 finite"),
         ("m_depthHeight = 43\n", "", "m_depthHeight is 'missing'"),

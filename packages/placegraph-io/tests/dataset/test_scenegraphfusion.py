@@ -159,7 +159,7 @@ def test_colours_of_labels_are_none(output):
     output.write_surfels("node_semantic.ply")
     model = read_scenegraphfusion(output.path)
     assert (model.colours == 255).all()
-    assert model.left_out["colours, which inseg.ply would have"] == 1
+    assert model.left_out["colours; add inseg.ply to have them"] == 1
 
 
 def test_a_likelihood_that_cannot_be_told(output):
@@ -173,15 +173,15 @@ def test_a_likelihood_that_cannot_be_told(output):
     ("content", "message"),
     [
         ([], "must be a JSON object"),
-        ({}, "holds no `nodes`"),
+        ({}, "has no `nodes`"),
         ({"a": {"nodes": {}}, "b": {"nodes": {}}}, "several scans"),
         ({"nodes": []}, "`nodes` must be an object"),
-        ({"nodes": {"x": "chair"}}, "'x' is no number of a segment"),
-        ({"nodes": {"3": {}}}, "neither a name nor names"),
+        ({"nodes": {"x": "chair"}}, "'x' is not a segment number"),
+        ({"nodes": {"3": {}}}, "must be a name, or an object"),
         ({"nodes": {"3": {"floor": 10**400}}}, "invalid numbers"),
         ({"nodes": {"3": {"a": None}}}, "invalid numbers"),
-        ({"nodes": {"3": "a"}, "edges": {"3-4": "b"}}, "no edge"),
-        ({"nodes": {"4": "a"}}, "share no segment"),
+        ({"nodes": {"3": "a"}, "edges": {"3-4": "b"}}, "not an edge"),
+        ({"nodes": {"4": "a"}}, "have no segment in common"),
     ],
 )
 def test_graphs_that_are_none(output, content, message):
@@ -208,11 +208,11 @@ def test_surfels_in_another_unit(output):
     text = (output.path / "inseg.ply").read_text().splitlines()
     text[-1] = " ".join(["1e15", "-1e15", "1e15", *text[-1].split()[3:]])
     (output.path / "inseg.ply").write_text("\n".join(text))
-    with pytest.raises(InputError, match="must be in metres"):
+    with pytest.raises(InputError, match="give it in metres"):
         read_scenegraphfusion(output.path)
     text[-1] = " ".join(["nan", "0", "0", *text[-1].split()[3:]])
     (output.path / "inseg.ply").write_text("\n".join(text))
-    assert read_scenegraphfusion(output.path).left_out["surfels that are no numbers"] == 1
+    assert read_scenegraphfusion(output.path).left_out["surfels that are not numbers"] == 1
 
 
 @given(

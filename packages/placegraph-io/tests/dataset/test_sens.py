@@ -76,7 +76,7 @@ def test_a_folder_with_one_recording_is_one(recording, sens, folder):
     assert not is_sens(folder)
     for path in (folder.parent, folder / "none.sens", folder / "a\0b"):
         assert not is_sens(path)
-        with pytest.raises(InputError, match=r"no \.sens file"):
+        with pytest.raises(InputError, match=r"not a \.sens file"):
             read_sens(path)
 
 
@@ -88,7 +88,7 @@ def test_units_stamps_and_extrinsics_of_a_header(recording, sens):
     assert capture[0].images.unit.per_metre == 4000.0
     assert capture.stamps.tolist() == [0.0, 1.0, 3.0, 4.0]
     said = " ".join(capture.notes)
-    assert "stamps do not ascend" in said
+    assert "stamps do not increase" in said
     assert "extrinsics between colour and depth" in said
     np.testing.assert_allclose(capture[0].odometry, recording.poses[0], atol=1e-6)
 
@@ -109,13 +109,13 @@ def test_frames_without_depth_or_colour(recording, sens, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"version": 3}, r"no \.sens file of version 4 \(it says 3\)"),
-        ({"version": 0x474E5089}, r"no \.sens file of version 4"),
+        ({"version": 3}, r"not a \.sens file of version 4, but of 3"),
+        ({"version": 0x474E5089}, r"not a \.sens file of version 4"),
         ({"colour": 3}, "the colour codec is 3"),
         ({"depth": 2}, r"the depth codec is 2, but only raw \(0\)"),
         ({"shift": 0.0}, r"0 depth units per metre are impossible \(ScanNet has"),
         ({"shift": float("nan")}, r"nan depth units per metre are impossible \(ScanNet has"),
-        ({"sides": (8, 6, 0, 3)}, r"images of \(8, 6\) and \(0, 3\) pixels are impossible"),
+        ({"sides": (8, 6, 0, 3)}, r"image sizes of \(8, 6\) and \(0, 3\) pixels are impossible"),
         ({"sides": (1 << 31, 6, 4, 3)}, "pixels are impossible"),
         ({"sides": (2, 2, 4, 3)}, r"\(colour\): the principal point lies outside"),
         ({"count": 0}, "contains no complete frame"),
@@ -137,7 +137,7 @@ def test_absurd_counts_take_no_memory(sens):
     assert tracemalloc.get_traced_memory()[1] < 8 << 20
     tracemalloc.stop()
     assert len(capture) == 4
-    assert capture.left_out["frames that the truncated file lacks"] == (1 << 64) - 6
+    assert capture.left_out["frames missing in the truncated file"] == (1 << 64) - 6
 
 
 @pytest.mark.parametrize("field", [4, HEADER + 80, HEADER + 88])
@@ -158,7 +158,7 @@ def test_depth_that_unpacks_to_more_is_not_unpacked(recording, sens):
     recording.coded_depth = lambda *_: bomb
     frame = read_sens(sens())[0]
     tracemalloc.start()
-    with pytest.raises(InputError, match="depth of frame 0 has 25 bytes where its size needs 24"):
+    with pytest.raises(InputError, match="depth of frame 0 has 25 bytes, but its size needs 24"):
         frame.depth()
     assert tracemalloc.get_traced_memory()[1] < 8 << 20
     tracemalloc.stop()
@@ -166,10 +166,10 @@ def test_depth_that_unpacks_to_more_is_not_unpacked(recording, sens):
 
 def test_poses_that_cannot_be_used_are_named(recording, sens, scannet_world, folder):
     recording.poses[3, 0, 0] = 7.0
-    with pytest.raises(InputError, match=r"\.sens, frame 3: the pose is no rigid transform"):
+    with pytest.raises(InputError, match=r"\.sens, frame 3: the pose is not a rigid transform"):
         read_sens(sens())
     lost = scannet_world.Recording(count=3, lost=(0, 1, 2)).write_sens(folder / "a.sens")
-    with pytest.raises(InputError, match=r"no frame that can be used \(3 frames without a pose\)"):
+    with pytest.raises(InputError, match=r"no usable frame \(3 frames without a pose\)"):
         read_sens(lost)
 
 
@@ -271,14 +271,14 @@ def test_smaller_images_need_the_size_of_the_intrinsics(recording, folder):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("pose/1.txt", "1 0 0\n", "does not hold 4 x 4 numbers"),
-        ("pose/1.txt", "one " * 16, "does not hold 4 x 4 numbers"),
-        ("pose/1.txt", "1 " * 16, "the pose is no rigid transform"),
+        ("pose/1.txt", "1 0 0\n", "does not contain 4 x 4 numbers"),
+        ("pose/1.txt", "one " * 16, "does not contain 4 x 4 numbers"),
+        ("pose/1.txt", "1 " * 16, "the pose is not a rigid transform"),
         ("intrinsic/intrinsic_color.txt", "0 " * 16, "must be greater than 0"),
-        ("intrinsic/intrinsic_depth.txt", "", "does not hold 4 x 4 numbers"),
+        ("intrinsic/intrinsic_depth.txt", "", "does not contain 4 x 4 numbers"),
         ("color/0.png", "", "cannot be read as an image"),
-        ("color/00.png", "", "are one frame"),
-        ("color/1234567890123.png", "", "is no number of a frame"),
+        ("color/00.png", "", "have the same frame number"),
+        ("color/1234567890123.png", "", "is not a frame number"),
     ],
 )
 def test_a_wrong_file_is_named(recording, folder, name, text, message):
@@ -296,7 +296,7 @@ def test_missing_intrinsics_and_images_are_named(recording, folder):
         read_scannet_export(folder)
     for file in (folder / "color").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match="color holds no image"):
+    with pytest.raises(InputError, match="color contains no image"):
         read_scannet_export(folder)
 
 
@@ -323,7 +323,7 @@ def test_instances_are_objects_of_the_annotation(labelled, read):
     assert (marks[:3] == 4).all()
     assert (marks[3:] == -1).all()
     assert read(labelled.folder, labels=None)[0].labels() is None
-    with pytest.raises(InputError, match=r"numbers that ScanNet's scannetv2-labels"):
+    with pytest.raises(InputError, match=r"class numbers, which need ScanNet's scannetv2-labels"):
         read(labelled.folder, labels="labels")
     labelled.write_table()
     capture = read(labelled.folder, labels="labels", label_column="nyu40class")
@@ -346,7 +346,7 @@ def test_labels_that_nobody_can_read_are_noted(labelled):
     capture = read_sens(labelled.folder)
     assert capture.label_camera is None
     assert "label-filt is not used" in capture.notes[0]
-    with pytest.raises(InputError, match="instance-filt holds no image"):
+    with pytest.raises(InputError, match="instance-filt contains no image"):
         read_sens(labelled.folder, labels="instances")
     with pytest.raises(OptionError, match="labels is 'all'"):
         read_sens(labelled.folder, labels="all")

@@ -77,7 +77,7 @@ def test_a_trajectory_of_ones_own(recorded, save, tmp_path):
     world = recorded()
     folder = write(tmp_path / "walk", world, save)
     (folder / "groundtruth.txt").unlink()
-    with pytest.raises(InputError, match=r"groundtruth.txt does not exist; give the trajectory"):
+    with pytest.raises(InputError, match=r"groundtruth.txt does not exist; give a trajectory"):
         open_capture(folder)
     write_tum(tmp_path / "slam.tum", world.stamps + 0.01, world.poses)
     capture = open_capture(folder, poses=tmp_path / "slam.tum")
@@ -91,7 +91,7 @@ def test_a_trajectory_of_ones_own(recorded, save, tmp_path):
     ("name", "text", "says"),
     [
         ("rgb.txt", "", "lists no image"), ("rgb.txt", "a rgb/a.png", "line 1"),
-        ("rgb.txt", "1.0", "a row is"), ("depth.txt", "nan depth/a.png", "line 1"),
+        ("rgb.txt", "1.0", "a row must be"), ("depth.txt", "nan depth/a.png", "line 1"),
         ("depth.txt", "9e9 depth/a.png", r"no usable frame \(4: no depth"),
         ("groundtruth.txt", "1 2 3", "groundtruth.txt, line 1"),
         ("groundtruth.txt", "9e9 0 0 0 0 0 0 1", "no usable frame"),

@@ -165,7 +165,7 @@ def test_a_mesh_of_elsewhere(tmp_path):
     write(tmp_path / "run")
     points, faces = grid(np.ones(3))
     write_ply(tmp_path / "far.ply", points + 50.0, faces, np.full((len(points), 3), 200, np.uint8))
-    with pytest.raises(InputError, match=r"far\.ply has no triangle within a box"):
+    with pytest.raises(InputError, match=r"far\.ply has no triangle in any box"):
         read_conceptgraphs(tmp_path / "run", mesh=tmp_path / "far.ply")
 
 

@@ -165,7 +165,7 @@ def test_labels_names_rooms_and_relations(read):
     assert (second.label, second.attributes) == ("label 99", {"room": "kitchen"})
     assert (third.label, third.attributes) == ("thing from afar", {})
     assert model.relations == ((0, "next to", 1),)
-    assert model.left_out["edges between objects that name no relation"] == 1
+    assert model.left_out["edges between objects without a relation's name"] == 1
     assert model.left_out["labels without a name"] == 1
 
 
@@ -204,7 +204,7 @@ def test_version_1_0_as_hydra_saved_it(read):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"SPARK_DSG_header": header(2, 0, 0)}, "2.0.0 of Spark-DSG; only 1.x"),
+        ({"SPARK_DSG_header": header(2, 0, 0)}, "2.0.0 of Spark-DSG, but only 1.x"),
         ({"SPARK_DSG_header": {}}, "is damaged"), ({"nodes": {}}, "no nodes"),
         ({"nodes": [3]}, "is damaged"), ({"nodes": [{"id": 1, "layer": 2}]}, "is damaged"),
         ({"edges": [{"source": 1}]}, "is damaged"),
@@ -229,7 +229,7 @@ def test_boxes_that_are_none(read):
         box([0, 0, 0], [1, 1, 1], None),
     ]
     model = read(graph([thing(i, 3, bounds=b) for i, b in enumerate(boxes)]))
-    assert model.left_out["objects with neither mesh nor box"] == len(boxes)
+    assert model.left_out["objects without a mesh or box"] == len(boxes)
 
 
 def test_other_json_is_no_scene_graph(tmp_path):
@@ -330,7 +330,7 @@ def test_a_thing_without_triangles_is_written_without_a_box(tmp_path):
     path.write_bytes(encode_spark_dsg(model, ["hall"] * 4))
     back = read_spark_dsg(path)
     assert back.objects == model.objects
-    assert back.left_out == {"objects with neither mesh nor box": 1}
+    assert back.left_out == {"objects without a mesh or box": 1}
 
 
 @given(st.integers(0, 4000), st.data())

@@ -92,7 +92,7 @@ def test_splits_are_one_bag(tmp_path, clip):
         shutil.copy(tmp_path / f"part{i}/part{i}.mcap", tmp_path / f"walk/walk_{i}.mcap")
     same(pg.open_capture(tmp_path / "walk"), clip)
     shutil.copy(tmp_path / "walk/walk_0.mcap", tmp_path / "walk/other.mcap")
-    with pytest.raises(InputError, match=r"holds several bags \(other, walk\)"):
+    with pytest.raises(InputError, match=r"contains several bags \(other, walk\)"):
         pg.open_capture(tmp_path / "walk")
 
 

@@ -93,7 +93,7 @@ def test_a_pipe_that_is_cut_off_is_read_as_far_as_it_goes(packed, bag):
         assert "stdin has no end" in fault.reason
         assert packets == whole[: len(packets)]
         assert packets or packed or cut == 9, "of a chunk that is cut off what is there"
-    with pytest.raises(InputError, match="stdin does not begin as an MCAP"):
+    with pytest.raises(InputError, match="stdin does not begin like an MCAP"):
         list(mcap_packets(io.BytesIO(b"{}").read, "stdin"))
 
 
@@ -108,9 +108,9 @@ def test_a_damaged_chunk_of_a_pipe_is_named(bag):
 @pytest.mark.parametrize(
     ("layout", "words"),
     [
-        (Layout(infos=False), "holds no CameraInfo of /camera/color/image_raw"),
+        (Layout(infos=False), "contains no CameraInfo of /camera/color/image_raw"),
         (Layout(poses="none"), "no transform leads"),
-        (Layout(images="none"), "holds no colour images"),
+        (Layout(images="none"), "contains no colour images"),
     ],
 )
 def test_what_lacks_is_named_until_it_comes(layout, words, bag):

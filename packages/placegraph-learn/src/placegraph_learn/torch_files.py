@@ -53,7 +53,9 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
             f"{path} cannot be read as weights of {name!r} ({why[:120]}); download it again."
         ) from error
     if not isinstance(state, dict) or not all(torch.is_tensor(v) for v in state.values()):
-        raise InputError(f"{path} holds no tensors by name; weights of {name!r} are a state dict.")
+        raise InputError(
+            f"{path} contains no tensors by name; weights of {name!r} are a state dict."
+        )
     return state
 
 

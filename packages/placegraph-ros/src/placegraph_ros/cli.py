@@ -140,7 +140,7 @@ def live(
         with suppress(KeyboardInterrupt):  # a second Ctrl-C
             summary = run(events, localizer, sinks, lines)
             if not summary.frames and not clock.stopped:
-                why = (*summary.lacks, *summary.left_out, f"{source} holds no frame.")
+                why = (*summary.lacks, *summary.left_out, f"{source} contains no frame.")
                 raise InputError(why[0])
         written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}
     if as_json or not quiet:

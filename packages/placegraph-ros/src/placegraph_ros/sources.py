@@ -152,7 +152,7 @@ def bag_source(path: Path) -> Source:
     if not is_bag(path):
         hint = " The bag comes before the map." if path.suffix in {".scene", ".library"} else ""
         raise InputError(
-            f"{path} is no bag; give an .mcap, .db3 or .bag, or a folder of rosbag2.{hint}"
+            f"{path} is not a bag; give an .mcap, .db3 or .bag file, or a folder of rosbag2.{hint}"
         )
     choice = read_topic_choice(path, None)
     plan = plan_capture(open_bag(path), choice)

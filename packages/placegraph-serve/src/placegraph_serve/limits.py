@@ -97,7 +97,7 @@ class Keys:
             raise InputError(f"{path} cannot be read ({error}); name a file of keys.") from error
         secrets = tuple(line.encode() for line in lines if line and not line.startswith("#"))
         if not secrets:
-            raise InputError(f"{path} holds no key; write one a line.")
+            raise InputError(f"{path} contains no key; write one a line.")
         return cls(secrets)
 
     def let_in(self, scope: Scope) -> bool:

@@ -367,8 +367,8 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         paths = sorted(Path(path).glob(f"*{SUFFIX}"))
         if not paths:
             raise InputError(
-                f"{path} is a folder that holds no scene map (*{SUFFIX}); name one map file, use "
-                "`open_world` for cities, or build scene maps with `placegraph scene build`."
+                f"{path} is a folder that contains no scene map (*{SUFFIX}); name one map file, "
+                "use `open_world` for cities, or build scene maps with `placegraph scene build`."
             )
         library, tell = cls() if encoders is None else cls(encoders), progress or (lambda *_: None)
         for i, file in enumerate(paths):

@@ -41,7 +41,7 @@ def read_capture_folder(path: Path, *, labels: str | None = "auto") -> Capture:
     cameras = read_camera(path / "camera.json")
     colours = list_images(path / "rgb")
     if not colours:
-        raise InputError(f"{path / 'rgb'} holds no image; a capture needs colour images there.")
+        raise InputError(f"{path / 'rgb'} contains no image; a capture needs colour images there.")
     depths = list_images(path / "depth")
     kind = _label_kind(path, labels)
     label_images = list_images(path / kind) if kind else {}

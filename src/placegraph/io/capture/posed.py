@@ -65,7 +65,7 @@ def make_capture(
     missing = left_out or Counter()
     if not stored:
         why = "; ".join(f"{count}: {reason}" for reason, count in missing.items())
-        raise InputError(f"{path} holds no usable frame{f' ({why})' if why else ''}.")
+        raise InputError(f"{path} contains no usable frame{f' ({why})' if why else ''}.")
     for before, after in itertools.pairwise(stored):
         if before.stamp == after.stamp:
             raise InputError(f"{after.name} has the stamp of {before.name}; keep one of them.")

@@ -94,7 +94,7 @@ def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
         poses = np.array(content["trajectory"], np.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path} holds no trajectory; save what `placegraph scene localize --json` prints."
+            f"{path} contains no trajectory; save what `placegraph scene localize --json` prints."
         ) from error
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise InputError(f"{path}: its trajectory has shape {poses.shape}, expected (T, 4, 4).")

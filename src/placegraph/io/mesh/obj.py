@@ -377,7 +377,7 @@ class _Parser:
             joined[name] = np.concatenate(parts)
             parts.clear()
         if not len(joined["vertices"]):
-            raise InputError(f"{self.path} holds no vertex; export it as an OBJ mesh.")
+            raise InputError(f"{self.path} contains no vertex; export it as an OBJ mesh.")
         for rows, count in (("corners", "vertices"), ("corner_uv", "uv")):
             if joined[rows].size and int(joined[rows].max()) >= len(joined[count]):
                 raise InputError(

@@ -123,5 +123,5 @@ def test_windows(rooms, tmp_path):
         assert np.linalg.norm(moved) == pytest.approx(1.6, abs=0.2)
     with pytest.raises(OptionError, match="every"):
         recorded(tmp_path, pair, every=0)
-    with pytest.raises(InputError, match="holds no scan c0-x"):
+    with pytest.raises(InputError, match="contains no scan c0-x"):
         scan_folder(tmp_path, "c0-x")

@@ -41,7 +41,7 @@ def test_marks_and_line_ends_of_other_systems(tmp_path):
     [
         ("{", ["is not JSON"]),
         ("[" * 100_000, ["is not JSON"]),
-        ("[1]", ["no object"]),
+        ("[1]", ["not an object"]),
         ({k: v for k, v in SOUND.items() if k != "text"}, ["text is missing"]),
         (SOUND | {"latitude": None}, ["latitude is missing"]),
         (SOUND | {"heading": 3}, ["no field 'heading'", "heading_deg"]),
@@ -77,7 +77,7 @@ def test_files_that_are_none(tmp_path):
         read_descriptions(tmp_path / "missing.jsonl")
     with pytest.raises(InputError, match="cannot be read"):
         read_descriptions(tmp_path)
-    with pytest.raises(InputError, match="holds no description; write one a line"):
+    with pytest.raises(InputError, match="contains no description; write one a line"):
         read_descriptions(written(tmp_path, "", ""))
     path = written(tmp_path, SOUND)
     path.write_text(json.dumps(SOUND).replace("7.", "7" * 5000 + "."), encoding="utf-8")

@@ -145,7 +145,7 @@ def _pair(room: Room, one: Scan, query: Scan) -> ScanPair:
 def scan_folder(root: Path, scan: str) -> Path:
     found = next((p for p in (root / scan, root / "scenes" / scan) if p.is_dir()), None)
     if found is None:
-        raise InputError(f"{root} holds no scan {scan}; download it there.")
+        raise InputError(f"{root} contains no scan {scan}; download it there.")
     return found
 
 

@@ -124,7 +124,9 @@ def scans_in(path: str | PathLike[str]) -> list[str]:
         words = read_text(path).split()
     found = sorted({word for word in words if _SCAN.fullmatch(word)})
     if not found:
-        raise InputError(f"{path} holds no scan called like scene0000_00; give ScanNet's scans/.")
+        raise InputError(
+            f"{path} contains no scan with a name such as scene0000_00; give ScanNet's scans/."
+        )
     return found
 
 
@@ -144,7 +146,9 @@ def derive_pairs(scans: Iterable[str]) -> list[ScanPair]:
 def _room(scan: str) -> str:
     match = _SCAN.fullmatch(scan)
     if match is None:
-        raise OptionError(f"scans: {scan!r} is no scan of ScanNet; they are called scene0000_00.")
+        raise OptionError(
+            f"scans: {scan!r} is not a scan of ScanNet; give names such as scene0000_00."
+        )
     return match[1]
 
 
@@ -164,7 +168,7 @@ def read_pairs(path: str | PathLike[str]) -> list[ScanPair]:
             except (OptionError, ValueError) as error:
                 raise InputError(f"{path}, line {number}: {error}") from error
     if not pairs:
-        raise InputError(f"{path} holds no pair; a line is `scene0011_00 scene0011_01`.")
+        raise InputError(f"{path} contains no pair; a line must be `scene0011_00 scene0011_01`.")
     return pairs
 
 
@@ -180,7 +184,9 @@ def _pair(words: list[str]) -> ScanPair:
         return ScanPair(one, other)
     matrix = np.array([float(word) for word in words[2:]]).reshape(4, 4)
     if not is_rigid(matrix, _RIGID):
-        raise OptionError("map_from_query is no rigid transform; write its 4 x 4 numbers by rows.")
+        raise OptionError(
+            "map_from_query is not a rigid transform; write its 4 x 4 numbers by rows."
+        )
     return ScanPair(one, other, matrix)
 
 

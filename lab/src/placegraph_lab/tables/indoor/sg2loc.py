@@ -216,7 +216,9 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
     ]
     pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
     if not pairs:
-        raise InputError(f"{root} holds no two scans of one room of the split {split!r}. {LAYOUT}")
+        raise InputError(
+            f"{root} contains no two scans of one room of the split {split!r}. {LAYOUT}"
+        )
     walks = [Walk(p.name, p.map, partial(scan3r.recorded, root, p), p.changed) for p in pairs]
     run.log(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
 

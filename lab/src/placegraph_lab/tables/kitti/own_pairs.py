@@ -78,8 +78,8 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Description, ...]:
             found[told.id] = told
     if not found:
         raise InputError(
-            f'{path} holds no description; write one a line: {{"id": "1", "text": "A bakery is north '
-            'of me.", "longitude": 7.42, "latitude": 43.73}.'
+            f'{path} contains no description; write one a line: {{"id": "1", "text": "A bakery is '
+            'north of me.", "longitude": 7.42, "latitude": 43.73}.'
         )
     return tuple(found.values())
 
@@ -97,7 +97,7 @@ class _Line:
             why = getattr(error, "msg", "nested too deeply" if deep else "a number is too long")
             raise InputError(f"{self.path}, line {self.number} is not JSON: {why}.") from error
         if not isinstance(row, dict):
-            raise self.wrong("it is no object; write {...} with id, text, longitude, latitude")
+            raise self.wrong("it is not an object; write {...} with id, text, longitude, latitude")
         for name in FIELDS[:4]:
             if row.get(name) is None:
                 raise self.wrong(f"{name} is missing; every line has {', '.join(FIELDS[:4])}")
@@ -246,7 +246,8 @@ def _map(folder: Path, steps: Progress) -> CityMap:
     extract = next((folder / name for name in MAPS if (folder / name).exists()), None)
     if extract is None:
         raise InputError(
-            f"{folder} holds no map; put map.osm.pbf there, or a map made by `placegraph city build`."
+            f"{folder} contains no map; put map.osm.pbf there, or a map made by `placegraph city "
+            "build`."
         )
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "map.city"

@@ -90,7 +90,9 @@ class BigGNN:
                     f"{source}: key {name!r} has shape {state[name].shape}, not {wanted}; {_MEND}."
                 )
             if not np.isfinite(state[name]).all():
-                raise InputError(f"{source}: key {name!r} holds what is no number; {_MEND}.")
+                raise InputError(
+                    f"{source}: key {name!r} contains something that is not a number; {_MEND}."
+                )
         return cls(layers, heads, width, dict(state))
 
     def texts(self, graphs: Graphs) -> Floats:

@@ -80,7 +80,7 @@ def reliability(
         try:
             rows = mark_fixed(rows, healed)
         except KeyError as error:
-            raise BadParameter(f"{error} is no row with faults") from None
+            raise BadParameter(f"{error} is not a row with faults") from None
         run.save({"rows": [r.to_dict() for r in rows]})
         dropped.clear()
 

@@ -138,7 +138,9 @@ class _Columns:
     def to_city(self, origin: str) -> RawCity:
         if not self.osm:
             where = " there" if self.bounds else ""
-            raise InputError(f"{origin} holds no tagged object{where}; give an extract with some.")
+            raise InputError(
+                f"{origin} contains no tagged object{where}; give an extract with some."
+            )
         points = np.concatenate([p for parts in self.parts for p in parts])
         low, high = points.min(0), points.max(0)
         plane = LocalPlane(*(0.5 * (low + high)).tolist())

@@ -289,8 +289,8 @@ class Flat(Drawing):
                 known = self.legend.get(other)
                 if known is None or not known.is_furniture or other == glyph:
                     raise InputError(
-                        f"{self.source}, [legend]: {glyph!r} refers to {other!r}, which is no "
-                        "other piece of furniture; give the glyph of one."
+                        f"{self.source}, [legend]: {glyph!r} refers to {other!r}, which is not "
+                        "another piece of furniture; give the glyph of one."
                     )
             carriers = [glyph]
             while (host := self.legend[carriers[-1]].host) and host not in carriers:
@@ -374,7 +374,7 @@ def symbol(line: str, where: str) -> tuple[str, Symbol]:
     read = legend_line(line, where)
     if read.kind not in _KEYS:
         raise InputError(
-            f"{where}, column {max(1, read.kind_column)}: {read.kind!r} is no kind of thing; "
+            f"{where}, column {max(1, read.kind_column)}: {read.kind!r} is not a kind of object; "
             f"write one of {', '.join(_KEYS)}."
         )
     place = f"{where}, column {read.values_column}"
@@ -392,7 +392,7 @@ def symbol(line: str, where: str) -> tuple[str, Symbol]:
     for key in ("in", "faces"):
         if len(given.get(key, "x")) != 1 and not (key == "faces" and given[key] in COMPASS):
             also = "" if key == "in" else f" or one of {', '.join(COMPASS)}"
-            raise InputError(f"{place}: {key}={given[key]!r} is no glyph; write one{also}.")
+            raise InputError(f"{place}: {key}={given[key]!r} is not a glyph; write one{also}.")
     return read.glyph, Symbol(
         read.kind,
         given.get("label", read.kind),
@@ -427,13 +427,15 @@ def read_material(text: str, place: str) -> Material:
     """
     kind, _, colour = text.partition(" ")
     if kind not in PAINTERS:
-        raise InputError(f"{place}: {kind!r} is no material; write one of {', '.join(PAINTERS)}.")
+        raise InputError(
+            f"{place}: {kind!r} is not a material; write one of {', '.join(PAINTERS)}."
+        )
     try:
         red, green, blue = ImageColor.getrgb(colour.strip())[:3]
     except ValueError:
         raise InputError(
-            f"{place}: {colour.strip()!r} is no colour; write {kind} and a name such as tan, "
-            "or #rrggbb."
+            f"{place}: {colour.strip()!r} is not a colour; write {kind} and a name such as tan, or "
+            "#rrggbb."
         ) from None
     return Material(kind, (red, green, blue))
 
@@ -444,7 +446,7 @@ def _metres(text: str, key: str, place: str) -> float:
     except ValueError:
         value = -1.0
     if not 0.0 <= value <= 100.0:
-        raise InputError(f"{place}: {key}={text!r} is no length; write metres from 0 to 100.")
+        raise InputError(f"{place}: {key}={text!r} is not a length; write metres from 0 to 100.")
     return value
 
 
@@ -479,8 +481,8 @@ def _size(text: str, source: str) -> tuple[float, float]:
         sides = []
     if len(sides) not in {1, 2} or not all(0.01 <= side <= 2.0 for side in sides):
         raise InputError(
-            f"{source}, [flat]: metres = {text!r} is no size of a character; "
-            "write one or two numbers from 0.01 to 2."
+            f"{source}, [flat]: metres = {text!r} is not the size of a character; write one or two "
+            "numbers from 0.01 to 2."
         )
     return sides[0], sides[-1]
 
@@ -493,7 +495,7 @@ def _height(text: str, source: str) -> float:
         height = 0.0
     if not 1.0 <= height <= 20.0:
         raise InputError(
-            f"{source}, [flat]: height = {text!r} is no height of rooms; "
-            "write a number of metres from 1 to 20."
+            f"{source}, [flat]: height = {text!r} is not a height of rooms; write a number of "
+            "metres from 1 to 20."
         )
     return height

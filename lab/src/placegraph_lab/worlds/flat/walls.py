@@ -191,7 +191,7 @@ def _hole(flat: Flat, blot: Blot) -> Hole:
     rows, columns = (sorted({cell[k] for cell in blot.cells}) for k in (0, 1))
     where = flat.where(blot.own)
     if len(rows) * len(columns) != len(blot.cells):
-        raise InputError(f"{where}: this {blot.symbol.kind} is no rectangle; draw it straight.")
+        raise InputError(f"{where}: this {blot.symbol.kind} is not a rectangle; draw it straight.")
     around = {
         SOUTH: {_room(flat, (rows[-1] + 1, c)) for c in columns},
         NORTH: {_room(flat, (rows[0] - 1, c)) for c in columns},

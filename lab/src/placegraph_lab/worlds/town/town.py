@@ -242,7 +242,7 @@ def _center(words: list[str], source: str) -> tuple[float, float]:
         longitude, latitude = 0.0, 90.0
     if not (abs(longitude) <= 180.0 and abs(latitude) <= 85.0):
         raise InputError(
-            f"{source}, [town]: center = {' '.join(words)!r} is no longitude and latitude; "
+            f"{source}, [town]: center = {' '.join(words)!r} is not a longitude and latitude; "
             "write two numbers of degrees, such as 9.99 53.55, between 85 south and 85 north."
         )
     return longitude, latitude
@@ -256,8 +256,8 @@ def _metres(words: list[str], source: str) -> float:
         metres = 0.0
     if not 0.1 <= metres <= 1000.0:
         raise InputError(
-            f"{source}, [town]: metres = {' '.join(words)!r} is no side of a character; "
-            "write a number from 0.1 to 1000."
+            f"{source}, [town]: metres = {' '.join(words)!r} is not the side of a character; write "
+            "a number from 0.1 to 1000."
         )
     return metres
 
@@ -273,8 +273,8 @@ def _symbol(line: str, where: str) -> tuple[str, Symbol]:
         )
     if kind not in set(Kind):
         raise InputError(
-            f"{where}, column {read.kind_column}: {kind!r} is no kind; "
-            f"write one of {', '.join(Kind)}."
+            f"{where}, column {read.kind_column}: {kind!r} is not a kind; write one of "
+            f"{', '.join(Kind)}."
         )
     if read.has_junk or bool(read.values) == (kind == Kind.SPOT):
         raise InputError(

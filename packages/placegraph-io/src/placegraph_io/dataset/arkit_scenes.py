@@ -47,7 +47,9 @@ def read_arkit_scenes(path: Path) -> Capture:
     files = [_list_stamped(folder / k, (".pincam",) if "intr" in k else (".png",)) for k in kinds]
     for kind, found in zip(kinds, files, strict=True):
         if not found and kind != "confidence":
-            raise InputError(f"{folder / kind} holds no file; download that part of it too.")
+            raise InputError(
+                f"{folder / kind} contains no file; download this part of the data set too."
+            )
     stamps, poses = _read_trajectory(folder / "lowres_wide.traj")
     asked = [stamp for stamp, _ in files[0]]
     depth_of, confidence_of, camera_file_of = (
@@ -96,7 +98,7 @@ def _list_stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, P
         except ValueError:
             stamp = np.nan
         if not np.isfinite(stamp):
-            raise InputError(f"{file}: the name ends in no stamp; names are VIDEO_STAMP.")
+            raise InputError(f"{file}: the file name has no stamp; name files VIDEO_STAMP.")
         found.append((stamp, file))
     return sorted(found)
 

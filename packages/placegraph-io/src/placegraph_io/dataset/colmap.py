@@ -116,8 +116,8 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     body = data[head.end() :]
     if channels != 1 or min(width, height) < 1 or len(body) != 4 * width * height:
         raise InputError(
-            f"{path} says {width} x {height} x {channels}, but holds {len(body)} bytes; it may be "
-            "truncated: copy it again."
+            f"{path} declares {width} x {height} x {channels}, but contains {len(body)} bytes; it "
+            "may be truncated: copy it again."
         )
     depth = np.frombuffer(body, "<f4").reshape(height, width).copy()
     depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
@@ -135,7 +135,10 @@ def _find_ending(folder: Path) -> str | None:
 def model_camera(where: str, model: str, size: tuple[int, int], values: list[float]) -> Camera:
     """Return the camera of a COLMAP model's name and parameters; `InputError` where it is no pinhole."""
     if len(values) != _PARAMETERS.get(model, -1):
-        raise InputError(f"{where}: no camera model {model!r} has {len(values)} parameters.")
+        raise InputError(
+            f"{where}: the camera model {model!r} does not have {len(values)} parameters; copy the "
+            "model again."
+        )
     if model in {*_RADIAL, *_RADIAL_FISHEYE, "SIMPLE_PINHOLE"}:
         focal, *values = values
         values = [focal, focal, *values]
@@ -147,8 +150,8 @@ def model_camera(where: str, model: str, size: tuple[int, int], values: list[flo
         distortion = values[4:]
     else:
         raise InputError(
-            f"{where}: the camera model {model} cannot be used; run `colmap image_undistorter`, and "
-            "give its folder."
+            f"{where}: the camera model {model} is not supported; run `colmap image_undistorter`, "
+            "and give its folder."
         )
     kind = "fisheye" if model in {*_RADIAL_FISHEYE, "OPENCV_FISHEYE"} else "opencv"
     return make_camera(where, size, values[:4], distortion, kind)
@@ -193,8 +196,8 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         number, model, width, height = reader.take("IiQQ")
         if not 0 <= model < len(_MODELS):
             raise InputError(
-                f"{path}: camera {number} has the unknown model {model}; undistort the images "
-                "with `colmap image_undistorter`."
+                f"{path}: camera {number} has an unknown model, {model}; undistort the images with "
+                "`colmap image_undistorter`."
             )
         name, count = _MODELS[model]
         values = list(reader.take(f"{count}d"))
@@ -223,7 +226,7 @@ def _binary_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     for where, words in _read_lines(path):
         if len(words) < 4:
-            raise InputError(f"{where}: a row is `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`.")
+            raise InputError(f"{where}: a row must be `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`.")
         number, width, height = (int(v) for v in _parse_numbers(where, [words[0], *words[2:4]]))
         values = _parse_numbers(where, words[4:]).tolist()
         yield number, model_camera(where, words[1], (width, height), values)
@@ -235,11 +238,13 @@ def _text_pictures(path: Path) -> Iterator[Picture]:
         if not words:
             continue
         if len(words) < 10:
-            raise InputError(f"{where}: a row is `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`.")
+            raise InputError(
+                f"{where}: a row must be `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`."
+            )
         values = _parse_numbers(where, words[:9])
         _, seen = next(rows, (where, []))
         if len(seen) % 3:
-            raise InputError(f"{where}: the row below is not `X Y POINT3D_ID ...`.")
+            raise InputError(f"{where}: the next row must be `X Y POINT3D_ID ...`.")
         table = _parse_numbers(where, seen).reshape(-1, 3)
         points = np.where(table[:, 2] < 0, 0, table[:, 2]).astype(np.uint64)
         points[table[:, 2] < 0] = _NO_POINT
@@ -252,7 +257,7 @@ def _text_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
         return
     for where, words in _read_lines(path):
         if len(words) < 8:
-            raise InputError(f"{where}: a row is `POINT3D_ID X Y Z R G B ERROR TRACK`.")
+            raise InputError(f"{where}: a row must be `POINT3D_ID X Y Z R G B ERROR TRACK`.")
         values = _parse_numbers(where, words[:4])
         yield int(values[0]), values[1:]
 
@@ -286,7 +291,7 @@ def _parse_numbers(where: str, words: list[str]) -> NDArray[np.float64]:
     except ValueError as error:
         raise InputError(f"{where}: {error}.") from error
     if not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > 1e15:
-        raise InputError(f"{where}: a number is not finite.")
+        raise InputError(f"{where}: a number is not finite; copy the model again.")
     return values
 
 
@@ -360,8 +365,8 @@ def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View
     own = path / "stereo" / "depth_maps"
     if not (path / "depth").is_dir() and not own.is_dir():
         raise InputError(
-            f"{path} has no depth: neither depth/ (PNG of 16 bits [mm], named as the images) nor "
-            "stereo/depth_maps/ (of COLMAP's patch_match_stereo); a map needs depth."
+            f"{path} has no depth, which a map needs: add depth/ (16-bit PNG [mm], named like the "
+            "images) or stereo/depth_maps/ (from COLMAP's patch_match_stereo)."
         )
     sizes: dict[int, tuple[int, int]] = {}
     views = []
@@ -386,13 +391,11 @@ def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View
         depth_camera = resize_camera(camera, sizes[picture.camera], depth)
         views.append(_View(picture, colour, depth, camera, depth_camera))
     if len({view.depth.suffix for view in views}) > 1:
-        raise InputError(
-            f"{path} has depth of two kinds, depth/ and stereo/; move one of them away."
-        )
+        raise InputError(f"{path} has two kinds of depth, depth/ and stereo/; remove one of them.")
     if not views:
         raise InputError(
-            f"{path} has no image with both colour and depth; {len(model.pictures)} are in the model, "
-            "whose names belong to images/ and to depth/."
+            f"{path} has no image with both colour and depth; name the files in images/ and depth/ "
+            f"like the {len(model.pictures)} images of the model."
         )
     return views
 
@@ -477,7 +480,7 @@ def _upright(
     else:
         up, how = np.asarray(given, np.float64), "was given"
     if up.shape != (3,) or not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
-        raise OptionError(f"up is {given!r}; it is a direction of three numbers, in the model.")
+        raise OptionError(f"up is {given!r}; give a direction in the model as three numbers.")
     z = up / np.linalg.norm(up)
     turn = np.eye(4)
     turn[:3, :3] = upright(z, turns[0][:, 2])

@@ -59,7 +59,7 @@ def read_multiscan(path: Path) -> Capture:
     name = _find_name(path)
     if name is None:
         raise InputError(
-            f"{path} holds no .jsonl with an .mp4 of its name; copy the whole recording."
+            f"{path} contains no .jsonl with an .mp4 of the same name; copy the whole recording."
         )
     video = Video(path / f"{name}.mp4")
     sizes = _StreamSizes.read(path / f"{name}.json")
@@ -77,7 +77,7 @@ def read_multiscan(path: Path) -> Capture:
             continue
         frame = _read_frame(where, line, i, video, sizes)
         if frame.stamp in frames:
-            left_out["its stamp twice"] += 1
+            left_out["a repeated stamp"] += 1
             continue
         frames[frame.stamp] = (
             frame if depth is None else _with_depth(frame, i, sizes, (depth, confidence))
@@ -102,7 +102,7 @@ class _StreamSizes(NamedTuple):
         by_stream = {str(s.get("file_extension")): _size(path, s) for s in streams}
         unit = content.get("depth_unit", "m")
         if not isinstance(unit, str) or unit not in _UNITS:
-            raise InputError(f"{path}: depth_unit is {str(unit)[:40]!r}; it is 'm' or 'mm'.")
+            raise InputError(f"{path}: depth_unit is {str(unit)[:40]!r}; it must be 'm' or 'mm'.")
         return cls(path, by_stream.get("mp4"), by_stream.get("depth.zlib"), unit)
 
 
@@ -112,7 +112,7 @@ def _size(path: Path, stream: dict[str, Any]) -> tuple[int, int] | None:
     height, width = read_numbers(path, stream, "resolution", 2)
     if not (0 < width < 1 << 16 and 0 < height < 1 << 16 and width * height <= _MOST_PIXELS):
         raise InputError(
-            f"{path}: resolution is {height:g} x {width:g}; it is a height and a width."
+            f"{path}: resolution is {height:g} x {width:g}; it must be a height and a width."
         )
     return int(width), int(height)
 
@@ -127,7 +127,7 @@ def _stream(path: Path, sizes: _StreamSizes, kind: str) -> DeflateStream | None:
     if not path.is_file():
         return None
     if sizes.depth is None:
-        raise InputError(f"{sizes.path}: no stream depth.zlib has a resolution; record again.")
+        raise InputError(f"{sizes.path}: the stream depth.zlib has no resolution; record again.")
     width, height = sizes.depth
     return DeflateStream(path, width * height * (2 if kind == "depth" else 1))
 

@@ -72,7 +72,8 @@ def decode_matrix(data: bytes, name: str) -> NDArray[Any]:
     )
     if not (kind in _TYPES and rows > 0 and columns > 0 and rows * columns <= _MOST):
         raise InputError(
-            f"{name} says it has {rows} x {columns} numbers of type {kind}; copy it again."
+            f"{name} declares {rows} x {columns} numbers of type {kind}, which is impossible; copy "
+            "it again."
         )
     wanted = rows * columns * np.dtype(_TYPES[kind]).itemsize
     try:
@@ -80,7 +81,7 @@ def decode_matrix(data: bytes, name: str) -> NDArray[Any]:
     except zlib.error as error:
         raise InputError(f"{name} is damaged ({error}); copy the database again.") from error
     if len(unpacked) != wanted:
-        raise InputError(f"{name} does not hold its {rows} x {columns} numbers; copy it again.")
+        raise InputError(f"{name} does not contain {rows} x {columns} numbers; copy it again.")
     return np.frombuffer(unpacked, _TYPES[kind]).reshape(rows, columns)
 
 
@@ -88,8 +89,8 @@ def decode_calibration(data: bytes, version: tuple[int, ...], name: str) -> Cali
     """Calibration of a node; `InputError`, which begins with `name`, where it is none that is read."""
     if version < _OLDEST:
         raise InputError(
-            f"{name}: databases before 0.10 are not read; `rtabmap-reprocess old.db new.db` "
-            "converts it."
+            f"{name}: databases before version 0.10 are not supported; convert it with "
+            "`rtabmap-reprocess old.db new.db`."
         )
     if version >= _SERIALIZED:
         return _decode_serialized(data, name)
@@ -142,14 +143,17 @@ def _decode_model(data: bytes, head: list[int], ends: list[int], name: str) -> C
 
 def _read_size(values: NDArray[np.float64], name: str) -> tuple[int, int]:
     if not ((values >= 0) & (values < 1 << 16)).all():
-        raise InputError(f"{name} says its images have {values[0]:g} x {values[1]:g} pixels.")
+        raise InputError(
+            f"{name} declares images of {values[0]:g} x {values[1]:g} pixels; calibrate the "
+            "camera, and record again."
+        )
     return int(values[0]), int(values[1])
 
 
 def _stereo_error(name: str) -> InputError:
     return InputError(
-        f"{name} has a stereo camera, for which the database has no depth; record with a "
-        "depth camera, or a telephone with LiDAR."
+        f"{name} was recorded with a stereo camera, so the database has no depth; record with a "
+        "depth camera, or a phone with LiDAR."
     )
 
 
@@ -185,8 +189,8 @@ def _units(data: bytes, name: str) -> NDArray[Any]:
             return bgra.view("<f4")[..., 0]
         if not image.mode.startswith("I"):
             raise InputError(
-                f"{name} has pixels of mode {image.mode!r}, which are no depth: the other image of a "
-                "stereo camera? Record with a depth camera."
+                f"{name} has pixels of mode {image.mode!r}, not depth, and may be the right image "
+                "of a stereo camera; record with a depth camera."
             )
         return np.asarray(image)
 
@@ -213,8 +217,8 @@ def read_rtabmap(path: Path) -> Capture:
         known = base.columns("Data")
         if not {"image", "depth", "calibration"} <= known:
             raise InputError(
-                f"{path} is a database of RTAB-Map {'.'.join(map(str, version))}, which is "
-                "not supported; `rtabmap-reprocess old.db new.db` converts it."
+                f"{path} is a database of RTAB-Map {'.'.join(map(str, version))}, which is not "
+                "supported; convert it with `rtabmap-reprocess old.db new.db`."
             )
         has_confidence = "depth_confidence" in known
         columns = _COLUMNS + (", length(d.depth_confidence)" if has_confidence else ", NULL")
@@ -248,7 +252,7 @@ def _version(base: Database) -> tuple[int, ...]:
     row = base.select("version", "Admin", "WHERE version IS NOT NULL").fetchone()
     numbers = str(row[0]).split(".") if row else []
     if not numbers or not all(n.isascii() and n.isdigit() and len(n) < 6 for n in numbers):
-        raise ValueError("its table Admin names no version")
+        raise ValueError("its table Admin has no version")
     return tuple(int(n) for n in numbers)
 
 
@@ -265,7 +269,8 @@ def _read_optimized_poses(base: Database) -> tuple[dict[int, NDArray[np.float64]
     )
     if ids.dtype.kind != "i" or poses.dtype.kind != "f" or poses.size != 12 * ids.size:
         raise InputError(
-            f"{base.path}: Admin.opt_poses does not hold twelve numbers for each of opt_ids."
+            f"{base.path}: Admin.opt_poses must have twelve numbers for each of opt_ids; copy the "
+            "database again."
         )
     held = dict(zip(ids.ravel().tolist(), poses.reshape(-1, 3, 4).astype(np.float64), strict=True))
     return held, ("Poses are those that RTAB-Map optimized when it closed the database.",)
@@ -310,7 +315,7 @@ def _capture(
         elif pose is None or not pose.any():
             left_out["no pose"] += 1
         elif node.stamp in frames:
-            left_out["its stamp twice"] += 1
+            left_out["a repeated stamp"] += 1
         else:
             frames[node.stamp] = _read_frame(base, version, node, pose, sizes)
     return make_capture(base.path, frames.values(), left_out=+left_out, notes=notes)
@@ -384,8 +389,8 @@ def _read_depth(
         confidence = decode_matrix(packed, label)
         if confidence.shape != image.shape:
             raise InputError(
-                f"{label} has {confidence.shape[1]} x {confidence.shape[0]} numbers, but depth "
-                f"{image.shape[1]} x {image.shape[0]}; record again."
+                f"{label} has {confidence.shape[1]} x {confidence.shape[0]} numbers, but the depth "
+                f"image has {image.shape[1]} x {image.shape[0]}; record again."
             )
         image[confidence == 0] = np.nan
     image = image[:, : image.shape[1] // cameras]

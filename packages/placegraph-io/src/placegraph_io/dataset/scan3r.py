@@ -86,15 +86,15 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
         objects[id_] = LabelEntry(known.label if known else entry.label, "", entry.attributes)
     if not objects:
         raise InputError(
-            f"{folder} has no {GROUPS[0]}, and no {OBJECTS[0]} around it names the objects of the scan "
-            f"{scan}; download one, or name 3DSSG's folder."
+            f"{folder} has no {GROUPS[0]}, and no {OBJECTS[0]} nearby lists the objects of the "
+            f"scan {scan}; download one of them, or give 3DSSG's folder."
         )
     files = list(find_around(folder, RELATIONS, given))
     relations = next((rows for file in files if (rows := _relations(file, scan))), set())
     if not described:
-        left_out["3DSSG's attributes, which no objects.json has for this scan"] += 1
+        left_out["3DSSG's attributes, missing for this scan in objects.json"] += 1
     if not relations:
-        left_out["3DSSG's relations, which no relationships.json has for this scan"] += 1
+        left_out["3DSSG's relations, missing for this scan in relationships.json"] += 1
     return Annotation(objects, tuple(sorted(relations)))
 
 
@@ -104,7 +104,10 @@ def segment_objects(segments: Path, groups: Path) -> list[int]:
     listed = content.get("segIndices") if isinstance(content, dict) else None
     members = named.get("segGroups") if isinstance(named, dict) else None
     if not isinstance(listed, list) or not isinstance(members, list):
-        raise InputError(f"{segments} has no list segIndices, or {groups} no list segGroups.")
+        raise InputError(
+            f"{segments} lacks the list segIndices, or {groups} the list segGroups; download both "
+            "again."
+        )
     owner: dict[object, int] = {}
     for group in members:
         own = group.get("segments") if isinstance(group, dict) else None
@@ -147,12 +150,12 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
     for entry in _read_scan_entries(path, scan):
         listed = entry.get("relationships")
         if not isinstance(listed, list):
-            raise InputError(f"{path}: `relationships` of {scan} is no list; download it again.")
+            raise InputError(f"{path}: `relationships` of {scan} is not a list; download it again.")
         for row in listed:
             if not (isinstance(row, list) and len(row) == 4 and isinstance(row[3], str)):
                 raise InputError(
-                    f"{path}: {str(row)[:60]} of {scan} is no relation; it must be [subject, object, "
-                    "number, name]."
+                    f"{path}: {str(row)[:60]} of {scan} is not a relation; it must be [subject, "
+                    "object, number, name]."
                 )
             if row[3] and row[3] != _NO_RELATION and row[0] != row[1]:
                 found.add((str(row[0]), row[3], str(row[1])))
@@ -199,14 +202,18 @@ def _read_scan_entries_slowly(path: Path, scan: str) -> list[dict[str, Any]]:
     content = read_json(path)
     scans = content.get("scans") if isinstance(content, dict) else None
     if not isinstance(scans, list):
-        raise InputError(f"{path} is not 3DSSG's: it must hold a list `scans`; download it again.")
+        raise InputError(
+            f"{path} is not from 3DSSG, because it has no list `scans`; download it again."
+        )
     return [entry for entry in scans if isinstance(entry, dict) and entry.get("scan") == scan]
 
 
 def _read_objects_list(path: Path, entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
     listed = entry.get(key)
     if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
-        raise InputError(f"{path}: `{key}` of {entry['scan']} is no list of objects.")
+        raise InputError(
+            f"{path}: `{key}` of {entry['scan']} is not a list of objects; download it again."
+        )
     return listed
 
 
@@ -279,7 +286,7 @@ class Rooms:
     def _place(self, scan: str) -> tuple[Room, Scan]:
         if scan not in self._places:
             raise InputError(
-                f"{self.path} knows no scan {scan!r}; name the scan's folder as 3RScan does, by its id."
+                f"{self.path} has no scan {scan!r}; name the scan's folder by its id, as in 3RScan."
             )
         return self._places[scan]
 
@@ -289,7 +296,7 @@ def read_rooms(path: str | PathLike[str]) -> Rooms:
     path = Path(path)
     content = read_json(path)
     if not isinstance(content, list):
-        raise InputError(f"{path} is no 3RScan.json: it must be a list of rooms.")
+        raise InputError(f"{path} is not 3RScan.json, which is a list of rooms; download it again.")
     rooms = Rooms(path, tuple(_read_room(path, entry) for entry in content))
     seen: set[str] = set()
     for room in rooms.rooms:
@@ -305,7 +312,10 @@ def _read_room(path: Path, entry: object) -> Room:
     scans = entry.get("scans", []) if isinstance(entry, dict) else []
     kind = entry.get("type", "") if isinstance(entry, dict) else ""
     if not isinstance(scans, list) or not isinstance(kind, str):
-        raise InputError(f"{path}: `scans` of {reference} is no list, or `type` no text.")
+        raise InputError(
+            f"{path}: `scans` of {reference} is not a list, or `type` is not text; download it "
+            "again."
+        )
     first = Scan(reference, np.eye(4))
     return Room(reference, kind, (first, *(_read_scan(path, rescan) for rescan in scans)))
 
@@ -315,7 +325,7 @@ def _read_scan(path: Path, entry: Any) -> Scan:  # noqa: ANN401  # of a JSON lis
     matrix = entry.get("transform")
     moves = entry.get("rigid") or []
     if not isinstance(moves, list):
-        raise InputError(f"{path}: `rigid` of {name} is no list.")
+        raise InputError(f"{path}: `rigid` of {name} is not a list; download it again.")
     return Scan(
         name,
         None if matrix is None else _read_transform(path, matrix, name),
@@ -327,10 +337,14 @@ def _read_scan(path: Path, entry: Any) -> Scan:  # noqa: ANN401  # of a JSON lis
 
 def _read_move(path: Path, entry: Any, scan: str) -> Move:  # noqa: ANN401  # of a JSON list
     if not isinstance(entry, dict) or "transform" not in entry:
-        raise InputError(f"{path}: an entry of `rigid` of {scan} lacks its transform.")
+        raise InputError(
+            f"{path}: an entry of `rigid` of {scan} lacks its transform; download it again."
+        )
     reference, own = (entry.get(key) for key in ("instance_reference", "instance_rescan"))
     if not all(isinstance(v, int | str) for v in (reference, own)):
-        raise InputError(f"{path}: an entry of `rigid` of {scan} lacks its instances.")
+        raise InputError(
+            f"{path}: an entry of `rigid` of {scan} lacks its instances; download it again."
+        )
     where = f"{scan}, instance {reference}"
     symmetry = entry.get("symmetry")
     return Move(
@@ -350,13 +364,13 @@ def _read_transform(path: Path, numbers: object, where: str) -> NDArray[np.float
     matrix = matrix.reshape(4, 4).T
     if not is_rigid(matrix, _RIGID):
         raise InputError(
-            f"{path}: the transform of {where} is no rigid one; it must stand column by column, as "
-            "3RScan has it. Download it again."
+            f"{path}: the transform of {where} is not rigid; it must be stored column by column, "
+            "as in 3RScan. Download it again."
         )
     if np.abs(matrix[:3, 3]).max() > _MAX_SHIFT:
         raise InputError(
-            f"{path}: the transform of {where} shifts by {np.abs(matrix[:3, 3]).max():.0f} m; is it in "
-            "millimetres? Divide its translation by 1000."
+            f"{path}: the transform of {where} shifts by {np.abs(matrix[:3, 3]).max():.0f} m, so "
+            "it may be in millimetres; divide its translation by 1000."
         )
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     matrix[:3, :3] = u @ vt
@@ -421,10 +435,12 @@ def read_scan3r(
     folder = Path(path)
     if undo_moves and not reference_frame:
         raise OptionError(
-            "undo_moves needs reference_frame=True, since moves are given in that frame."
+            "undo_moves needs reference_frame=True, because the moves are given in that frame."
         )
     if not folder.is_dir():
-        raise InputError(f"{folder} is no folder of a scan; give the one that its mesh lies in.")
+        raise InputError(
+            f"{folder} is not the folder of a scan; give the folder that contains its mesh."
+        )
     left_out: Counter[str] = Counter()
     annotation = read_annotation(
         folder, None if annotations is None else Path(annotations), left_out
@@ -442,8 +458,8 @@ def _rooms_file(folder: Path, given: str | PathLike[str] | None) -> Path:
     found = next(find_around(folder, (NAME,)), None)
     if found is None:
         raise InputError(
-            f"{folder}: there is no {NAME} around it, which says how scans are aligned; download it, or "
-            "pass its path."
+            f"{folder}: there is no {NAME} nearby to align the scans; download it, or give its "
+            "path."
         )
     return found
 
@@ -463,14 +479,14 @@ def _read_labelled(folder: Path, annotation: Annotation, left_out: Counter[str])
         model = read_ply(labelled, object_property="objectId", table=annotation.objects)
         model = replace(model, colours=np.full(model.vertices.shape, 255, np.uint8))
         left_out += model.left_out
-        left_out[f"colours, which {MESHES[0]} would have"] += 1
+        left_out[f"colours; add {MESHES[0]} to have them"] += 1
     else:
-        raise InputError(f"{folder} has neither {MESHES[0]} nor {LABELLED[0]}; download the mesh.")
+        raise InputError(f"{folder} has no mesh; download {MESHES[0]} or {LABELLED[0]}.")
     row = {thing.id: i for i, thing in enumerate(model.objects)}
     pairs = [(row.get(a), name, row.get(b)) for a, name, b in annotation.relations]
     relations = tuple((a, name, b) for a, name, b in pairs if a is not None and b is not None)
     if len(relations) < len(pairs):
-        left_out["relations of objects that are not there"] += len(pairs) - len(relations)
+        left_out["relations of missing objects"] += len(pairs) - len(relations)
     return replace(model, path=folder, relations=relations, left_out=left_out)
 
 
@@ -483,8 +499,8 @@ def _find_vertex_ids(
     segments, groups = find_first(folder, SEGMENTS), find_first(folder, GROUPS)
     if segments is None or groups is None:
         raise InputError(
-            f"{folder} has a mesh, but no labels of it: neither {LABELLED[0]} nor {SEGMENTS[0]} with "
-            f"{GROUPS[0]}; download one."
+            f"{folder} has a mesh, but no labels; download {LABELLED[0]}, or {SEGMENTS[0]} with "
+            f"{GROUPS[0]}."
         )
     ids = np.array(segment_objects(segments, groups), np.int64)
     if len(ids) != len(model.vertices):
@@ -515,7 +531,7 @@ def _transfer_ids(model: Model, path: Path, left_out: Counter[str]) -> NDArray[n
             f"no label within {REACH:g} m; use two files of the same scan, neither of them "
             "aligned."
         )
-    left_out["vertices labelled by their nearest neighbour, because the meshes differ"] += int(
+    left_out["vertices labelled like their nearest neighbour, because the meshes differ"] += int(
         (~far).sum()
     )
     if far.any():

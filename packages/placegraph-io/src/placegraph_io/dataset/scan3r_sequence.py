@@ -158,7 +158,8 @@ class _Info:
         unit = numbers("m_depthShift", 1, "1000")[0]
         if not unit >= 1:
             raise InputError(
-                f"{where}: m_depthShift is {unit:g}; it is the units in a metre: 1000."
+                f"{where}: m_depthShift is {unit:g}; it must be the depth units per metre, such as "
+                "1000."
             )
         return cls(
             camera("color"),
@@ -224,7 +225,7 @@ def read_pgm(data: bytes, name: str) -> NDArray[np.uint16]:
     """
     head = _PGM.match(data)
     if head is None:
-        raise InputError(f"{name} is no binary PGM (P5); copy it again.")
+        raise InputError(f"{name} is not a binary PGM (P5); copy it again.")
     width, height, most = (int(v) for v in head.groups())
     kind = np.dtype(">u2" if most > 255 else "u1")
     size = width * height * kind.itemsize
@@ -254,7 +255,7 @@ def _files(path: Path) -> _Files:
         if file.is_file():
             return Archive(file, flat=True)
     raise InputError(
-        f"{path} holds no recording of 3RScan: it needs sequence/ with {INFO}, or sequence.zip."
+        f"{path} is not a recording of 3RScan; add sequence/ with {INFO}, or sequence.zip."
     )
 
 

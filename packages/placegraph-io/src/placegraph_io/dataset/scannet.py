@@ -66,7 +66,8 @@ def find_scan(path: Path) -> Scan:
     own = path.absolute().name
     if len(names) > 1 and own not in names:
         raise InputError(
-            f"{path} holds several scans ({', '.join(names[:3])}, ...); give each a folder of its name."
+            f"{path} contains several scans ({', '.join(names[:3])}, ...); put each into a folder "
+            "with its name."
         )
     return Scan(path, own if own in names or not names else names[0])
 
@@ -92,8 +93,8 @@ def alignment_of(scan: Scan) -> NDArray[np.float64]:
     matrix = _matrix(said)
     if matrix is None or not is_rigid(matrix):
         raise InputError(
-            f"{file}: axisAlignment is no rigid transform of 16 numbers; download the file again, or "
-            "delete the line to keep the scan's own axes."
+            f"{file}: axisAlignment is not a rigid transform of 16 numbers; download the file "
+            "again, or delete the line to keep the scan's own axes."
         )
     return matrix
 
@@ -110,7 +111,7 @@ def read_matrix(path: Path) -> NDArray[np.float64]:
     """Return 4 x 4 numbers of a text file, infinite ones included; `InputError` where they are not that."""
     matrix = _matrix(read_text(path))
     if matrix is None:
-        raise InputError(f"{path} does not hold 4 x 4 numbers; export it again.")
+        raise InputError(f"{path} does not contain 4 x 4 numbers; export it again.")
     return matrix
 
 
@@ -214,7 +215,7 @@ def read_aggregation(path: Path) -> list[Group]:
         raise InputError(f"{path} has no list `segGroups`; download the file again.")
     groups = [_group(path, row, entry) for row, entry in enumerate(listed)]
     if len({group.id for group in groups}) < len(groups):
-        raise InputError(f"{path}: two objects have one objectId; download the file again.")
+        raise InputError(f"{path}: two objects have the same objectId; download the file again.")
     return groups
 
 
@@ -302,14 +303,14 @@ def find_labels(
         if not files:
             if wanted == kind:
                 raise InputError(
-                    f"{folder / name} holds no image `0.png`, but labels={kind!r} asks for it; unpack "
-                    f"the scan's _2d-{name}.zip there."
+                    f"{folder / name} contains no image `0.png`, which labels={kind!r} needs; "
+                    f"unpack the scan's _2d-{name}.zip there."
                 )
             continue
         if kind == "labels" and wanted == "auto" and find_label_table(folder) is None:
             note = (
-                f"{folder / name} is not used: its numbers need ScanNet's {TABLES[0]}, which lies "
-                "neither there nor above."
+                f"{folder / name} is not used, because its numbers need ScanNet's {TABLES[0]}; put "
+                "it there or in a folder above."
             )
             return LabelImages(notes=(note,))
         size = image_size(next(iter(files.values())))
@@ -333,8 +334,8 @@ def _read_meanings(
         return {group.id: said.get(group.label, group.label) for group in groups}, None
     if labels is None:
         raise InputError(
-            f"{folder / FOLDERS[kind]} holds numbers that ScanNet's {TABLES[0]} explains; put it in "
-            f"{folder} or above."
+            f"{folder / FOLDERS[kind]} contains class numbers, which need ScanNet's {TABLES[0]}; "
+            f"put it in {folder} or a folder above."
         )
     names = dict(labels.of_id)
     return names, LabelTable(names, labels.path, 0)
@@ -352,9 +353,12 @@ def list_numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:
         if file.suffix.lower() not in endings or not (stem.isascii() and stem.isdigit()):
             continue
         if len(stem) > 12:
-            raise InputError(f"{file}: {stem[:40]} is no number of a frame; rename it.")
+            raise InputError(f"{file}: {stem[:40]} is not a frame number; rename the file.")
         if int(stem) in found:
-            raise InputError(f"{file} and {found[int(stem)].name} are one frame; keep one of them.")
+            raise InputError(
+                f"{file} and {found[int(stem)].name} have the same frame number; remove one of "
+                "them."
+            )
         found[int(stem)] = file
     return dict(sorted(found.items()))
 
@@ -472,7 +476,7 @@ def _annotated(scan: Scan, mesh: Path | None) -> _Files | None:
         )
     else:
         bare = next(files.mesh for files in sets if files.mesh.is_file())
-        mend = f"download it, or give {bare} itself, which is then cut by geometry and colour"
+        mend = f"download it, or give {bare} itself, which is then segmented by geometry and colour"
     raise InputError(f"{scan.folder} has no {names}; {mend}.")
 
 
@@ -484,8 +488,8 @@ def _label_map(
     found = Path(table) if table is not None else find_label_table(scan.folder)
     if found is None:
         raise InputError(
-            f"{scan.folder}: label_column needs ScanNet's {TABLES[0]}, which lies neither there nor in "
-            "the two folders above; give it as label_table."
+            f"{scan.folder}: label_column needs ScanNet's {TABLES[0]}, but it is not in this "
+            "folder or the two above; give it as label_table."
         )
     return read_label_map(found, column)
 
@@ -516,15 +520,17 @@ def _group_of_vertex(
     """Return the row of groups (V,) of each vertex, -1: none."""
     row_of: dict[int, int] = {}
     for row, group in enumerate(groups):
-        left_out["segments that several objects name"] += len(row_of.keys() & set(group.segments))
+        left_out["segments that belong to several objects"] += len(
+            row_of.keys() & set(group.segments)
+        )
         row_of |= dict.fromkeys(group.segments, row)  # the last one has it, as in ScanNet's scripts
     present, place = np.unique(segments, return_inverse=True)
     rows = np.array([row_of.get(s, -1) for s in present.tolist()], np.int64)
     absent = len(row_of) - int((rows >= 0).sum())
     if row_of and absent == len(row_of):
         raise InputError(
-            f"{files.objects} names no segment that {files.segments} has; they belong to different "
-            "scans or meshes: download both again."
+            f"{files.objects} and {files.segments} have no segment in common, so they belong to "
+            "different scans or meshes; download both again."
         )
     left_out["segments that the mesh does not have"] += absent
     of_vertex: NDArray[np.int64] = rows[place]
@@ -555,7 +561,7 @@ def _read_classes(scan: Scan) -> Model:
     if len(mesh.vertices) != len(label):
         mesh = read_ply(file)
     if mesh.path == file:  # its colours are a legend's
-        left_out["colours that tell classes"] = len(mesh.vertices)
+        left_out["colours that encode classes"] = len(mesh.vertices)
         mesh = replace(mesh, colours=np.full(mesh.vertices.shape, 255, np.uint8))
     patch = label_patches(mesh.triangles, label)
     roots, inverse, counts = np.unique(patch, return_inverse=True, return_counts=True)
@@ -589,7 +595,7 @@ def _model(
     mesh: Model, objects: list[ModelObject], of_vertex: NDArray[np.int64], left_out: Counter[str]
 ) -> Model:
     """Return the model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
-    left_out["vertices of no object"] = int((of_vertex < 0).sum())
+    left_out["vertices without an object"] = int((of_vertex < 0).sum())
     object_of = majority_vote(of_vertex[mesh.triangles])
     if (object_of < 0).any() or not objects:
         object_of = np.where(object_of < 0, len(objects), object_of)

@@ -67,7 +67,7 @@ def read_scenegraphfusion(
     ids = graph.object_of(surfels.segments)
     if not (ids >= 0).any():
         raise InputError(
-            f"{surfels.path} and {graph.path} share no segment; take both from one run."
+            f"{surfels.path} and {graph.path} have no segment in common; take both from one run."
         )
     if mesh is None:
         model = make_squares(surfels, ids)
@@ -140,7 +140,9 @@ def _read_graph(path: Path, folder: Path) -> _Graph:
     labels: dict[int, tuple[str, float]] = {}
     for key, entry in nodes.items():
         if _parse_number(key) is None:
-            raise InputError(f"{path}: {key[:40]!r} is no number of a segment; run it again.")
+            raise InputError(
+                f"{path}: {key[:40]!r} is not a segment number; run SceneGraphFusion again."
+            )
         label, probability = _most_likely(path, entry)
         if label:
             labels[int(key)] = label, probability
@@ -149,7 +151,9 @@ def _read_graph(path: Path, folder: Path) -> _Graph:
         a, _, b = key.partition("_")
         one, other = _parse_number(a), _parse_number(b)
         if one is None or other is None:
-            raise InputError(f"{path}: {key[:40]!r} is no edge `from_to`; run it again.")
+            raise InputError(
+                f"{path}: {key[:40]!r} is not an edge `from_to`; run SceneGraphFusion again."
+            )
         joined[one, other] = _most_likely(path, entry)[0]
     return _Graph(path, labels, joined, _merge_parts(labels, joined))
 
@@ -158,14 +162,14 @@ def _select_scan(path: Path, folder: Path) -> dict[str, Any]:
     """Return the graph, alone or under the name of its scan."""
     content = read_json(path)
     if not isinstance(content, dict):
-        raise InputError(f"{path} is no graph of SceneGraphFusion: it must be a JSON object.")
+        raise InputError(f"{path} is not a graph of SceneGraphFusion; it must be a JSON object.")
     if "nodes" in content:
         return content
     graphs = {k: v for k, v in content.items() if isinstance(v, dict) and "nodes" in v}
     names = (folder.absolute().name, folder.absolute().parent.name)
     found = [graphs[name] for name in names if name in graphs] or list(graphs.values())
     if not found or (len(graphs) > 1 and not set(names) & graphs.keys()):
-        what = "holds the graphs of several scans" if graphs else "holds no `nodes`"
+        what = "contains the graphs of several scans" if graphs else "has no `nodes`"
         raise InputError(f"{path} {what}; give the one of {folder.absolute().name}.")
     graph: dict[str, Any] = found[0]
     return graph
@@ -174,7 +178,7 @@ def _select_scan(path: Path, folder: Path) -> dict[str, Any]:
 def _object(path: Path, graph: dict[str, Any], key: str) -> dict[str, Any]:
     found = graph.get(key, {})
     if not isinstance(found, dict):
-        raise InputError(f"{path}: `{key}` must be an object by the numbers of segments.")
+        raise InputError(f"{path}: `{key}` must be an object whose keys are segment numbers.")
     return found
 
 
@@ -193,10 +197,12 @@ def _most_likely(path: Path, entry: object) -> tuple[str, float]:
     if isinstance(entry, str):
         return entry, 1.0
     if not isinstance(entry, dict) or not entry:
-        raise InputError(f"{path}: {str(entry)[:60]} is neither a name nor names with numbers.")
+        raise InputError(
+            f"{path}: {str(entry)[:60]} must be a name, or an object from names to numbers."
+        )
     if not all(type(v) in {int, float} and abs(v) < 1e300 for v in entry.values()):
         raise InputError(
-            f"{path}: {str(entry)[:60]} holds invalid numbers; run SceneGraphFusion again."
+            f"{path}: {str(entry)[:60]} contains invalid numbers; run SceneGraphFusion again."
         )
     shares = {name: math.exp(min(v, 0.0)) for name, v in entry.items() if v != 0}
     zeros = [name for name, v in entry.items() if v == 0]
@@ -262,10 +268,10 @@ def read_surfels(path: Path, left_out: Counter[str]) -> Surfels:
     if path.name == SURFELS[0] and set(names) <= columns.keys():
         colours = np.stack([np.clip(columns[n], 0, 255) for n in names], axis=1).astype(np.uint8)
     else:
-        left_out[f"colours, which {SURFELS[0]} would have"] += 1
+        left_out[f"colours; add {SURFELS[0]} to have them"] += 1
     good = np.isfinite(numbers).all(axis=1)
     if not good.all():
-        left_out["surfels that are no numbers"] += int((~good).sum())
+        left_out["surfels that are not numbers"] += int((~good).sum())
     return Surfels(
         path,
         numbers[good, :3],
@@ -306,7 +312,7 @@ def make_squares(surfels: Surfels, ids: Rows) -> Model:
     unique, thing = np.unique(ids, return_inverse=True)
     if not float(span.prod()) * len(unique) < 2.0**62:
         raise InputError(
-            f"{surfels.path} reaches over {span.max() * GRID:.3g} m; it must be in metres."
+            f"{surfels.path} is over {span.max() * GRID:.3g} m large; give it in metres."
         )
     x, y, z = (cells - low).astype(np.int64).T
     nx, ny, nz = span.astype(np.int64)

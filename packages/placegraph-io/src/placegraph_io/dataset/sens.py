@@ -104,11 +104,14 @@ def read_header(path: Path) -> SensHeader:
         version, length = struct.unpack("<IQ", _read_exactly(file, path, 12, "its header"))
         if version != VERSION:
             raise InputError(
-                f"{path} is no .sens file of version {VERSION} (it says {version}); download it again, "
-                "or export its frames with ScanNet's SensReader of that version."
+                f"{path} is not a .sens file of version {VERSION}, but of {version}; download it "
+                "again, or export its frames with ScanNet's SensReader of that version."
             )
         if length > min(_LONGEST_NAME, size):
-            raise InputError(f"{path}: the sensor's name has {length} bytes; download it again.")
+            raise InputError(
+                f"{path}: the sensor's name has {length} bytes, so the file is damaged; download "
+                "it again."
+            )
         sensor = _read_exactly(file, path, length, "its header").decode("utf-8", "replace")
         fixed = _FIXED.unpack(_read_exactly(file, path, _FIXED.size, "its header"))
         (count,) = struct.unpack("<Q", _read_exactly(file, path, 8, "its header"))
@@ -148,7 +151,7 @@ def _check(header: SensHeader) -> None:
         )
     if not all(0 < side <= _LARGEST_SIDE for side in (*header.colour_size, *header.depth_size)):
         raise InputError(
-            f"{header.path}: images of {header.colour_size} and {header.depth_size} pixels "
+            f"{header.path}: image sizes of {header.colour_size} and {header.depth_size} pixels "
             "are impossible; download the file again."
         )
     if not 1.0 <= header.depth_per_metre < 1e9:
@@ -183,8 +186,9 @@ def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]
         raise InputError(f"{header.path} contains no complete frame; download it again.")
     if len(found) < header.count and not partial:
         raise InputError(
-            f"{header.path} ends within frame {len(found)} of {header.count}: it is truncated. Download "
-            f"it again, or use the {len(found)} whole frames before: read_sens(..., partial=True)."
+            f"{header.path} ends within frame {len(found)} of {header.count}, so it is truncated. "
+            f"Download it again, or use its first {len(found)} frames: read_sens(..., "
+            "partial=True)."
         )
     return found
 
@@ -227,7 +231,7 @@ def read_depth(header: SensHeader, frame: SensFrame) -> NDArray[np.float32]:
 def _check_length(name: str, length: int, wanted: int) -> None:
     if length != wanted:
         raise InputError(
-            f"{name} has {length} bytes where its size needs {wanted}; download the file again."
+            f"{name} has {length} bytes, but its size needs {wanted}; download the file again."
         )
 
 
@@ -314,19 +318,19 @@ def read_sens(
     """
     file = _find_sens(Path(path))
     if file is None:
-        raise InputError(f"{path} is no .sens file, nor the folder of one.")
+        raise InputError(f"{path} is not a .sens file or the folder of one.")
     counts: Counter[str] = Counter()
     header = read_header(file)
     entries = read_frames(header, partial=partial)
     if len(entries) < header.count:
-        counts["frames that the truncated file lacks"] = header.count - len(entries)
+        counts["frames missing in the truncated file"] = header.count - len(entries)
     camera = camera_of_matrix(f"{file} (colour)", header.colour_intrinsic, header.colour_size)
     depth_camera = camera_of_matrix(f"{file} (depth)", header.depth_intrinsic, header.depth_size)
     notes = []
     if not np.allclose(*header.extrinsics, atol=_RIGID):
         notes.append(
-            "The file has extrinsics between colour and depth; they are not applied, since ScanNet's "
-            "images are aligned."
+            "The extrinsics between colour and depth are ignored, because ScanNet's images are "
+            "aligned."
         )
     marks = find_labels(file.parent, labels, camera, label_column=label_column)
     used = _select_tracked(file, entries, counts)
@@ -341,7 +345,7 @@ def _stamps(entries: Sequence[SensFrame], notes: list[str]) -> NDArray[np.float6
     """Return the seconds of frames (T,), or their numbers where seconds do not ascend, which is noted."""
     stamps = np.array([entry.stamp for entry in entries], np.float64) * 1e-6
     if np.any(np.diff(stamps) <= 0):
-        notes.append("The file's stamps do not ascend; stamps are numbers of frames instead.")
+        notes.append("The file's stamps do not increase, so frame numbers replace them.")
         stamps = np.array([entry.number for entry in entries], np.float64)
     return stamps
 
@@ -405,7 +409,9 @@ def read_scannet_export(
     path = Path(path)
     colours = list_numbered(path / "color", ENDINGS)
     if not colours:
-        raise InputError(f"{path / 'color'} holds no image such as 0.jpg; export the frames again.")
+        raise InputError(
+            f"{path / 'color'} contains no image such as 0.jpg; export the frames again."
+        )
     depths = list_numbered(path / "depth", (".png",))
     counts: Counter[str] = Counter()
     camera = _exported_camera(path, "color", next(iter(colours.values())))
@@ -463,7 +469,7 @@ def _exported_camera(path: Path, what: str, image: Path) -> Camera:
 def _check_pose(name: object, pose: NDArray[np.float64]) -> None:
     if not is_rigid(pose, _RIGID):
         raise InputError(
-            f"{name}: the pose is no rigid transform; the file is damaged: get it again."
+            f"{name}: the pose is not a rigid transform, so the file is damaged; download it again."
         )
 
 
@@ -478,7 +484,7 @@ def _capture(
 ) -> Capture:
     if not frames:
         why = ", ".join(f"{count} {what}" for what, count in left_out.items())
-        raise InputError(f"{path} holds no frame that can be used ({why}); take another scan.")
+        raise InputError(f"{path} contains no usable frame ({why}); use another scan.")
     return Capture(
         path=path,
         frames=tuple(frames),

@@ -68,7 +68,8 @@ def read_transforms(
         raise OptionError(f"scale is {scale}; it must be greater than 0.")
     if scale is None and _UNSCALED & set(frames[0]):
         raise InputError(
-            f"{file} has poses of COLMAP, which are not in metres; open COLMAP's own model, or give scale."
+            f"{file} has poses from COLMAP, which are not in metres; open COLMAP's own model, or "
+            "give scale."
         )
     poses = [_read_pose(file, frame, i) for i, frame in enumerate(frames)]
     map_from_world, note = _level(np.stack(poses), up, _up_axis_of_writer(content), file)
@@ -94,7 +95,7 @@ def _read_pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not 4 x 4 numbers; export the capture again.") from error
     if rows.shape not in {(4, 4), (3, 4)}:
-        raise InputError(f"{name} has shape {rows.shape}; 4 x 4 numbers belong.")
+        raise InputError(f"{name} has shape {rows.shape}; it must be 4 x 4 numbers.")
     return orthonormalize_pose(rows, name)
 
 
@@ -120,7 +121,7 @@ def _level(
     if up is not None:
         direction = np.asarray(up, np.float64)
         if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
-            raise OptionError(f"up is {up!r}; it is a direction, three numbers.")
+            raise OptionError(f"up is {up!r}; give a direction as three numbers.")
         how = "as given"
     elif axis is not None:
         direction = np.eye(3)[axis]
@@ -140,7 +141,9 @@ def _find_image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
     """Return the colour image of a frame, whose ending need not be said."""
     said = frame.get("file_path")
     if not isinstance(said, str) or not said:
-        raise InputError(f"{path / _FILE}: frames[{i}].file_path is not the name of an image.")
+        raise InputError(
+            f"{path / _FILE}: frames[{i}].file_path is not the name of an image; export again."
+        )
     file = _check_inside(path, said, i)
     tried = [file, *(file.with_name(file.name + ending) for ending in ENDINGS)]
     return next((f for f in tried if f.is_file()), None)
@@ -156,7 +159,8 @@ def _check_inside(path: Path, name: str, i: int) -> Path:
         inside = False
     if not inside:
         raise InputError(
-            f"{path / _FILE}: frames[{i}] names {name[:80]!r}, which is not in the folder."
+            f"{path / _FILE}: the file of frames[{i}], {name[:80]!r}, is missing; copy the whole "
+            "folder."
         )
     return file
 
@@ -169,12 +173,15 @@ def _read_frame(
     lens = _LENSES.get(str(said.get("camera_model", "OPENCV")))
     if lens is None:
         raise InputError(
-            f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
-            "Undistort the images."
+            f"{file}: camera_model is {str(said['camera_model'])[:40]!r}, but only "
+            f"{', '.join(_LENSES)} are supported; undistort the images."
         )
     width, height = (read_number(file, said, field) for field in ("w", "h"))
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
-        raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
+        raise InputError(
+            f"{file}: frames[{i}]: w and h are {width} and {height}; they must be positive. Export "
+            "again."
+        )
     intrinsics = [read_number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
     distortion = [
         read_number(file, said, field) if field in said else 0.0 for field in _DISTORTION[lens]
@@ -189,12 +196,14 @@ def _read_frame(
     if content.get("integer_depth_scale"):
         step = read_number(file, content, "integer_depth_scale")
         if not 1e-6 <= step <= 1.0:
-            raise InputError(f"{file}: integer_depth_scale is {step:g}; it is metres in a unit.")
+            raise InputError(
+                f"{file}: integer_depth_scale is {step:g}; it must be the metres per depth unit."
+            )
         per_metre = 1.0 / step
     if isinstance(named, str) and (depth := _check_inside(path, named, i)).is_file():
         depth_camera = resize_camera(camera, image_size(depth), depth)
         metres = depth_file(depth, depth_camera, per_metre)
-    unit = DepthUnit(f"the depth images that {file} names", per_metre)
+    unit = DepthUnit(f"the depth images listed in {file}", per_metre)
     return StoredFrame(
         name=f"{file}: frames[{i}].transform_matrix",
         stamp=read_number(file, frame, "timestamp") if "timestamp" in frame else float(i),

@@ -95,8 +95,8 @@ def _find_ground_truth(path: Path) -> Path:
     file = path / "groundtruth.txt"
     if not file.is_file():
         raise InputError(
-            f"{file} does not exist; give the trajectory of any odometry or SLAM, in TUM's format "
-            "and with z up, as poses."
+            f"{file} does not exist; give a trajectory as poses: a TUM file of any odometry or "
+            "SLAM, with z up."
         )
     return file
 
@@ -111,9 +111,9 @@ def _cameras(path: Path) -> tuple[Camera, Camera, float, str]:
     found = [m for m in (re.search(r"(?:freiburg|fr)([123])(?![0-9])", n) for n in names) if m]
     if not found:
         raise InputError(
-            f"{file} does not exist, and the name {path.name!r} does not tell which of the cameras "
-            "freiburg1, freiburg2 and freiburg3 it was; write camera.json with width, height, fx, "
-            "fy, cx, cy."
+            f"{file} does not exist, and the name {path.name!r} contains none of freiburg1, "
+            "freiburg2 and freiburg3, so the camera is unknown; write camera.json with width, "
+            "height, fx, fy, cx, cy."
         )
     camera = CAMERAS[int(found[0][1])]
     return camera, camera, PER_METRE, f"{path / 'depth'}, written by the benchmark's rule"
@@ -131,8 +131,8 @@ def _read_list(path: Path, name: str) -> list[tuple[float, Path]]:
         except ValueError:
             stamp, file = np.nan, ""
         if not (np.isfinite(stamp) and file):
-            raise InputError(f"{path / name}, line {number}: a row is `stamp file`.")
+            raise InputError(f"{path / name}, line {number}: a row must be `stamp file`.")
         rows.append((stamp, path / file))
     if not rows:
-        raise InputError(f"{path / name} lists no image; its rows are `stamp file`.")
+        raise InputError(f"{path / name} lists no image; write rows `stamp file`.")
     return rows

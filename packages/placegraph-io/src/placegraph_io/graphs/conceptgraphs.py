@@ -86,7 +86,7 @@ def read_conceptgraphs(
     else:
         model = _boxes(file, objects)
         if turned:
-            left_out["rotations of boxes, which the JSON does not hold"] += len(objects)
+            left_out["rotations of boxes, which the JSON lacks"] += len(objects)
     return replace(model, left_out=left_out + model.left_out, relations=relations)
 
 
@@ -94,13 +94,13 @@ def _find_objects_file(folder: Path) -> Path:
     found = sorted(folder.glob(_OBJECTS))
     if not found:
         raise InputError(
-            f"{folder} holds only ConceptGraphs' pickles, which are never opened: a pickle can run any "
-            "code. Write the objects as JSON with `save_obj_json` and `save_edge_json` of "
-            "conceptgraph.utils.general_utils where ConceptGraphs runs."
+            f"{folder} contains only ConceptGraphs' pickles, which are never opened, because a "
+            "pickle can run any code. Write the objects as JSON with `save_obj_json` and "
+            "`save_edge_json` of conceptgraph.utils.general_utils where ConceptGraphs runs."
         )
     if len(found) > 1:
         listed = ", ".join(f.name for f in found[:4])
-        raise InputError(f"{folder} holds several runs ({listed}); give the file of one.")
+        raise InputError(f"{folder} contains several runs ({listed}); give the file of one.")
     return found[0]
 
 
@@ -134,7 +134,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
             _Object(ModelObject(id_, name, attributes=attributes), centre, np.maximum(extent, 0.01))
         )
     if not held:
-        raise InputError(f"{file} holds no object with a box; run ConceptGraphs again.")
+        raise InputError(f"{file} contains no object with a box; run ConceptGraphs again.")
     return held
 
 
@@ -203,8 +203,8 @@ def _cut_mesh(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: 
     owned = np.bincount(of, minlength=len(objects) + 1)[: len(objects)]
     if not owned.any():
         raise InputError(
-            f"{mesh} has no triangle within a box of {file}; give a mesh of that place, in the axes of "
-            "ConceptGraphs' poses."
+            f"{mesh} has no triangle in any box of {file}; give a mesh of the same place, in the "
+            "frame of ConceptGraphs' poses."
         )
     bare = Counter({"objects that the mesh does not show": int((owned == 0).sum())})
     parts = (*(held.model_object for held in objects), ModelObject("mesh", UNKNOWN))

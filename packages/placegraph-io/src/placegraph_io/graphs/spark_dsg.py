@@ -74,7 +74,7 @@ def read_mesh(entry: Any) -> DsgMesh | None:  # noqa: ANN401  # JSON
     at = np.array(points, np.float64).reshape(-1, 3)
     faces = np.array(entry["faces"], np.int64).reshape(-1, 3)
     if not 0 <= int(faces.min()) <= int(faces.max()) < len(at):
-        raise ValueError(f"a face names a vertex outside 0 to {len(at) - 1}")
+        raise ValueError(f"a face refers to a vertex outside 0 to {len(at) - 1}")
     colours = np.full((len(at), 3), GREY, np.uint8)
     if tints and len(tints) == len(at):
         colours = np.array([[t["r"], t["g"], t["b"]] for t in tints], np.uint8)
@@ -285,17 +285,17 @@ def read_spark_dsg(path: str | PathLike[str]) -> Model:
     path = find_graph_file(Path(path))
     if path.is_file() and path.stat().st_size > LARGEST:
         raise InputError(
-            f"{path} has {path.stat().st_size >> 20} MB; at most {LARGEST >> 20} are read. Save it with a "
-            "coarser mesh, or without (include_mesh=False)."
+            f"{path} has {path.stat().st_size >> 20} MB, but the limit is {LARGEST >> 20} MB. Save "
+            "it with a coarser mesh, or without one (include_mesh=False)."
         )
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("nodes"), list):
-        raise InputError(f"{path} has no nodes, so it is no scene graph of Spark-DSG.")
+        raise InputError(f"{path} has no nodes, so it is not a scene graph of Spark-DSG.")
     try:
         return _Reader(path, content).read()
     except _DAMAGED as error:
         raise InputError(
-            f"{path} is damaged or no scene graph of Spark-DSG ({error!r}); save it again."
+            f"{path} is damaged, or not a scene graph of Spark-DSG ({error!r}); save it again."
         ) from error
 
 
@@ -350,7 +350,8 @@ class _Reader:
         version = int(numbers["major"]), int(numbers["minor"]), int(numbers["patch"])
         if version[0] > 1:
             raise InputError(
-                f"{self.path} has version {'.'.join(map(str, version))} of Spark-DSG; only 1.x are read."
+                f"{self.path} is of version {'.'.join(map(str, version))} of Spark-DSG, but only "
+                "1.x is supported."
             )
         return version
 
@@ -427,7 +428,7 @@ class _Reader:
             elif isinstance(metadata.get("relation"), str):
                 found.append((ends[0], metadata["relation"], ends[1]))
             else:
-                self.left_out["edges between objects that name no relation"] += 1
+                self.left_out["edges between objects without a relation's name"] += 1
         return tuple(found)
 
     def _pieces(
@@ -456,7 +457,7 @@ class _Reader:
         meshed = {piece.row for piece in pieces}
         for i in (i for i in bare if i not in meshed):
             if (box := nodes[i].box) is None:
-                self.left_out["objects with neither mesh nor box"] += 1
+                self.left_out["objects without a mesh or box"] += 1
                 continue
             self.left_out["objects without a mesh, shown as boxes"] += 1
             pieces.append(box_piece(box_corners(*box), i))

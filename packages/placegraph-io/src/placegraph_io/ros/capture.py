@@ -92,7 +92,7 @@ def _stored_frames(
             lost[np.isnan(moved[:, 0, 0])] = f"no transform from {depth.frame} to {colour.frame}"
     lost[np.isnan(poses[:, 0, 0])] = missing
     lost[np.setdiff1d(np.arange(len(stamps)), np.unique(stamps, return_index=True)[1])] = (
-        "its stamp twice"
+        "a repeated stamp"
     )
     pose_reader.left_out.update(why for why in lost if why)
     unit, source = depth_unit(plan), MessageSource.from_topic(colour.topic)
@@ -121,7 +121,7 @@ def depth_unit(plan: CapturePlan) -> DepthUnit | None:
     if plan.choice.depth_scale:
         return DepthUnit(f'"depth_scale" in {plan.bag.path}.json', plan.choice.depth_scale)
     metres = plan.depth.encoding.startswith("32F")
-    source = f"the encoding {plan.depth.encoding} of {plan.depth.topic.name}"
+    source = f"the encoding {plan.depth.encoding} in {plan.depth.topic.name}"
     return DepthUnit(source, 1.0 if metres else 1000.0)
 
 
@@ -160,7 +160,7 @@ def read_depth(
     if image.shape != size[::-1]:
         raise InputError(
             f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its first image has "
-            f"{size[0]} x {size[1]}; record depth of one size."
+            f"{size[0]} x {size[1]}; record depth at one size."
         )
     if registration is not None and colour_from_depth is not None:
         return registration(image, colour_from_depth)

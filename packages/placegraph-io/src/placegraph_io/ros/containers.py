@@ -145,8 +145,8 @@ class Chunk:
 
     def _broken(self, offset: int) -> InputError:
         return InputError(
-            f"{self.path}: the index names byte {offset} of the chunk at {self.start}, which holds no "
-            "message; the bag is damaged: copy it again, or rebuild its index."
+            f"{self.path}: the index points to byte {offset} of the chunk at {self.start}, where "
+            "no message begins; the bag is damaged: copy it again, or rebuild its index."
         )
 
 
@@ -352,11 +352,11 @@ def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
         index = _scan_records(file)
         why = error if isinstance(error, MissingIndexError) else "its index is damaged"
         notes.append(
-            f"{path.name}: {why}; only the part before the damage is read. `mcap recover` "
-            "repairs it."
+            f"{path.name}: {why}; only the part before the damage is read. Repair it with `mcap "
+            "recover`."
         )
     if not index.found:
-        raise InputError(f"{path} holds no message; record again.")
+        raise InputError(f"{path} contains no message; record again.")
     return list(index.parts())
 
 
@@ -511,7 +511,7 @@ def open_bag(path: Path) -> Bag:
         kinds = sorted({part.type for part in renamed if part.name == name and len(part.times)})
         if len(kinds) > 1:
             notes.append(
-                f"{name} holds messages of {' and '.join(kinds)}; only the most frequent are used."
+                f"{name} has messages of {' and '.join(kinds)}; only the most frequent are used."
             )
     topics = {topic.name: topic for topic in sorted(merge_parts(renamed), key=lambda t: t.name)}
     return Bag(path, topics, tuple(notes))
@@ -533,7 +533,7 @@ def _files(path: Path, notes: list[str]) -> tuple[list[Path], bool]:
         names = content.get("relative_file_paths")
         if not (isinstance(names, list) and names and all(isinstance(n, str) for n in names)):
             raise InputError(
-                f"{metadata}: relative_file_paths is no list of files; run `ros2 bag reindex`."
+                f"{metadata}: relative_file_paths is not a list of files; run `ros2 bag reindex`."
             )
         files = [path / name.replace("\\", "/").rpartition("/")[2] for name in names]
         return [_unpacked(f) for f in files], str(
@@ -545,7 +545,9 @@ def _files(path: Path, notes: list[str]) -> tuple[list[Path], bool]:
     stems = {re.sub(r"_\d+$", "", p.name.partition(".")[0]) for p in found}
     if len(stems) > 1 or not found:
         what = f"several bags ({', '.join(sorted(stems))})" if stems else "no .mcap or .db3 file"
-        raise InputError(f"{path} has no metadata.yaml and holds {what}; give the file of one bag.")
+        raise InputError(
+            f"{path} has no metadata.yaml and contains {what}; give the file of one bag."
+        )
     notes.append(
         f"{path.name} has no metadata.yaml; its files are read in the order of their names."
     )
@@ -594,7 +596,9 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
     try:
         topics = base.select("id, name, type, serialization_format", "topics").fetchall()
     except (sqlite3.Error, ValueError) as error:
-        raise InputError(f"{path} is no rosbag2 database ({error}); copy the bag again.") from error
+        raise InputError(
+            f"{path} is not a rosbag2 database ({error}); copy the bag again."
+        ) from error
     rows: list[tuple[int, int, int]] = []
     valid = "WHERE typeof(topic_id) || typeof(timestamp) || typeof(id) = 'integerintegerinteger'"
     try:
@@ -604,7 +608,7 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
             f"{path.name}: the database is damaged ({error}); it is read as far as possible."
         )
     if not rows:
-        raise InputError(f"{path} holds no message; record again.")
+        raise InputError(f"{path} contains no message; record again.")
     table = np.array(rows, np.int64)
     parts = []
     for number, name, kind, encoding in topics:
@@ -627,7 +631,7 @@ def read_rosbag1(path: Path) -> list[TopicPart]:
     except Exception as error:  # damaged bytes raise anything, also assertions
         if path.suffix.lower() != ".bag":
             raise InputError(
-                f"{path} is no bag; give an .mcap, .db3 or .bag, or a folder of rosbag2."
+                f"{path} is not a bag; give an .mcap, .db3 or .bag file, or a folder of rosbag2."
             ) from error
         why = str(error) or "its index is damaged"
         raise InputError(
@@ -635,7 +639,7 @@ def read_rosbag1(path: Path) -> list[TopicPart]:
             "closed properly, else copy the bag again."
         ) from error
     if not any(len(part.times) for part in parts):
-        raise InputError(f"{path} holds no message; record again.")
+        raise InputError(f"{path} contains no message; record again.")
     return parts
 
 

@@ -180,8 +180,8 @@ def decode_colour(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  
         raw = _rows(image, np.dtype("u2" if wide else "u1"), 1, name)[..., 0]
         return demosaic((raw >> 8).astype(np.uint8) if wide else raw, red)
     raise InputError(
-        f"{name}: the colour encoding {encoding[:40]!r} is not read; record {', '.join(_PLAIN)}, "
-        "Bayer, yuv422 or a compressed image."
+        f"{name}: the colour encoding {encoding[:40]!r} is not supported; record "
+        f"{', '.join(_PLAIN)}, Bayer, yuv422 or a compressed image."
     )
 
 
@@ -267,7 +267,8 @@ def _depth_rows(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosba
     kind = DEPTHS.get(image.encoding)
     if kind is None:
         raise InputError(
-            f"{name}: the encoding {image.encoding[:40]!r} is no depth; record 16UC1 (mm) or 32FC1 (m)."
+            f"{name}: the encoding {image.encoding[:40]!r} is not depth; record 16UC1 (mm) or "
+            "32FC1 (m)."
         )
     return _rows(image, np.dtype(kind), 1, name)[..., 0]
 
@@ -307,8 +308,8 @@ def _decode_compressed_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: AN
         with open_image(io.BytesIO(pixels), what) as picture:
             if not picture.mode.startswith("I"):
                 raise InputError(
-                    f"{name}: the format {kind[:40]!r} holds pixels of mode {picture.mode!r}, which are no "
-                    "depth; record the raw image, or compressedDepth."
+                    f"{name}: the format {kind[:40]!r} has pixels of mode {picture.mode!r}, which "
+                    "is not depth; record the raw image, or compressedDepth."
                 )
             units = np.asarray(picture).astype(np.uint16)
     if packed and kind.startswith("32FC1"):  # quantized 1 / depth, by two numbers of the head

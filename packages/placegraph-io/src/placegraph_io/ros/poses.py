@@ -457,7 +457,8 @@ class PoseReader:
         if self.depth is not None:
             self.depth_stamps = (self.depth.topic.times * 1e-9).astype(np.float64)
         self.notes.append(
-            "Images and transforms have stamps of different clocks; times of recording replace both."
+            "The stamps of images and transforms are from different clocks, so the times of "
+            "recording replace both."
         )
 
     def _note_choices(self) -> None:
@@ -471,12 +472,13 @@ class PoseReader:
         for child, parents in self.tree.parents().items():
             if len(parents) > 1:
                 self.notes.append(
-                    f"{child} has several parents ({', '.join(sorted(parents))}); the shortest path to "
-                    f'{self.frame} is used. "frame" in {self.bag.path}.json chooses another.'
+                    f"{child} has several parents ({', '.join(sorted(parents))}); the shortest "
+                    f'path to {self.frame} is used. Choose another with "frame" in '
+                    f"{self.bag.path}.json."
                 )
         if self.tree.invalid:
             self.notes.append(
-                f"{self.tree.invalid} transforms with NaN or without a unit quaternion are left out."
+                f"{self.tree.invalid} transforms with NaN or without a unit quaternion are ignored."
             )
 
     def _level(self, imu: Topic, data: list[bytes]) -> None:
@@ -495,7 +497,8 @@ class PoseReader:
         length = float(np.linalg.norm(up))
         if not (np.isfinite(length) and length > 0):
             self.notes.append(
-                f"{imu.name} is not used: no transform connects {frame!r}, or it measures no acceleration."
+                f"{imu.name} is not used, because no transform connects {frame!r}, or it measures "
+                "no acceleration."
             )
             return
         angle = float(np.arccos(np.clip(up[2] / length, -1.0, 1.0)))

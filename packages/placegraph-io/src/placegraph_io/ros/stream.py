@@ -287,7 +287,7 @@ class FrameAssembly:
             self.jumps += 1
             self._forget(stamp + CLOCK_JUMP)
         elif stamp <= self._last:
-            self.left_out["its stamp twice, or late"] += 1
+            self.left_out["a repeated or late stamp"] += 1
             return
         self._last = stamp
         self._waiting.append((stamp, packet))
@@ -461,8 +461,8 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
     """
     if read(len(MAGIC)) != MAGIC:
         raise InputError(
-            f"{name} does not begin as an MCAP stream. Send an .mcap from its beginning; give other bags "
-            "as files."
+            f"{name} does not begin like an MCAP stream. Send an .mcap from its beginning; give "
+            "other bags as files."
         )
     channels = Channels()
     while len(head := read(9)) == 9:

@@ -76,7 +76,7 @@ def _inspect(topic: Topic) -> ImageTopic:
     elif is_colour(encoding):
         kind = "grey" if encoding in GREYS else "colour"
     else:
-        problem = f"{name}: encoding {encoding[:40]!r} is no known colour or depth encoding."
+        problem = f"{name}: the encoding {encoding[:40]!r} is unknown."
         return ImageTopic(topic, "", problem, frame, (width, height), encoding)
     return ImageTopic(topic, kind, "", frame, (width, height), encoding)
 
@@ -102,8 +102,8 @@ def choose_images(
     if not colours:
         why = next((f" {v.problem}" for v in views if v.problem), "")
         raise InputError(
-            f"{bag.path} holds no colour images (sensor_msgs/Image or CompressedImage).{why} Record the "
-            "camera's image topic."
+            f"{bag.path} contains no colour images (sensor_msgs/Image or CompressedImage).{why} "
+            "Record the camera's image topic."
         )
     infos = {t.name for t in bag.of_type("sensor_msgs/CameraInfo")}
 
@@ -171,8 +171,9 @@ def find_camera(
         topic = next((t for t in infos.values() if _is_of(t, view)), None)
     if topic is None:
         raise InputError(
-            f"{bag.path} holds no CameraInfo of {view.topic.name} ({' or '.join(names)}); record it, or "
-            f'write {bag.path}.json with {{"{role}": {{"fx": ..., "fy": ..., "cx": ..., "cy": ...}}}}.'
+            f"{bag.path} contains no CameraInfo of {view.topic.name} ({' or '.join(names)}); "
+            f'record it, or write {bag.path}.json with {{"{role}": {{"fx": ..., "fy": ..., '
+            '"cx": ..., "cy": ...}}.'
         )
     info = decode_message(topic[0], topic.name, topic.type, topic.encoding)
     rectified = _RECTIFIED.search(view.base.rpartition("/")[2]) is not None
@@ -200,16 +201,17 @@ def camera_from_info(info: Any, size: tuple[int, int], name: str, *, rectified: 
     matrix = np.asarray(get["p"] if rectified else get["k"], np.float64)
     if not matrix.any():
         raise InputError(
-            f"{name}: {'P' if rectified else 'K'} is all zeros, so the camera was not calibrated; give "
-            'intrinsics as "camera" in the file beside the bag.'
+            f"{name}: {'P' if rectified else 'K'} is all zeros, so the camera was not calibrated; "
+            'give intrinsics as "camera" in the JSON file beside the bag.'
         )
     matrix = matrix.reshape(3, -1)
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5
     lens = str(info.distortion_model).lower()
     if lens not in _MODELS:
         raise InputError(
-            f"{name}: distortion_model is {lens[:40]!r}; plumb_bob, rational_polynomial and equidistant "
-            'are read. Rectify the images, or give "camera" in the file beside the bag.'
+            f"{name}: distortion_model is {lens[:40]!r}, but only plumb_bob, rational_polynomial "
+            'and equidistant are supported. Rectify the images, or give "camera" in the JSON file '
+            "beside the bag."
         )
     distortion = () if rectified else _distortion(get["d"], _MODELS[lens], name)
     full_size = int(info.width), int(info.height)
@@ -222,8 +224,8 @@ def camera_from_info(info: Any, size: tuple[int, int], name: str, *, rectified: 
     camera = make_camera(name, full_size, (fx, fy, cx, cy), distortion, model)
     if abs(size[0] * full_size[1] - size[1] * full_size[0]) > max(*size, *full_size):
         raise InputError(
-            f"{name} has {full_size[0]} x {full_size[1]} pixels, but images have {size[0]} "
-            f'x {size[1]}, another aspect ratio; give their intrinsics as "camera" in the '
+            f"{name} has {full_size[0]} x {full_size[1]} pixels, but the images have {size[0]} x "
+            f'{size[1]}, with another aspect ratio; give their intrinsics as "camera" in the JSON '
             "file beside the bag."
         )
     return camera if size == full_size else camera.resized(*size)
@@ -242,7 +244,8 @@ def camera_from_dict(content: Mapping[str, Any], size: tuple[int, int], name: st
         ) from error
     if full_size != size:
         raise InputError(
-            f"{name} is of {full_size[0]} x {full_size[1]} pixels, but the images have {size[0]} x {size[1]}."
+            f"{name} is for {full_size[0]} x {full_size[1]} pixels, but the images have {size[0]} "
+            f"x {size[1]}; give their intrinsics."
         )
     return make_camera(name, size, numbers, distortion, model)
 
@@ -258,8 +261,8 @@ def _distortion(given: Any, model: str, name: str) -> tuple[float, ...]:  # noqa
     most = 4 if model == "fisheye" else 8
     if any(numbers[most:]):
         raise InputError(
-            f"{name}: D has {len(numbers)} coefficients; the first {most} are read. Rectify the "
-            'images, or give "camera" in the file beside the bag.'
+            f"{name}: D has {len(numbers)} coefficients, but only the first {most} are supported. "
+            'Rectify the images, or give "camera" in the JSON file beside the bag.'
         )
     numbers = numbers[:most]
     wanted = next(n for n in ((4,) if model == "fisheye" else (4, 5, 8)) if n >= len(numbers))
@@ -322,10 +325,10 @@ def _check(values: Mapping[str, Any], name: str, error: type[InputError | Option
 
 
 _WANTED = {
-    "camera": "it is a topic or an object with fx, fy, cx, cy",
-    "depth_camera": "it is a topic or an object with fx, fy, cx, cy",
-    "depth_scale": "it is the number of depth units per metre, such as 1000",
-    "transforms": 'it is a list of {"parent", "child", "xyz": [x, y, z], "xyzw": [x, y, z, w]}',
+    "camera": "it must be a topic, or an object with fx, fy, cx, cy",
+    "depth_camera": "it must be a topic, or an object with fx, fy, cx, cy",
+    "depth_scale": "it must be the depth units per metre, such as 1000",
+    "transforms": 'it must be a list of {"parent", "child", "xyz": [x, y, z], "xyzw": [x, y, z, w]}',
 }
 
 
@@ -416,9 +419,9 @@ def _find_depth(plan: CapturePlan) -> None:
         return
     if plan.pose_reader.tree.find_path(colour.frame, depth.frame) is None:
         raise InputError(
-            f"{plan.bag.path}: no transform connects the colour camera {colour.frame!r} and the depth "
-            f'camera {depth.frame!r}; record /tf_static, write it as "transforms" in '
-            f'{plan.bag.path}.json, or use no depth: "depth": null.'
+            f"{plan.bag.path}: no transform connects the colour camera {colour.frame!r} and the "
+            f'depth camera {depth.frame!r}; record /tf_static, write it as "transforms" in '
+            f'{plan.bag.path}.json, or switch depth off there with "depth": null.'
         )
     plan.registration = Registration(plan.camera, camera)
     plan.depth_camera = plan.registration.camera

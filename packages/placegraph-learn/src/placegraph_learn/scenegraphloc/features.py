@@ -176,7 +176,7 @@ def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
         raise InputError(f"{path}: an attribute is no word; give a list of words.")
     words = tuple(word.strip().lower() for word in listed if word.strip())
     if not words or len(set(words)) < len(words):
-        what = "holds no words" if not words else "names a word twice"
+        what = "contains no words" if not words else "names a word twice"
         raise InputError(f"{path}: {what}; give every attribute once, in their order.")
     return words
 

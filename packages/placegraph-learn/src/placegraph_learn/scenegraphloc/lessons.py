@@ -170,7 +170,7 @@ def read_lesson(path: Path) -> Lesson:
 
     now = room("now")
     if now is None:
-        raise MapError(f"{path}: holds no room; delete it, and it is made again.")
+        raise MapError(f"{path}: contains no room; delete it, and it is made again.")
     grids = file.array("grids", "<i8", 2)
     ends = np.cumsum(grids.prod(axis=1))[:-1]
     features = np.split(file.array("features", "<f4", 2), ends)

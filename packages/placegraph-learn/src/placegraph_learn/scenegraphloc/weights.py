@@ -73,7 +73,7 @@ def read_state(path: Path, advice: str = _MEND) -> tuple[dict[str, Tensor], dict
     found = read_snapshot(path, advice)
     state = found.get("model", found)
     if not isinstance(state, dict) or not state:
-        raise InputError(f"{path}: `model` holds no weights by name; {advice}.")
+        raise InputError(f"{path}: `model` contains no weights by name; {advice}.")
     for key, value in state.items():
         if not isinstance(key, str) or not isinstance(value, Tensor):
             raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {advice}.")
@@ -117,7 +117,9 @@ def network_of(state: Mapping[str, Tensor], source: str) -> SceneGraphLoc:
                 f"{source}: key {key!r} has shape {tuple(value.shape)}, not {wanted}; {_MEND}."
             )
         if not bool(torch.isfinite(value).all()):
-            raise InputError(f"{source}: key {key!r} holds what is no number; {_MEND}.")
+            raise InputError(
+                f"{source}: key {key!r} contains something that is not a number; {_MEND}."
+            )
     ready = {k: v.detach().to(expected[k].dtype).clone() for k, v in own.items()}
     network.load_state_dict(ready, assign=True)
     for parameter in network.parameters():

@@ -401,7 +401,7 @@ class SceneShards(SceneCollection):
         """
         folder = Path(folder)
         if not (folder / HEAD).is_file():
-            raise InputError(f"{folder} holds no shards of a library: it has no {HEAD}. {MEND}")
+            raise InputError(f"{folder} contains no shards of a library: it has no {HEAD}. {MEND}")
         head = read_map(folder / HEAD, KIND, VERSION)
         made = tuple(match_encoders(head, encoders))
         with check_contents(folder / HEAD, MEND):

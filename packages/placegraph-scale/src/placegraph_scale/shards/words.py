@@ -628,7 +628,7 @@ def finish(
     paths = sorted((folder / SHARDS).glob("*.city"))
     if not paths:
         raise InputError(
-            f"{folder / SHARDS} holds no shard; build the world with `placegraph world build`."
+            f"{folder / SHARDS} contains no shard; build the world with `placegraph world build`."
         )
     for path in paths:
         try:
