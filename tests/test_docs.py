@@ -26,6 +26,10 @@ import pytest
 import placegraph as pg
 from placegraph import cli
 from placegraph.core import plugins
+from placegraph.indoor.map.textures import DETAILS
+from placegraph.indoor.mapping.change.changes import DiffOptions
+from placegraph.indoor.mapping.fuse import FuseOptions
+from placegraph.indoor.mapping.segment import SegmentOptions
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -200,6 +204,24 @@ def test_the_architecture_lists_the_rooms_that_there_are():
     there |= folders(src / "io", 1) | folders(lab, 1) | {src, lab}
     there |= {p.parent for p in (ROOT / "packages").glob("*/pyproject.toml")} - {ROOT / "packages"}
     assert there == listed - {ROOT / "packages", ROOT / "examples"}
+
+
+def test_the_numbers_on_the_pages_of_scene_maps_are_the_defaults():
+    fuse, cut, compare = FuseOptions(), SegmentOptions(), DiffOptions()
+    assert (fuse.least, fuse.speck, fuse.memory) == (0.0003, 0.02, 1.5)
+    assert (cut.flatness, cut.wall_area, cut.wall_height, cut.mark) == (0.05, 1.5, 1.2, 0.05)
+    assert (cut.carpet, cut.crease, cut.contrast, cut.gap) == (0.5, 0.6, 25.0, 0.03)
+    assert (cut.support, cut.thin, cut.least) == (0.12, 0.5, 0.02)
+    assert (compare.frames, compare.reach, compare.least_pixels) == (60, 4.0, 100)
+    assert (compare.least_frames, compare.depth_floor, compare.depth_slope) == (3, 0.04, 0.015)
+    text = (ROOT / "docs/howto-maps.md").read_text("utf-8")
+    for name, detail in DETAILS.items():
+        (row,) = re.findall(rf"^\| `{name}` \|.*", text, re.MULTILINE)
+        lengths = [
+            float(n) * {"m": 0.001, "c": 0.01}[u] for n, u in re.findall(r"(\d+) ([mc])m", row)
+        ]
+        expected = [x for x in (detail.error, detail.texel, detail.baked) if x]
+        assert lengths == pytest.approx(expected), name
 
 
 @pytest.mark.all
