@@ -6,7 +6,12 @@ import pytest
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph_lab.tables.named.outdoor_matchers import Asking
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, unseen_queries
+from placegraph_lab.tables.outdoor.extracts import (
+    EXTRACTS,
+    Extract,
+    in_held_out_tiles,
+    unseen_queries,
+)
 from placegraph_lab.tables.outdoor.matchers import (
     FUSED,
     MATCHERS,
@@ -62,13 +67,13 @@ def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, t
         shown, 4, 2, ("monaco",), 0, Journal(tmp_path / "a.jsonl"), lambda: told.append(1)
     )
     protocols = [Protocol(anywhere=True), Protocol()]
-    rows = asking.rows("monaco", city, town, protocols)
+    rows = asking.rows(Extract("monaco", town), city, town, protocols)
     assert [(r.method, r.protocol.anywhere, len(r.answers)) for r in rows] == [
         (PAPER_EDITS, True, 2), (PAPER_TRANSFORMER, True, 4), (PAPER_TRANSFORMER, False, 4),
     ]  # fmt: skip
     assert len(told) == 4
     other = replace(asking, journal=Journal(tmp_path / "a.jsonl"))
-    assert [r.to_dict() for r in other.rows("monaco", city, town, protocols)] == [
+    assert [r.to_dict() for r in other.rows(Extract("monaco", town), city, town, protocols)] == [
         r.to_dict() for r in rows
     ]
     assert asking.query_count("toronto", protocols[0], PAPER_EDITS) == 0
@@ -84,8 +89,10 @@ def off_center(city, query):
 def test_queries_of_trained_cities_stand_in_held_out_tiles(shared, tmp_path):
     path = shared / "data/osm" / EXTRACTS["monaco"]
     city = build_city(path, tmp_path / "monaco.city")
-    trained = unseen_queries("vancouver", city, path, n=40, seed=0, in_the_middle=True)
-    unseen = unseen_queries("monaco", city, path, n=40, seed=0)
+    trained = unseen_queries(
+        Extract("vancouver", path), city, path, n=40, seed=0, in_the_middle=True
+    )
+    unseen = unseen_queries(Extract("monaco", path), city, path, n=40, seed=0)
     assert max(off_center(city, q) for q in trained) <= 10.0 + 1e-3
     assert max(off_center(city, q) for q in unseen) > 20.0
     share = []

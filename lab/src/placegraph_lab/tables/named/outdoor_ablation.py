@@ -19,6 +19,7 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     TRAINED,
+    Extract,
     names_of,
     open_city,
     unseen_queries,
@@ -178,7 +179,7 @@ class Judging:
     def _task(self, name: str) -> Task:
         if name not in self.tasks:
             city, path = self.cities[name], self.run.osm / EXTRACTS[name]
-            asked = unseen_queries(name, city, path, n=self.queries, seed=self.seed)
+            asked = unseen_queries(Extract(name, path), city, path, n=self.queries, seed=self.seed)
             self.tasks[name] = Task.of(city, load(path), asked)
         return self.tasks[name]
 

@@ -16,11 +16,11 @@ from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (
-    EXTRACTS,
+    CITY,
     busiest_tile,
     crop,
+    extract_of,
     in_held_out_tiles,
-    open_city,
     tile,
 )
 from placegraph_lab.tables.outdoor.matchers import (
@@ -101,7 +101,7 @@ COLUMNS = (
 @lab.table("GOTLoc, Table IV")
 def outdoor_candidates(
     run: lab.Run,
-    city: Annotated[str, lab.option("City that is cut and copied.")] = "vancouver",
+    city: Annotated[str, lab.option(f"City that is cut and copied. {CITY}")] = "vancouver",
     sizes: Annotated[str, lab.option("Cells with commas, rising.")] = "",
     queries: Annotated[int, lab.option("Queries.")] = 200,
     without: Annotated[int, lab.option("Pairs of a size without candidates.")] = 2_000_000,
@@ -114,16 +114,20 @@ def outdoor_candidates(
     if quick:
         queries, without = 10, 20_000
     wanted = [int(n) for n in lab.parts(sizes)] or [*PAPER, *(() if quick else LARGER)]
-    whole = open_city(city, run.osm, run.cache)
-    middle = busiest_tile(whole, unseen=True)
+    extract = extract_of(city, run.osm)
+    whole = extract.open(run.cache)
+    middle = busiest_tile(whole, unseen=extract.is_trained)
     smallest = crop(whole, min(*wanted, len(whole.cells)), middle)
     unseen = in_held_out_tiles(whole)
 
     def where(lonlat: Floats) -> Any:
         inside = np.array([smallest.cells.at(*at) is not None for at in lonlat.tolist()])
-        return inside & unseen(lonlat)
+        return inside & unseen(lonlat) if extract.is_trained else inside
 
-    asked = make_queries(run.osm / EXTRACTS[city], n=queries, seed=seed, anywhere=True, where=where)
+    asked = make_queries(
+        extract.osm(run.cache), n=queries, seed=seed, anywhere=True, where=where,
+        cells=extract.cells_of(smallest),
+    )  # fmt: skip
     run.one_core()
     rows = []
     for n in wanted:

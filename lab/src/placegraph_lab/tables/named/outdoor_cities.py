@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from placegraph.outdoor.city import CityMap
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.extracts import CITIES, Extract, extracts_of, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import LocateMatcher, Matcher, RetrieveMatcher, ask
 from placegraph_lab.tables.outdoor.metrics import RANKS, score
 from placegraph_lab.tables.runner import Column as Col
@@ -27,11 +27,9 @@ PAPER = {
 """Table VI: km², cells, accuracy at 1/3/5, seconds a query, MB."""
 
 
-def run_city(
-    name: str, data: Path, maps: Path, *, queries: int, seed: int
-) -> Iterator[dict[str, Any]]:
+def run_city(extract: Extract, maps: Path, *, queries: int, seed: int) -> Iterator[dict[str, Any]]:
     """Figures of a city, a row a matcher."""
-    city = open_city(name, data, maps)
+    city = extract.open(maps)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "city"
         city.save(file)
@@ -40,7 +38,7 @@ def run_city(
     ways = {"anywhere": False, "near the middle": True}
     texts = {
         way: unseen_queries(
-            name, city, data / EXTRACTS[name], n=queries, seed=seed, in_the_middle=middle
+            extract, city, extract.osm(maps), n=queries, seed=seed, in_the_middle=middle
         )
         for way, middle in ways.items()
     }
@@ -51,9 +49,11 @@ def run_city(
     for title, matcher in matchers.items():
         ask(matcher, city, texts["anywhere"][:1])  # what is made on first use is not timed
         yield {
-            "city": name,
+            "city": extract.name,
             "matcher": title,
-            "km2": len(city.cells) * city.cells.grid.stride**2 * 1e-6,
+            "km2": extract.area.km2
+            if extract.area
+            else len(city.cells) * city.cells.grid.stride**2 * 1e-6,
             "cells": len(city.cells),
             "bytes": size + int(city.embeddings.nbytes) * (title != "default"),
             **{way: score(ask(matcher, city, of)) for way, of in texts.items()},
@@ -65,7 +65,7 @@ def _ranks(recall: dict[int, float]) -> str:
 
 
 COLUMNS = (
-    Col("", lambda r: f"{r['city']}, {r['matcher']}"), Col("km² of cells", "km2", 1),
+    Col("", lambda r: f"{r['city']}, {r['matcher']}"), Col("km²", "km2", 1),
     Col("cells", "cells", 0),
     Col("exact @1/3/5, near the middle", lambda r: r["near the middle"].exact, _ranks),
     Col("exact @1/3/5", "anywhere.exact", _ranks),
@@ -78,20 +78,20 @@ COLUMNS = (
 @table("GOTLoc, Table VI")
 def outdoor_cities(
     run: Run,
-    cities: Annotated[str, option("Names with commas; all where left out.")] = "",
+    cities: Annotated[str, option(f"{CITIES} All shared ones where left out.")] = "",
     queries: Annotated[int, option("Queries a city.")] = 200,
     seed: Seed = 0,
     *,
     quick: Quick = False,
 ) -> None:
     """Whole cities: accuracy, seconds a query and megabytes."""
-    names, asked = names_of(cities), queries
+    extracts, asked = extracts_of(cities, run.osm), queries
     if quick:
-        names, asked = names[:1], 50
+        extracts, asked = extracts[:1], 50
     run.one_core()
     rows = [
-        row for name in names
-        for row in run_city(name, run.osm, run.cache, queries=asked, seed=seed)
+        row for extract in extracts
+        for row in run_city(extract, run.cache, queries=asked, seed=seed)
     ]  # fmt: skip
     paper = [
         [name, number(area, 1), number(cells), shares(recall), "–", "–", number(seconds, 2), "–",
@@ -99,4 +99,4 @@ def outdoor_cities(
         for name, (area, cells, recall, seconds, size) in PAPER.items()
     ]  # fmt: skip
     print(render(COLUMNS, [*rows, *paper]))
-    run.save({"queries": asked, "rows": rows})
+    run.save({"queries": asked, "rows": rows}, complete=not cities)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
-from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, names_of, open_city
+from placegraph_lab.tables.outdoor.extracts import CITIES, busiest_tile, crop, extracts_of
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, option, render, table
 
@@ -53,18 +53,18 @@ COLUMNS = (
 @table("GOTLoc, Table V")
 def outdoor_map_size(
     run: Run,
-    cities: Annotated[str, option("Names with commas; all where left out.")] = "",
+    cities: Annotated[str, option(f"{CITIES} All shared ones where left out.")] = "",
     *,
     quick: Quick = False,
 ) -> None:
     """Bytes of maps of 110 to 447 cells, and of whole cities."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for name in names_of("monaco" if quick else cities):
-            city = open_city(name, run.osm, run.cache)
+        for extract in extracts_of(cities or ("monaco" if quick else ""), run.osm):
+            city = extract.open(run.cache)
             middle = busiest_tile(city)
             cut = [crop(city, n, middle) for n in POINT_CLOUD if n < len(city.cells)]
-            rows += [{"city": name} | measure(part, Path(folder)) for part in (*cut, city)]
+            rows += [{"city": extract.name} | measure(part, Path(folder)) for part in (*cut, city)]
     print(render(COLUMNS, rows))
     print("\nVectors follow from the map and are made when first needed; they need not be stored.")
-    run.save({"rows": rows})
+    run.save({"rows": rows}, complete=not cities)

@@ -14,7 +14,13 @@ from numpy.random import Generator
 
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.extracts import (
+    CITIES,
+    EXTRACTS,
+    Extract,
+    extracts_of,
+    unseen_queries,
+)
 from placegraph_lab.tables.outdoor.matchers import (
     COSINE,
     DENSE,
@@ -213,24 +219,26 @@ class Asking:
     def query_count(self, name: str, protocol: Protocol, method: str) -> int:
         if method not in SLOW:
             return self.queries
-        wanted = name in self.slow_cities and protocol == Protocol(anywhere=True)
+        own = name not in EXTRACTS
+        wanted = (own or name in self.slow_cities) and protocol == Protocol(anywhere=True)
         return min(self.slow, self.queries) if wanted else 0
 
     def rows(
-        self, name: str, city: CityMap, path: Path, protocols: Sequence[Protocol]
+        self, extract: Extract, city: CityMap, path: Path, protocols: Sequence[Protocol]
     ) -> list[Row]:
-        """All rows of a city."""
+        """All rows of a city, whose extract or the part of it that is the map lies at `path`."""
+        name = extract.name
         bins, code, rows = load(path), lab.code_key(lab.OUTDOOR), []
         for protocol in protocols:
             setting = protocol.setting
             spoken = partial(
-                unseen_queries, name, city, path,
+                unseen_queries, extract, city, path,
                 setting=setting, in_the_middle=not protocol.anywhere,
             )  # fmt: skip
             asked, warming = spoken(n=self.queries, seed=self.seed), spoken(n=3, seed=self.seed + 1)
             for method in self.methods:
                 n = self.query_count(name, protocol, method)
-                key = f"{name}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
+                key = f"{extract.key}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
                 if n and key not in self.journal:
                     found = matcher(method, city, bins, setting, seed=self.seed)
                     ask(found, city, warming)
@@ -247,13 +255,16 @@ class Asking:
 @lab.table("GOTLoc, Table II")
 def outdoor_matchers(
     run: lab.Run,
-    cities: Annotated[str, lab.option("Names with commas; all where left out.")] = "",
+    cities: Annotated[str, lab.option(f"{CITIES} All shared ones where left out.")] = "",
     settings: Annotated[str, lab.option("Settings with commas.")] = "none",
     methods: Annotated[str, lab.option("Matchers with semicolons; all.")] = "",
     queries: Annotated[int, lab.option("Queries a city and setting.")] = 200,
     slow: Annotated[int, lab.option("Of these, how many for plain edit distance.")] = 100,
     slow_cities: Annotated[
-        str, lab.option("Cities that plain edit distance is asked in, without noise.")
+        str,
+        lab.option(
+            "Shared cities that plain edit distance is asked in, without noise; yours always."
+        ),
     ] = "liechtenstein,monaco,toronto",
     seed: lab.Seed = 0,
     *,
@@ -267,20 +278,20 @@ def outdoor_matchers(
     protocols = [Protocol(setting=s, anywhere=True) for s in chosen]
     protocols += [Protocol(setting="none")] if "none" in chosen else []
     shown = lab.check_names(lab.parts(methods, ";"), MATCHERS, "matcher")
-    names = names_of(cities)
+    extracts = extracts_of(cities, run.osm)
     run.one_core()
     rows: list[Row] = []
     cells = {}
     with run.progress() as progress:
-        task = progress.add_task("asking", total=len(names) * len(protocols) * len(shown))
+        task = progress.add_task("asking", total=len(extracts) * len(protocols) * len(shown))
         asking = Asking(
             shown, queries, slow, lab.parts(slow_cities), seed, run.journal(),
             lambda: progress.advance(task),
         )  # fmt: skip
-        for name in names:
-            city = open_city(name, run.osm, run.cache)
-            cells[name] = len(city.cells)
-            rows += asking.rows(name, city, run.osm / EXTRACTS[name], protocols)
+        for extract in extracts:
+            city = extract.open(run.cache)
+            cells[extract.name] = len(city.cells)
+            rows += asking.rows(extract, city, extract.osm(run.cache), protocols)
     lead = advantages(rows, np.random.default_rng(seed))
     print(report(rows, lead))
     found = {"rows": [r.to_dict() for r in rows], "differences": lead}

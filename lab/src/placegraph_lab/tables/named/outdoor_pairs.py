@@ -33,7 +33,7 @@ from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.posterior import PRIOR_COHERENT
 from placegraph.outdoor.search.request import parse
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
+from placegraph_lab.tables.outdoor.extracts import CITY, Extract, extract_of, unseen_queries
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.statistics import apart
@@ -214,8 +214,7 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
 
 
 class Question(NamedTuple):
-    city: str
-    osm: Path
+    extract: Extract
     cache: Path
     texts: int
     cells: int
@@ -225,9 +224,8 @@ class Question(NamedTuple):
 
 def measure(kind: str, question: Question) -> dict[str, Any]:
     """Pairs a second of one row."""
-    city = open_city(question.city, question.osm, question.cache)
-    path = question.osm / EXTRACTS[question.city]
-    told = unseen_queries(question.city, city, path, n=question.texts, seed=question.seed)
+    city, path = question.extract.open(question.cache), question.extract.osm(question.cache)
+    told = unseen_queries(question.extract, city, path, n=question.texts, seed=question.seed)
     pairs = Pairs.of(city, told, question.cells, np.random.default_rng(question.seed))
     work = work_of(kind, pairs, quick=question.quick)
     return {"pairs_per_s": rate(work, seconds=1.0 if question.quick else 8.0)}
@@ -247,7 +245,7 @@ def can_run(kind: str) -> bool:
 @table("GOTLoc, Table III")
 def outdoor_pairs(
     run: Run,
-    city: Annotated[str, option("Name of the city.")] = "vancouver",
+    city: Annotated[str, option(CITY)] = "vancouver",
     texts: Annotated[int, option("Texts.")] = 20,
     cells: Annotated[int, option("Cells a text.")] = 1000,
     seed: Seed = 0,
@@ -257,9 +255,10 @@ def outdoor_pairs(
     """Pairs of a text and a cell matched in a second, on one core and on two."""
     if quick:
         texts, cells = 3, 200
-    asked = Question(city, run.osm, run.cache, texts, cells, seed, quick)
+    extract = extract_of(city, run.osm)
+    built = extract.open(run.cache)  # once, not in every process
+    asked = Question(extract, run.cache, texts, min(cells, len(built.cells)), seed, quick)
     counts = [n for n in (1, 2) if n <= len(os.sched_getaffinity(0))]
-    open_city(city, run.osm, run.cache)  # built once, not in every process
     rows: list[dict[str, Any]] = []
     for kind, name in WORKS.items():
         for n in counts if kind != "cuda" else counts[-1:]:

@@ -95,6 +95,7 @@ def make_queries(
     seed: int = 0,
     anywhere: bool = False,
     where: Callable[[Floats], NDArray[np.bool_]] | None = None,
+    cells: Floats | None = None,
 ) -> list[Query]:
     """Make `n` queries of `statements` sentences each from an OpenStreetMap extract.
 
@@ -103,10 +104,12 @@ def make_queries(
 
     `anywhere`: draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid
     of cells is then no longer told where to look; `where`: longitude and latitude (n, 2) [deg] to
-    whether viewpoints may stand there (n,).
+    whether viewpoints may stand there (n,); `cells`: centres of cells (C, 2) [deg], of the extract's own
+    grid where not given.
     """
     bins = load(osm_path)
-    city, centers = bins.city, bins.centers(CELL)
+    city = bins.city
+    centers = bins.centers(CELL) if cells is None else city.plane.to_plane(cells)
     full = np.diff(bins.around(centers, SIGHT).starts) >= FEWEST
     if not full.any():
         raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
