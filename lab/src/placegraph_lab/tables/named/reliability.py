@@ -105,10 +105,12 @@ def render_rows(rows: list[Row]) -> str:
     told = []
     for part in dict.fromkeys(row.part for row in rows):
         own = [row for row in rows if row.part == part]
-        alike: dict[tuple[str, str], list[Row]] = {}
+        alike: dict[str, list[Row]] = {}
         for row in own:
-            alike.setdefault((row.what, row.note), []).append(row)
-        told += [_cells(each, *key) for key, each in [*alike.items(), (("all", ""), own)]]
+            alike.setdefault(row.what, []).append(row)
+        for what, each in alike.items():
+            told.append(_cells(each, what, max(each, key=lambda row: row.tried).note))
+        told.append(_cells(own, "all", ""))
     return lab.markdown(HEADER, told)
 
 
