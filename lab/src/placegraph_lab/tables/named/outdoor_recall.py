@@ -1,6 +1,6 @@
 """Does a sentence find its place? Recall, calibration and time on real OpenStreetMap extracts.
 
-`docs/benchmarks.md` explains the protocol.
+`docs/benchmarks/outdoor.md` explains the protocol.
 """
 
 from __future__ import annotations

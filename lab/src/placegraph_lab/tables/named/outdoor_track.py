@@ -1,7 +1,7 @@
 """Table `outdoor_track`: what is a way worth? A few sentences along a walk, against one place at a time.
 
 Walks of 3 to 5 places, two sentences at each, made of the raw extracts; the last place is sought.
-`docs/benchmarks.md` explains the protocol of the sentences.
+`docs/benchmarks/outdoor.md` explains the protocol of the sentences.
 """
 
 from __future__ import annotations
