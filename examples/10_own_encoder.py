@@ -8,7 +8,7 @@ import numpy as np
 import placegraph as pg
 
 
-def embedded(colours):
+def embed_colours(colours):
     """Unit vectors (..., 4) of colours (..., 3)."""
     tint = colours / (colours.mean(axis=-1, keepdims=True) + 1.0) - 1.0
     tint = np.concatenate([tint, np.full((*tint.shape[:-1], 1), 0.1)], axis=-1)
@@ -20,7 +20,7 @@ class Tints:
 
     def patches(self, image):  # (rows, columns, d)
         rgb = image.rgb()[:180, :320].reshape(9, 20, 16, 20, 3)
-        return embedded(rgb.mean(axis=(1, 3)))
+        return embed_colours(rgb.mean(axis=(1, 3)))
 
     def camera(self, image):  # whose image the grid divides
         return image.camera
@@ -30,7 +30,7 @@ class Tints:
         texels = np.array([texture.mean(axis=(0, 1)) for texture in mesh.textures])
         colour = texels[mesh.texture_of] * mesh.colours[mesh.triangles].mean(axis=1)
         sums = [np.bincount(mesh.object_of, c, len(scene)) for c in colour.T]
-        return embedded(np.stack(sums, axis=1) / np.bincount(mesh.object_of)[:, None])
+        return embed_colours(np.stack(sums, axis=1) / np.bincount(mesh.object_of)[:, None])
 
 
 world = Path(sys.argv[1] if len(sys.argv) > 1 else "demo-out/world")  # left by `placegraph demo`

@@ -87,7 +87,7 @@ def test_files_that_are_no_bag_are_named(run, tmp_path):
 
 def test_what_is_not_read_is_said(run, world, tmp_path):
     with BagWriter(tmp_path / "walk") as writer:
-        writer.compressed("/cam/video/compressed", 1.7e9, b"h264", "h264")
+        writer.send_compressed("/cam/video/compressed", 1.7e9, b"h264", "h264")
         writer.write_bytes("/battery", "sensor_msgs/msg/BatteryState", 1.7e9, b"\0\1\0\0")
         for frame in world.clip:
             pose = frame.odometry

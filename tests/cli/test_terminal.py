@@ -6,7 +6,15 @@ import sys
 import click
 import pytest
 
-from placegraph.cli.common import bare, console, echo_json, guarded, harmless, show_facts, table
+from placegraph.cli.common import (
+    bare,
+    console,
+    echo_json,
+    guard_streams,
+    harmless,
+    show_facts,
+    table,
+)
 
 NAMES = (
     "Caf\x1b[31mé",
@@ -24,7 +32,7 @@ NAMES = (
 def test_names_are_shown_and_steer_nothing(name, capsys):
     rows = table("name")
     rows.add_row(name)
-    with guarded():
+    with guard_streams():
         click.echo(name)
         click.echo(f"{name} is no map.", err=True)
         sys.stderr.write(name)
@@ -41,7 +49,7 @@ def test_names_are_shown_and_steer_nothing(name, capsys):
 def test_other_text_stays_and_streams_come_back(capsys):
     before = sys.stdout, sys.stderr
     text = "Straße 7\t½ 東京 👩\u200d🚒 ښار\n"
-    with guarded():
+    with guard_streams():
         assert bare(sys.stdout) is before[0]
         sys.stdout.writelines([text, text])
         with pytest.raises(TypeError):

@@ -10,7 +10,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.core import files
-from placegraph.core.estimate import Evidence, Explained, Place
+from placegraph.core.estimate import Evidence, LazyEvidence, Place
 from placegraph.core.files import check_regular, write_file, write_output
 from placegraph.core.geometry import Camera
 from placegraph.core.jit import kernel
@@ -233,7 +233,7 @@ def test_evidence_travels_and_what_found_it_does_not():
     here = Place(9.0, 53.0, 1.0, "c0r0", np.eye(2), explain=lambda: evidence)
     there = sent(here)
     assert there.evidence == there.explain() == evidence
-    assert isinstance(there, Explained)
+    assert isinstance(there, LazyEvidence)
 
 
 def test_a_city_and_what_was_found_in_it(harbour):

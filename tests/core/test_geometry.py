@@ -380,11 +380,11 @@ def test_a_fisheye_has_a_rim():
 
 @given(cameras, st.integers(20, 2000), st.integers(20, 2000), st.floats(0, 1), st.floats(0, 1))
 def test_a_resized_image_shows_the_same(camera, width, height, across, down):
-    small = camera.resized(width, height)
+    small = camera.resize(width, height)
     a = camera.directions((across * camera.width, down * camera.height))
     b = small.directions((across * width, down * height))
     np.testing.assert_allclose(a, b, atol=1e-9)
-    back = small.resized(camera.width, camera.height)
+    back = small.resize(camera.width, camera.height)
     np.testing.assert_allclose((back.fx, back.cy), (camera.fx, camera.cy))
 
 

@@ -98,7 +98,7 @@ def rendered(scene, frame):
     pose = np.eye(4)
     pose[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     pose[:3, 3] = scene.bounds.mean(axis=0)
-    seen = scene.render(pose, frame.camera.resized(160, 90))
+    seen = scene.render(pose, frame.camera.resize(160, 90))
     told = {"objects": np.unique(seen.objects).tolist()}
     for column in ("colour", "depth", "points"):  # a pixel may differ by one, so not exactly
         told[column] = fingerprint(getattr(seen, column).astype(float))

@@ -179,7 +179,7 @@ class Recorded:
             for i in range(frames)
         ]
         self.depth_cameras = [
-            c.resized(camera.width // shrink, camera.height // shrink) for c in self.cameras
+            c.resize(camera.width // shrink, camera.height // shrink) for c in self.cameras
         ]
         self.rgb = [
             self._colours(stage, *view) for view in zip(self.cameras, self.poses, strict=True)

@@ -77,11 +77,11 @@ def test_queries_that_do_not_fit():
 )
 def test_regions_that_are_none(box):
     with pytest.raises(OptionError, match="is not a region"):
-        Region(*box).checked()
+        Region(*box).validate()
 
 
 def test_a_region_may_cross_the_date_line():
-    assert Region(179.0, -1.0, -179.0, 1.0).checked().crosses_date_line
+    assert Region(179.0, -1.0, -179.0, 1.0).validate().crosses_date_line
     assert not Region(-179.0, -1.0, 179.0, 1.0).crosses_date_line
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
-from placegraph.language.text import Ignored
+from placegraph.language.text import IgnoredText
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 from placegraph_lab.worlds.town.town import Town
@@ -78,7 +78,7 @@ def _estimate(city, town, status, probabilities):
     ]
     bakery = Mention(2, "A <b>bakery</b>", (Sense("shop=bakery", 0.9),))
     west = Statement(Relation.DIRECTION, 2, 0, bearing=3 * np.pi / 2, text="A bakery is west of me")
-    ignored = (Ignored("It rains </script>", "no place"),)
+    ignored = (IgnoredText("It rains </script>", "no place"),)
     mentions = (Mention(0, "me"), Mention(1, "you"), bakery)
     understood = Description(TEXT, mentions, (west,), ignored)
     support = np.reshape(support, (-1, 3))

@@ -10,7 +10,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.encode import Encoder, bind_encoder, encoder
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.features import covered
+from placegraph_learn.features import find_patch_objects
 
 NETWORKS = {"test_vit": 16, "test_resnet": 32, "test_convnext": 32}
 """Small ones that timm has for tests, and the sides of their patches [px]."""
@@ -123,7 +123,7 @@ def test_bad_options(timm, monkeypatch):
 
 def test_patches_cover_what_label_images_say(room, posed):
     for frame in posed[:3]:
-        patch, row, share = covered(room, frame, (9, 16))
+        patch, row, share = find_patch_objects(room, frame, (9, 16))
         assert np.bincount(patch, share, 144).max() <= 1.0
         ids = frame.labels()
         h, w = ids.shape
@@ -142,19 +142,19 @@ def test_what_stands_before_the_map_is_not_the_map(room, posed):
     near = np.full((90, 160), 0.2, np.float32)
     near[:, 80:] = np.nan
     hidden = Frame.from_arrays(frame.rgb(), frame.camera, depth=near, odometry=frame.odometry)
-    patch, _, _ = covered(room, hidden, (9, 16))
+    patch, _, _ = find_patch_objects(room, hidden, (9, 16))
     assert patch.size
     assert (patch % 16 >= 8).all()
 
 
 def test_objects_are_what_saw_them(room, posed, vectors, vit):
-    seen = np.unique(np.concatenate([covered(room, f, (9, 16))[1] for f in posed]))
+    seen = np.unique(np.concatenate([find_patch_objects(room, f, (9, 16))[1] for f in posed]))
     lengths = np.linalg.norm(vectors, axis=1)
     assert lengths[seen] == pytest.approx(1.0, abs=1e-4)
     assert not np.delete(lengths, seen).any()
     ranks = []
     for frame in posed:
-        patch, row, share = covered(room, frame, (9, 16))
+        patch, row, share = find_patch_objects(room, frame, (9, 16))
         cosines = vit.patches(frame).reshape(144, -1) @ vectors[seen].T
         for p, r in zip(patch[share > 0.8], row[share > 0.8], strict=True):
             ranks.append((cosines[p] < cosines[p, seen == r]).mean())

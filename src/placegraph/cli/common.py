@@ -168,7 +168,7 @@ class _Guarded:
 
 
 @contextmanager
-def guarded() -> Iterator[None]:
+def guard_streams() -> Iterator[None]:
     """Within it, what is written to stdout and stderr is harmless."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (_Guarded(stream) for stream in before)

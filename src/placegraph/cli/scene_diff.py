@@ -67,7 +67,7 @@ def diff(
     options = DiffOptions(b_from_a=_motion(axes), **given)
     scene = open_scene(map_file)
     with progress_of(hidden=quiet or as_json) as tell:
-        differences = compared(scene, later, frames, options, tell)
+        differences = compute_diff(scene, later, frames, options, tell)
     if out is not None:
         differences.save(out)
     if png is not None:
@@ -140,7 +140,7 @@ def update(
         scene = SceneMap.open(map_file)
         options = DiffOptions(b_from_a=_motion(axes), seed=seed)
         with progress_of(hidden=quiet or as_json) as tell:
-            differences = compared(scene, Path(str(later)), frames, options, tell)
+            differences = compute_diff(scene, Path(str(later)), frames, options, tell)
     target = out or map_file
     new = update_file(
         map_file, differences, target, in_place=in_place, take=take or KINDS,
@@ -160,7 +160,7 @@ def update(
                 click.echo(f"  {label} {id_!r}: {attributes['history']}")
 
 
-def compared(
+def compute_diff(
     scene: SceneMap,
     later: Path,
     frames: str | None,

@@ -64,7 +64,7 @@ def _plain(given: Evidence | ObjectRef) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Explained:
+class LazyEvidence:
     """Answer whose evidence is computed at its first use.
 
     `explain` holds the map; pickled answers carry the evidence instead.
@@ -99,7 +99,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Place(Explained):
+class Place(LazyEvidence):
     """Mode of an outdoor estimate: a position with its probability, covariance and evidence."""
 
     longitude: float
@@ -131,7 +131,7 @@ class Place(Explained):
 
 
 @dataclass(frozen=True, eq=False)
-class PoseMode(Explained):
+class PoseMode(LazyEvidence):
     """Mode of an indoor estimate: a pose of the last frame with covariance, probability and evidence."""
 
     map_from_camera: NDArray[np.float64] = field(repr=False)
@@ -164,7 +164,7 @@ class PoseMode(Explained):
 
 
 @dataclass(frozen=True, eq=False)
-class SceneMode(Explained):
+class SceneMode(LazyEvidence):
     """Mode over the scenes of a library: a scene with its probability and evidence."""
 
     scene: str
@@ -247,7 +247,7 @@ class PassRecord:
     """One a frame: its row in the capture, poses (N, 4) and weights (N,)."""
 
 
-Mode = TypeVar("Mode", bound=Explained)
+Mode = TypeVar("Mode", bound=LazyEvidence)
 
 
 @dataclass(frozen=True, repr=False)

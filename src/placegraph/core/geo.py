@@ -419,7 +419,7 @@ class Box(NamedTuple):
         """Middle of the box."""
         return (self.west + self.east) / 2.0, (self.south + self.north) / 2.0
 
-    def widened(self, metres: float) -> Box:
+    def expand(self, metres: float) -> Box:
         """Return a box [deg] with a margin; its west may lie beyond the date line."""
         middle, latitude = self.center
         across, along = metres / np.array(LocalPlane(middle, latitude).metres_per_degree)

@@ -295,7 +295,7 @@ class Camera:
         """Whether straight lines stay straight in images."""
         return self.model == "opencv" and not any(self.distortion)
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resize(self, width: int, height: int) -> Camera:
         """Return the camera with images of another size."""
         sx, sy = width / self.width, height / self.height
         focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)

@@ -20,7 +20,7 @@ from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
 from placegraph.indoor.pose.local_fit import correct_drift, fit_window
 from placegraph.indoor.pose.particle_filter import FilteredPasses, heaviest_modes, run_passes
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.window import PoseQuery, Window, observe, timed
+from placegraph.indoor.pose.window import PoseQuery, Window, observe, time_stage
 from placegraph.indoor.refine import (
     RefineOptions,
     RefineSetup,
@@ -44,7 +44,7 @@ WINDOW = 30
 """Frames that are searched and fitted together; a longer capture is tracked, where it can be."""
 
 
-def localized(
+def localize_capture(
     scene: Scene,
     capture: Capture | Sequence[Frame],
     *,
@@ -142,7 +142,7 @@ def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     searched = query.options.tracked and len(query.frames) <= WINDOW
     if not (needs_fault_search(estimate) and here and searched and estimate.modes):
         return estimate
-    with timed(window.seconds, "faults"):
+    with time_stage(window.seconds, "faults"):
         fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
     seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
     estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})

@@ -117,9 +117,9 @@ class SceneMap(HtmlRepr, Scene):
             The matcher asked for needs an extra.
 
         """
-        from placegraph.indoor.localize import localized
+        from placegraph.indoor.localize import localize_capture
 
-        return localized(
+        return localize_capture(
             self, capture, frames=frames, prior=prior, description=description, shares=shares,
             encoder=encoder, options=options, refine=refine, matcher=matcher, seed=seed,
             device=device, progress=progress,

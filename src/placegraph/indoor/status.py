@@ -411,12 +411,12 @@ class LiveState:
     estimate: PoseEstimate | None = None
 
     @classmethod
-    def lost(cls, reason: str) -> LiveState:
+    def make_lost(cls, reason: str) -> LiveState:
         """Return the state of a pose that nobody knows."""
         return cls(Status.LOST, reason)
 
     @classmethod
-    def unconfirmed(cls, reason: str) -> LiveState:
+    def make_unconfirmed(cls, reason: str) -> LiveState:
         """Return the state of a pose that no image has confirmed."""
         return cls(Status.AMBIGUOUS, reason)
 

@@ -129,7 +129,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\x80-\x84\x86-\x9f\ud800-
 
 
 @dataclass(frozen=True, slots=True)
-class Ignored:
+class IgnoredText:
     """A stretch of the text that was not used, and why."""
 
     text: str

@@ -36,7 +36,7 @@ class Region(NamedTuple):
     north: float
     """Latitude [deg]."""
 
-    def checked(self) -> Self:
+    def validate(self) -> Self:
         """Return the region itself; raise `OptionError` where it is none."""
         longitudes, latitudes = (self.west, self.east), (self.south, self.north)
         if not (
@@ -312,7 +312,7 @@ class EmbeddedStore:
         scaled = asked * self.steps
         found = np.full((len(asked), n), -1, np.int64)
         similarity = np.full((len(asked), n), -np.inf, np.float32)
-        box = np.zeros(0) if region is None else np.round(np.array(region.checked()) / GRAIN)
+        box = np.zeros(0) if region is None else np.round(np.array(region.validate()) / GRAIN)
         search_all(self.rows, self.ids, self.positions, box, scaled, found, similarity)
         return Neighbours(found, similarity)
 

@@ -82,7 +82,7 @@ class SceneView:
             self.box.remove()
             self.box = None
         self.choice.value = "-" if row is None else self.titles[row]
-        self.about.content = "" if row is None else self.described(row)
+        self.about.content = "" if row is None else self.describe_object(row)
         self.visible.disabled = row is None
         if row is not None:
             self.visible.value = self.shown[row]
@@ -102,7 +102,7 @@ class SceneView:
         self.shown = [s and i not in wanted for i, s in enumerate(self.shown)]
         self._update()
 
-    def described(self, row: int) -> str:
+    def describe_object(self, row: int) -> str:
         """Describe an object in Markdown."""
         graph = self.scene.graph
         lines = [

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Estimate, Explained, Status
+from placegraph.core.estimate import Estimate, LazyEvidence, Status
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -76,7 +76,7 @@ class WorldQuery:
 
 
 @dataclass(frozen=True, eq=False)
-class WorldMode(Explained):
+class WorldMode(LazyEvidence):
     """One place, room and pose that may be meant; what is not known is None, or empty."""
 
     longitude: float | None

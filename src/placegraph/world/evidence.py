@@ -12,7 +12,7 @@ from placegraph.core.estimate import Evidence
 from placegraph.core.geo import Anchor, EarthPose
 from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.indoor.language.likeness import table
-from placegraph.indoor.language.score import compared, of_scenes, score
+from placegraph.indoor.language.score import of_scenes, score, score_statements
 from placegraph.indoor.language.sentence import Kind, Sentence
 from placegraph.indoor.map.floor import find_storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
@@ -112,7 +112,7 @@ class IndoorMatch:
         """Compare a sentence with the rooms of all scenes."""
         columns = library.texts.columns
         usual = columns if library.usual is None else library.usual
-        totals = compared(sentence, columns, usual).sum(axis=0)
+        totals = score_statements(sentence, columns, usual).sum(axis=0)
         best, _ = of_scenes(sentence, columns, totals)
         kinds = _score_room_kinds(sentence, columns)
         rooms: dict[str, dict[str, float]] = {}

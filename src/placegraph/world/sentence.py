@@ -27,7 +27,7 @@ from placegraph.indoor.language import read as read_inside
 from placegraph.indoor.language.likeness import EXACT, match_labels, room_kind, table
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.io.osm.indoor_osm import parse_levels
-from placegraph.language.text import Ignored, check_text
+from placegraph.language.text import IgnoredText, check_text
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
 from placegraph.outdoor.likelihood.query import ends
 from placegraph.outdoor.search.request import parse as read_outside
@@ -182,7 +182,7 @@ class ParsedSentence:
     """Statements about the outside, by name of the town; only where there are some."""
     inside: Sentence | None
     """Statements about the inside; None without any."""
-    ignored: tuple[Ignored, ...] = ()
+    ignored: tuple[IgnoredText, ...] = ()
     """Parts that neither wing could use."""
     floors: tuple[FloorStatement, ...] = ()
 
@@ -288,7 +288,7 @@ def resolve_addresses(description: Description, town: Town) -> Description:
         is_address = len(words) > 1 and words[-1][0].isdigit()
         turned = " ".join([words[-1], *words[:-1]]) if is_address else ""
         street = " ".join(words[:-1])
-        if turned and not town.words.name_index.named(turned):  # the map may lack the house
+        if turned and not town.words.name_index.find_rows(turned):  # the map may lack the house
             turned = street if town.is_street(street) else ""
         mentions.append(replace(m, name=turned) if turned else m)
     statements = tuple(
@@ -312,7 +312,7 @@ def _find_outdoors(
         words = _normalize(m.words)
         known = any(s.weight >= MIN_SENSE_WEIGHT and s.label in town.label_index for s in m.senses)
         if m.name:
-            is_out = bool(town.name_index.named(m.name)) or words not in own
+            is_out = bool(town.name_index.find_rows(m.name)) or words not in own
         elif room_kind(words):
             held = {room_kind(thing) for thing in objects}
             whole = " " in words and words in {
@@ -406,7 +406,7 @@ def translate_rooms(description: Description, town: TownWords) -> Description:
     mentions, known = list(description.mentions), set()
     for i, m in enumerate(description.mentions[LISTENER + 1 :], LISTENER + 1):
         word = _translate(m.words, english)
-        if word and not (m.name and town.name_index.named(m.name)):
+        if word and not (m.name and town.name_index.find_rows(m.name)):
             mentions[i] = replace(m, words=word, name="")
             known.add(m.words)
     ignored = tuple(i for i in description.ignored if i.text not in known)

@@ -319,7 +319,7 @@ class StreetMatch:
 def find_roads(city: CityMap, name: str) -> NDArray[np.int64]:
     """Find the rows of the streets that a name means; none where it means other objects, too."""
     starts, objects = city.token_objects
-    found = [t + len(city.objects.labels) for t in city.name_index.named(name)]
+    found = [t + len(city.objects.labels) for t in city.name_index.find_rows(name)]
     rows = np.concatenate([objects[starts[t] : starts[t + 1]] for t in found] or [objects[:0]])
     return np.unique(rows) if all(_is_road(city, int(row)) for row in rows) else rows[:0]
 

@@ -14,7 +14,7 @@ from placegraph_lab.worlds.flat.walks import Walk, write_walk
 def place(study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("place")
     interior = study.furnish(np.random.default_rng(1))
-    later = interior.moved("chair", (0.4, -0.3), 0.4).without("lamp")
+    later = interior.move_object("chair", (0.4, -0.3), 0.4).without("lamp")
     for name, what in (("room", interior), ("later", later)):
         what.write_glb(folder / f"{name}.glb")
         build_scene(folder / f"{name}.glb", folder / f"{name}.scene")

@@ -10,7 +10,7 @@ from placegraph.indoor.language.appearance import (
     colours_of,
     from_words,
     in_words,
-    named,
+    name_colours,
     with_colours,
 )
 from placegraph.indoor.language.likeness import match_labels
@@ -91,7 +91,7 @@ def test_rooms_have_sizes():
 
 def test_colours_are_called_by_their_names():
     for name, code in (("red", (190, 30, 40)), ("black", (10, 10, 10)), ("beige", (216, 201, 168))):
-        assert COLOURS[named(np.array([code], np.uint8))[0].argmax()] == name
+        assert COLOURS[name_colours(np.array([code], np.uint8))[0].argmax()] == name
     shares = colours_of(CORNER)
     assert [COLOURS[i] for i in shares.argmax(axis=1)] == ["white", "green", "grey"]
     said = with_colours(CORNER)[1]

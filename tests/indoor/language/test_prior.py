@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.language import read
-from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
-from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
+from placegraph.indoor.language.prior import WRONG, evidence, find_unused, prior
+from placegraph.indoor.language.sight_kernels import (
+    dilate_profile,
+    look_around_for,
+    look_for,
+    vote_rooms,
+)
 from placegraph.indoor.map.free_space import decode_ranges
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP, Panoramas
 from placegraph.indoor.options import PoseSearchOptions
@@ -125,9 +130,9 @@ def test_kin_and_one_of_several(flat, table):
 def test_what_the_map_has_not_is_told(flat, table):
     said = read("next to the toaster, facing the piano on the sofa, in the gym")
     assert (prior(said, flat, table) == 0).all()
-    reasons = [i.reason for i in unused(said, flat)]
+    reasons = [i.reason for i in find_unused(said, flat)]
     assert reasons == ["the map has no toaster", "the map has no gym"] or len(reasons) == 4
-    assert not unused(read("next to the sofa"), flat)
+    assert not find_unused(read("next to the sofa"), flat)
 
 
 def test_a_pose_is_told_why(flat, table):
@@ -170,7 +175,7 @@ def test_compiled_code_does_as_plain_code():
         shares = [w[room[objects[k]] == r].sum() for r in (0, 1)]
         assert np.allclose(votes[k], np.array(shares) / sum(shares), atol=1e-4)
     window = np.array([0.2, 0.7, 1.0, 0.5, 0.1], np.float32)
-    found = turned(profile, 10, window)
+    found = dilate_profile(profile, 10, window)
     a = np.arange(AZIMUTHS)
     slow = [window[2 + o] * profile[:, (a + 10 + o) % AZIMUTHS] for o in range(-2, 3)]
     assert np.allclose(found, np.max(slow, axis=0))

@@ -8,7 +8,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.library import SceneLibrary, SearchOptions, make_library
 from placegraph.indoor.library.search import WORDS, encode_frames, score_scenes
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.worlds.home.change import changed
+from placegraph_lab.worlds.home.change import change_home
 from placegraph_lab.worlds.home.home import scene_of
 
 
@@ -33,7 +33,7 @@ def test_more_frames_make_sure(by_labels, rooms):
 
 def test_a_room_is_found_when_things_have_moved(by_labels, rooms):
     room = rooms["study"]
-    moved = replace(room, interior=changed(room.interior, np.random.default_rng(2)))
+    moved = replace(room, interior=change_home(room.interior, np.random.default_rng(2)))
     assert by_labels.search(moved.film(5, frames=8)).best.scene == "study"
 
 

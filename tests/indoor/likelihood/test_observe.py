@@ -100,7 +100,7 @@ def test_samples_fill_the_image_whatever_the_stride(width, height, stride, bent,
 def test_large_images_have_larger_pixels_not_more_samples(width, height):
     longer = max(width, height)
     camera = Camera(width, height, longer * 0.7, longer * 0.7, width / 2, height / 2)
-    small = camera.resized(round(width * 640 / longer), round(height * 640 / longer))
+    small = camera.resize(round(width * 640 / longer), round(height * 640 / longer))
     many, few = (view_of(frame(c), 20.0) for c in (camera, small))
     assert (many.patch >= 0).sum() == (few.patch >= 0).sum()
     inside = many.patch >= 0

@@ -82,7 +82,7 @@ def test_plain_meshes():
     assert (coloured.colours == 9).all()
     assert len(Mesh.plain(np.zeros((0, 3)), np.zeros((0, 3), int))) == 0
     assert square().normals().tolist() == [[0, 0, 2], [0, 0, 2]]  # twice the area
-    moved = square().moved([1, 2, 3])
+    moved = square().translate([1, 2, 3])
     assert moved.vertices[0].tolist() == [1, 2, 3]
     assert moved.vertices.dtype == np.float32
 
@@ -146,19 +146,19 @@ coordinates = arrays.arrays(
 @given(coordinates)
 def test_snapping_moves_little_and_once(points):
     mesh = square(vertices=points, uv=points[:, :2])
-    snapped = mesh.snapped()
+    snapped = mesh.quantize()
     step, uv_step = mesh.steps()
     assert step >= GRAIN
     assert uv_step >= UV_GRAIN
     assert np.abs(snapped.vertices - points).max() <= step / 2
     assert np.abs(snapped.uv - points[:, :2]).max() <= uv_step / 2
-    again = snapped.snapped()
+    again = snapped.quantize()
     np.testing.assert_array_equal(again.vertices, snapped.vertices)
     np.testing.assert_array_equal(again.uv, snapped.uv)
     multiples = snapped.vertices.astype(np.float64) / snapped.steps()[0]
     np.testing.assert_array_equal(multiples, np.rint(multiples))
     # fine in a house and coarse on a continent
-    assert square().moved([GRAIN, 0, 0]).steps() == (GRAIN, UV_GRAIN)
+    assert square().translate([GRAIN, 0, 0]).steps() == (GRAIN, UV_GRAIN)
     assert square().steps()[0] == 1.0, "the longest that all coordinates are multiples of"
     large = square(vertices=np.array(SQUARE, np.float32) * 1e6 + 0.5)
     assert 0.1 < large.steps()[0] < 1.0

@@ -27,7 +27,7 @@ def clip(walk, room, truth):
 
 def half_elsewhere(clip, _, rng):  # noqa: ARG001
     """The first frames are from the same walk seen in a mirror: no place of this room."""
-    frames = bad.mirrored(clip, 0, None).frames[:5] + clip.frames[5:]
+    frames = bad.mirror_images(clip, 0, None).frames[:5] + clip.frames[5:]
     return replace(clip, frames=frames)
 
 
@@ -35,8 +35,8 @@ def half_elsewhere(clip, _, rng):  # noqa: ARG001
     ("spoil", "strength", "said"),
     [
         (bad.lens_cap, 0, "lens seems to be covered"),
-        (bad.frozen, 0, "frames 0 to 9 are identical"),
-        (bad.mirrored, 0, "seem to be mirrored"),
+        (bad.freeze_images, 0, "frames 0 to 9 are identical"),
+        (bad.mirror_images, 0, "seem to be mirrored"),
         (bad.gravity_up, 0, "Gravity seems to point up"),
         (half_elsewhere, 0, "contradict the others"),
     ],

@@ -42,7 +42,7 @@ def test_observations_multiply_weights(seed, count, offset):
     rng = np.random.default_rng(seed)
     particles = of_weights(rng.random(count) + 0.01)
     likelihoods = rng.normal(0, 3, count)
-    got, evidence = particles.reweighted(likelihoods + offset)
+    got, evidence = particles.reweight(likelihoods + offset)
     posterior = particles.weights * np.exp(likelihoods)
     np.testing.assert_allclose(got.weights, posterior / posterior.sum(), rtol=1e-6, atol=1e-12)
     assert evidence == pytest.approx(math.log(posterior.sum()) + offset, abs=1e-6)
@@ -54,8 +54,8 @@ def test_observations_multiply_weights(seed, count, offset):
 def test_effective_size_counts_those_that_matter():
     for weights, count in (([1] * 8, 8), ([1, 1, 1, 0, 0], 3), ([1, 0, 0], 1)):
         assert of_weights(weights).effective() == pytest.approx(count)
-    assert Particles.even(np.zeros((8, 4))).effective() == pytest.approx(8)
-    assert len(Particles.even(np.zeros((0, 4)))) == 0
+    assert Particles.uniform(np.zeros((8, 4))).effective() == pytest.approx(8)
+    assert len(Particles.uniform(np.zeros((0, 4)))) == 0
 
 
 @pytest.mark.parametrize("bins", [2, 5, 11, 51, 201, 1001])
@@ -78,7 +78,7 @@ def bound(bins):
 def test_bins_are_counted_by_weight(rng):
     centres = (np.arange(10)[:, None] + 0.5) * BIN  # ten bins
     poses = np.repeat(centres, 10, axis=0) + rng.uniform(-0.4, 0.4, (100, 4)) * BIN
-    assert kld_count(Particles.even(poses), OPTIONS) == bound(10)
+    assert kld_count(Particles.uniform(poses), OPTIONS) == bound(10)
     # bins whose weight is less than half a particle's would be drawn from by chance alone
     weights = np.ones(100)
     weights[30:] = 0.01
@@ -92,16 +92,16 @@ def test_every_axis_has_bins():
     for axis in range(4):
         poses = np.tile(BIN / 2, (7, 1))
         poses[:, axis] += np.arange(7) * BIN[axis]
-        assert kld_count(Particles.even(poses), OPTIONS) == bound(7)
+        assert kld_count(Particles.uniform(poses), OPTIONS) == bound(7)
 
 
 def test_bins_of_yaw_close_the_circle():
     poses = np.zeros((6, 4))
     poses[:, 3] = np.deg2rad(5.0) + 2 * np.pi * np.arange(-3, 3)
-    assert kld_count(Particles.even(poses), OPTIONS) == 1
+    assert kld_count(Particles.uniform(poses), OPTIONS) == 1
     poses = np.zeros((1000, 4))
     poses[:, 3] = np.linspace(-7, 7, 1000)
-    assert kld_count(Particles.even(poses), OPTIONS) == bound(36)
+    assert kld_count(Particles.uniform(poses), OPTIONS) == bound(36)
 
 
 @given(seeds, st.integers(1, 40), st.integers(1, 200))

@@ -188,7 +188,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
     rival = PEAK + np.array([2.0, 0, 0, 0])
     poses = np.concatenate([PEAK + NARROW * rng.normal(size=(300, 4)), rival[None].repeat(100, 0)])
     logs = np.log(np.append(rng.uniform(0.5, 1.0, 300), np.full(100, 0.2)))
-    particles, _ = Particles.even(poses).reweighted(logs)
+    particles, _ = Particles.uniform(poses).reweight(logs)
     best = particles.weights.argmax()
     (fit,) = heaviest_modes(ALONE, particles, 1)
     np.testing.assert_array_equal(fit.pose, poses[best])

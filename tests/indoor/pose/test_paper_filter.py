@@ -215,7 +215,7 @@ def test_weights_bins_and_resampling(rng):
     poses = np.concatenate([scattered(rng, 150), TRUE[0] + 0.1 * rng.normal(size=(250, 4))])
     poses[:, 3] = wrap_angle(poses[:, 3])
     weights, logs = np.full(400, 1 / 400), -rng.exponential(3.0, 400)
-    ours, _ = Particles.even(poses).reweighted(logs)
+    ours, _ = Particles.uniform(poses).reweight(logs)
     other = theirs.update(weights, logs)
     np.testing.assert_allclose(ours.weights, other, atol=1e-12)
     wanted = theirs.kld(theirs.occupied(poses, other))

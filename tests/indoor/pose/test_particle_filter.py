@@ -27,7 +27,7 @@ def near(poses, target, spread=SPREAD):
 
 
 def filter_of(poses, rng, options=OPTIONS, scorer=near, most=2000):
-    return ParticleFilter(scorer, options, rng, Particles.even(np.array(poses, float)), most)
+    return ParticleFilter(scorer, options, rng, Particles.uniform(np.array(poses, float)), most)
 
 
 def scattered(rng, count, box=3.0):
@@ -53,12 +53,12 @@ def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):
     filter_.reweight(values)
     got = filter_.particles
     wanted = max(4.0, 0.1 * count)
-    untouched, _ = Particles.even(np.zeros((count, 4))).reweighted(values)
+    untouched, _ = Particles.uniform(np.zeros((count, 4))).reweight(values)
     if untouched.effective() >= wanted:
         np.testing.assert_allclose(got.log_weights, untouched.log_weights)
     else:
         # a bisection of twelve steps; below a thousandth nothing is flattened any further
-        lowest = Particles.even(np.zeros((count, 4))).reweighted(1e-3 * values)[0].effective()
+        lowest = Particles.uniform(np.zeros((count, 4))).reweight(1e-3 * values)[0].effective()
         assert got.effective() >= min(wanted, lowest) * 0.999
         assert got.effective() <= max(wanted * 1.3, lowest * 1.001)
     order = np.argsort(values)
@@ -71,7 +71,7 @@ def test_the_papers_likelihood_is_left_as_it_is(rng):
     filter_ = filter_of(np.zeros((200, 4)), rng, PAPER, scorer=lambda _, view: view)
     filter_.reweight(values)
     assert filter_.particles.effective() == pytest.approx(1.0, abs=1e-6)
-    expected, _ = Particles.even(np.zeros((200, 4))).reweighted(values)
+    expected, _ = Particles.uniform(np.zeros((200, 4))).reweight(values)
     np.testing.assert_array_equal(filter_.particles.log_weights, expected.log_weights)
     gentle = filter_of(np.zeros((200, 4)), rng, scorer=lambda _, view: view)
     gentle.reweight(values)
@@ -93,7 +93,7 @@ def test_resampling_to_as_many_as_kld_says_between_bounds(rng):
 def test_modes_come_heaviest_first(rng):
     poses = np.array([[0, 0, 1.6, 0], [0.1, 0, 1.6, 0], [3, 0, 1.6, 0], [0, 0, 1.6, 2]], float)
     filter_ = filter_of(poses, rng)
-    filter_.particles, _ = filter_.particles.reweighted(np.array([1.0, 2.0, 3.0, 0.5]))
+    filter_.particles, _ = filter_.particles.reweight(np.array([1.0, 2.0, 3.0, 0.5]))
     np.testing.assert_array_equal(filter_.modes(), poses[[2, 1, 3]])
     filter_.options = replace(OPTIONS, modes=1)
     np.testing.assert_array_equal(filter_.modes(), poses[[2]])

@@ -208,7 +208,7 @@ def test_sentences_and_mended_frames(exact):
         np.testing.assert_array_equal(after.rgb(), before.rgb())
         assert after.images.labels() is None
     assert CameraCorrection.identity().frames(frames)[0].images is frames[0].images
-    assert share_view(frame.camera, frame.camera.resized(80, 60))
+    assert share_view(frame.camera, frame.camera.resize(80, 60))
     assert not share_view(frame.camera, replace(frame.camera, fx=125.0))
     assert not share_view(frame.camera, None)
 

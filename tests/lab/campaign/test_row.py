@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.campaign.row import Row, mark_fixed, merged, total
+from placegraph_lab.campaign.row import Row, mark_fixed, merge_rows, total
 from placegraph_lab.tables.named import reliability as module
 from placegraph_lab.tables.runner import LAB, Run
 
@@ -11,21 +11,21 @@ FOUND = {"accepted": 3, "typed": 4, "hang": 1}
 
 
 def test_rows_take_the_place_of_the_same_of_the_same_seed():
-    old, again = (Row.counted("soak", "tracker", FOUND, 7, seconds) for seconds in (1.0, 2.0))
+    old, again = (Row.from_counts("soak", "tracker", FOUND, 7, seconds) for seconds in (1.0, 2.0))
     other, first = (
-        Row.counted("soak", "tracker", FOUND, 8, 1.0),
-        Row.counted("fuzz", "GLB", {}, 7, 0.0),
+        Row.from_counts("soak", "tracker", FOUND, 8, 1.0),
+        Row.from_counts("fuzz", "GLB", {}, 7, 0.0),
     )
-    assert merged([other, old], [again, first]) == [first, other, again]
+    assert merge_rows([other, old], [again, first]) == [first, other, again]
 
 
 def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
-    row = Row.counted("fuzz", "GLB", FOUND, 7, 0.0)
+    row = Row.from_counts("fuzz", "GLB", FOUND, 7, 0.0)
     (mended,) = mark_fixed([row], ["fuzz/GLB/7"])
     assert (mended.faults, mended.mended, mended.open) == (1, 1, 0)
     assert Row.from_dict(mended.to_dict()) == mended
     assert (total([row, mended]).faults, total([row, mended]).open) == (2, 1)
-    assert merged([mended], [row]) == [row]
+    assert merge_rows([mended], [row]) == [row]
     with pytest.raises(KeyError, match="fuzz/GLB/8"):
         mark_fixed([row], ["fuzz/GLB/8"])
 
@@ -40,7 +40,9 @@ class Parts:
     def of(self, name):
         def rows(effort):
             for what in "ab":
-                yield Row.counted(name.rpartition(".")[2], what, FOUND, effort.seed, effort.seconds)
+                yield Row.from_counts(
+                    name.rpartition(".")[2], what, FOUND, effort.seed, effort.seconds
+                )
                 if self.cut:
                     raise KeyboardInterrupt
 
@@ -53,7 +55,7 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
 
     def asked(**given):
         module.reliability.measure(run, **given)
-        return [(r.part, r.what, r.seed, r.seconds) for r in module.written(out)]
+        return [(r.part, r.what, r.seed, r.seconds) for r in module.read_rows(out)]
 
     assert asked(minutes=1.0, only="soak,fuzz") == [
         ("fuzz", "a", 0, 60.0), ("fuzz", "b", 0, 60.0), ("soak", "a", 0, 60.0), ("soak", "b", 0, 60.0),
@@ -61,12 +63,12 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
     parts.cut = True
     with pytest.raises(KeyboardInterrupt):
         asked(minutes=2.0, only="fuzz")
-    assert [row.seconds for row in module.written(out)] == [60.0, 120.0, 60.0, 60.0]
+    assert [row.seconds for row in module.read_rows(out)] == [60.0, 120.0, 60.0, 60.0]
     there = tmp_path / "there.json"
     there.write_text(json.dumps({"rows": [Row("soak", "c", 0, seed=3).to_dict()]}))
     assert len(asked(minutes=0.0, also=str(there))) == 5
     asked(minutes=0.0, mended="fuzz/a/0; soak/b/0")
-    assert [r.what for r in module.written(out) if r.faults and not r.open] == ["a", "b"]
+    assert [r.what for r in module.read_rows(out) if r.faults and not r.open] == ["a", "b"]
     with pytest.raises(module.BadParameter, match="soak/c/3"):  # it has no faults
         asked(minutes=0.0, mended="soak/c/3")
     capsys.readouterr()
@@ -77,16 +79,19 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
 
 
 def test_page_and_readme_are_those_of_the_rows(tmp_path):
-    rows = module.written(LAB / "results/reliability.json")
+    rows = module.read_rows(LAB / "results/reliability.json")
     for name in ("README.md", module.PAGE):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text((LAB.parent / name).read_text("utf-8"), "utf-8")
     module.publish(rows, tmp_path)
-    for name, text in (("README.md", module.summed(rows)), (module.PAGE, module.render_rows(rows))):
+    for name, text in (
+        ("README.md", module.summarize_rows(rows)),
+        (module.PAGE, module.render_rows(rows)),
+    ):
         assert text in (LAB.parent / name).read_text("utf-8"), (
             "table reliability --minutes 0 writes it"
         )
         assert (tmp_path / name).read_text("utf-8") == (LAB.parent / name).read_text("utf-8")
-    module.publish([Row.counted("fuzz", "GLB", FOUND, 7, 0.0)], tmp_path)
+    module.publish([Row.from_counts("fuzz", "GLB", FOUND, 7, 0.0)], tmp_path)
     assert "8 trials, 1 faults found, 1 open" in (tmp_path / "README.md").read_text("utf-8")
     assert "| fuzz | all |" in (tmp_path / module.PAGE).read_text("utf-8")

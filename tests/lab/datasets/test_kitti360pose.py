@@ -13,7 +13,7 @@ from placegraph_lab.datasets.kitti360pose import (
     convert_kitti360pose,
     nearest_colour,
 )
-from placegraph_lab.datasets.pickles import finished, read_pickle
+from placegraph_lab.datasets.pickles import read_pickle, unwrap_array
 
 SYNC = "2013_05_28_drive_{}_sync.pkl"
 
@@ -43,21 +43,21 @@ def test_every_field_is_that_of_the_pickles(folder, data):
         cell = record.fields
         row = first + k
         assert (c.ids[row], data.scenes[c.scene[row]]) == (cell["id"], "0003")
-        box = finished(cell["bbox_w"])
+        box = unwrap_array(cell["bbox_w"])
         np.testing.assert_array_equal(c.boxes[row], box)
         assert c.sizes[row] == cell["cell_size"] == 30.0
         things = [thing.fields for thing in cell["objects"]]
         rows = range(*c.objects(row).indices(len(o.ids)))
         assert len(rows) == len(things)
-        assert c.points[row] == sum(len(finished(t["xyz"])) for t in things)
+        assert c.points[row] == sum(len(unwrap_array(t["xyz"])) for t in things)
         assert c.point_bytes[row] == sum(
-            finished(t["xyz"]).nbytes + finished(t["rgb"]).nbytes for t in things
+            unwrap_array(t["xyz"]).nbytes + unwrap_array(t["rgb"]).nbytes for t in things
         )
         for i, thing in zip(rows, things, strict=True):
-            xyz = box[:3] + 30.0 * finished(thing["xyz"])
+            xyz = box[:3] + 30.0 * unwrap_array(thing["xyz"])
             assert (o.ids[i], o.instances[i]) == (thing["id"], thing["instance_id"])
             assert data.labels[o.labels[i]] == thing["label"]
-            rgb = 255.0 * finished(thing["rgb"]).mean(axis=0)
+            rgb = 255.0 * unwrap_array(thing["rgb"]).mean(axis=0)
             np.testing.assert_allclose(o.rgb[i], rgb, atol=0.51)
             assert data.colours[o.colours[i]] == nearest_colour(rgb)
             np.testing.assert_allclose(o.centers[i], xyz.mean(axis=0), atol=GRAIN)
@@ -75,7 +75,7 @@ def test_poses_and_what_was_said(folder, data):
     p, h = data.poses, data.hints
     for k, record in enumerate(poses):
         pose, row = record.fields, first + k
-        np.testing.assert_array_equal(p.positions[row], finished(pose["pose_w"]))
+        np.testing.assert_array_equal(p.positions[row], unwrap_array(pose["pose_w"]))
         assert data.cells.ids[p.cells[row]] == pose["cell_id"]
         for i, told in zip(
             range(*p.hints(row).indices(len(h.labels))), pose["descriptions"], strict=True
@@ -86,7 +86,7 @@ def test_poses_and_what_was_said(folder, data):
             assert DIRECTIONS[h.directions[i]] == hint["direction"]
             assert h.objects[i] == hint.get("object_id", -1)
             for column, name in ((h.offsets, "offset_center"), (h.closest, "offset_closest")):
-                np.testing.assert_allclose(column[i], 30.0 * finished(hint[name]), rtol=1e-6)
+                np.testing.assert_allclose(column[i], 30.0 * unwrap_array(hint[name]), rtol=1e-6)
 
 
 def spoil(where, **changes):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError
 from placegraph_lab.datasets.kitti360pose import RELEASE
-from placegraph_lab.datasets.pickles import Record, finished, read_pickle
+from placegraph_lab.datasets.pickles import Record, read_pickle, unwrap_array
 
 MODULE = RELEASE.module
 
@@ -76,7 +76,7 @@ def test_arrays_and_numbers_of_both_numpys(tmp_path, protocol, spelling):
     assert (b"numpy._core" in raw) == (spelling is not as_numpy_1)
     found = loaded(tmp_path, raw)
     for array, expected in zip(found["arrays"], ARRAYS, strict=True):
-        array = finished(array)  # noqa: PLW2901
+        array = unwrap_array(array)  # noqa: PLW2901
         assert array.dtype == expected.dtype.newbyteorder("=") or array.dtype == expected.dtype
         np.testing.assert_array_equal(array, expected)
         assert not array.flags.writeable
@@ -94,7 +94,7 @@ def test_published_classes_become_records(tmp_path, protocol, kitti360pose_world
     assert first is second
     assert type(first) is Record
     assert (first.kind, first.fields["id"], first.fields["label"]) == ("Object3d", 3, "road")
-    np.testing.assert_array_equal(finished(first.fields["xyz"]), ARRAYS[0])
+    np.testing.assert_array_equal(unwrap_array(first.fields["xyz"]), ARRAYS[0])
     assert MODULE not in sys.modules, "nothing was imported"
 
 

@@ -25,7 +25,7 @@ def bench(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
         )  # fmt: skip
 
     monkeypatch.setattr(script, "ask", ask)
-    monkeypatch.setattr(indoor_bench, "covered", lambda _, window: window)
+    monkeypatch.setattr(indoor_bench, "measure_coverage", lambda _, window: window)
     monkeypatch.setattr(script.Bench, "scene", lambda _, name: name)
     return asked
 

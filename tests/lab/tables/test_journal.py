@@ -30,12 +30,12 @@ def test_what_is_missing_is_asked_and_written_down_at_once(tmp_path):
     keys = ["a", "b", "c", "d"]
     assert kept.missing(keys) == [0, 2, 3]
     with pytest.raises(KeyboardInterrupt):
-        kept.filled(keys, ask, warm=lambda: told.append("warm"), tick=lambda: told.append("tick"))
+        kept.fill(keys, ask, warm=lambda: told.append("warm"), tick=lambda: told.append("tick"))
     assert told == ["warm", 0, "tick", 2, "tick", 3]
     again = Journal(tmp_path / "a.jsonl")
     assert again.missing(keys) == [3]
-    assert again.filled(keys, lambda i: 10 * (i + 1)) == [10, 20, 30, 40]
-    assert again.filled(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
+    assert again.fill(keys, lambda i: 10 * (i + 1)) == [10, 20, 30, 40]
+    assert again.fill(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
 
 
 def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):

@@ -10,9 +10,9 @@ from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.sg2loc import LAYOUT, Asking, How, Set, Walk, recipes
 from placegraph_lab.tables.named.sg2loc import SPECS
-from placegraph_lab.tables.named.sg2loc import published as figures
+from placegraph_lab.tables.named.sg2loc import read_published as figures
 from placegraph_lab.tables.runner import Run, load, names
-from placegraph_lab.worlds.home.home import changed, home, record, scene_of, visit
+from placegraph_lab.worlds.home.home import change_home, home, record, scene_of, visit
 
 TABLES = [f"sg2loc-{n}" for n in range(1, 15)]
 CAMERA = Camera(96, 72, 69.0, 69.0, 48.0, 36.0)
@@ -24,7 +24,7 @@ def room(seed):
     rng = np.random.default_rng(seed)
     flat = home(rng, style="hotel")
     first = flat.furnish(rng)
-    for interior in (first, changed(first, rng)):
+    for interior in (first, change_home(first, rng)):
         way = visit(flat, interior, rng, frames=FRAMES)
         yield (
             scene_of(interior),

@@ -17,7 +17,7 @@ def film(tmp_path_factory):
     drawing = Flat.load(FLAT)
     interior = drawing.furnish(rng)
     scene = build_scene(interior.write_glb(folder / "flat.glb"), None)
-    now = interior.moved("armchair", (0.5, -0.2), 0.6).without("chair 1")
+    now = interior.move_object("armchair", (0.5, -0.2), 0.6).without("chair 1")
     walk = stroll(drawing, rng, frames=14, through=WAY, speed=1.5)
     write_walk(now, walk, folder / "walk", rng, camera=SMALL)
     return scene, open_capture(folder / "walk"), walk.map_from_camera

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from placegraph_lab.worlds.flat.flat import read_material
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
-from placegraph_lab.worlds.flat.render import GeometryImage, measured
+from placegraph_lab.worlds.flat.render import GeometryImage, simulate_depth
 from placegraph_lab.worlds.flat.textures import PAINTERS, Material, paint
 
 
@@ -45,7 +45,7 @@ def flat_wall(distance, shape=(90, 160)):
 
 @pytest.mark.parametrize("distance", [0.8, 2.0, 5.0])
 def test_depth_errors_grow_with_the_square_of_the_distance(distance, rng):
-    depth = measured(flat_wall(distance), rng)
+    depth = simulate_depth(flat_wall(distance), rng)
     read = depth[depth > 0] / 1000.0
     sigma = 0.0012 + 0.0019 * (distance - 0.4) ** 2
     assert 0.8 < len(read) / depth.size < 0.985

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from placegraph.errors import InputError, OptionError
-from placegraph.language.text import Ignored
+from placegraph.language.text import IgnoredText
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
 from placegraph.outdoor.language.languages import tables
@@ -116,7 +116,7 @@ def test_the_language_is_recognised_whatever_the_letters(text, language, said):
 def test_what_is_in_no_known_language_is_told(text):
     description = describe(text)
     assert description.language == ""
-    assert description.ignored[-1] == Ignored(text, "in an unknown language")
+    assert description.ignored[-1] == IgnoredText(text, "in an unknown language")
 
 
 def test_a_language_that_there_is_not():

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.language.vocabulary.tables import Lexicon, weighted
-from placegraph.outdoor.language.words import folded, normal, singular
+from placegraph.outdoor.language.vocabulary.tables import Lexicon, parse_weighted_labels
+from placegraph.outdoor.language.words import fold_diacritics, normal, singular
 
 DATA = files("placegraph.outdoor.language.vocabulary").joinpath("data")
 
@@ -84,7 +84,7 @@ def test_normal_forms_are_idempotent(text):
     once = normal(text)
     assert normal(once) == once
     assert singular(singular(once)) == singular(once)
-    assert folded(folded(once)) == folded(once)
+    assert fold_diacritics(fold_diacritics(once)) == fold_diacritics(once)
     assert once == once.strip()
 
 
@@ -98,7 +98,7 @@ NORMAL_FORM = [
 
 def test_normal_form():
     for text, form in NORMAL_FORM:
-        assert folded(normal(text)) == folded(form)
+        assert fold_diacritics(normal(text)) == fold_diacritics(form)
 
 
 SINGULAR = [
@@ -246,11 +246,12 @@ def test_what_no_city_map_draws_is_known_all_the_same(vocabulary):
     for phrase in ("signal", "stop_position", "stop positions", "proposed", "the derails"):
         assert vocabulary.senses(phrase) == ()
         assert (
-            vocabulary.unknown(phrase.removeprefix("the ")) == "is known, but never on a city map"
+            vocabulary.explain_unknown(phrase.removeprefix("the "))
+            == "is known, but never on a city map"
         )
     assert vocabulary.longest_match(["stop", "position", "near"]) == (2, ())
-    assert vocabulary.unknown("benhc") == "unknown word; did you mean bench?"
-    assert vocabulary.unknown("zorblat") == "unknown word"
+    assert vocabulary.explain_unknown("benhc") == "unknown word; did you mean bench?"
+    assert vocabulary.explain_unknown("zorblat") == "unknown word"
 
 
 def test_words_written_without_their_diacritics(vocabulary):
@@ -309,7 +310,9 @@ def test_any_text_gives_ordered_weights(text):
 
 def shipped_labels(vocabulary):
     tables = [vocabulary._words.english, vocabulary._words.foreign]
-    presets = [label for text in vocabulary._english.presets for label, _ in weighted(text)]
+    presets = [
+        label for text in vocabulary._english.presets for label, _ in parse_weighted_labels(text)
+    ]
     return sorted(
         {*presets, *(label for table in tables for row in table.values() for label in row)}
     )
@@ -326,13 +329,13 @@ def test_spoken_words_lead_back(vocabulary):
     every = shipped_labels(vocabulary)
     best = 0
     for label in every:
-        found = {s.label: s.weight for s in vocabulary.senses(vocabulary.spoken(label))}
+        found = {s.label: s.weight for s in vocabulary.senses(vocabulary.name_label(label))}
         assert found, label
         key, _, value = label.partition("=")
         if value in ("*", "yes"):
             assert any(other.partition("=")[0] == key for other in found) or value == "*", label
             continue
-        assert label in found, (label, vocabulary.spoken(label))
+        assert label in found, (label, vocabulary.name_label(label))
         best += found[label] == max(found.values())
     assert best > 0.88 * len(every)
 
@@ -351,7 +354,7 @@ def test_spoken_words_lead_back(vocabulary):
     ],
 )  # fmt: skip
 def test_spoken(vocabulary, label, language, word):
-    assert vocabulary.spoken(label, language=language) == word
+    assert vocabulary.name_label(label, language=language) == word
 
 
 def match(vocabulary, text, start=0):
@@ -463,7 +466,7 @@ def test_a_users_tables(tmp_path):
     assert mine.senses("modderpoel") == mine.senses("mud hole")
     assert labels(mine.senses("bakery")) == ["shop=bakery"]
     assert mine.senses("bench") == ()  # amenity is not worth naming here
-    assert mine.spoken("surface=mud") == "mud ground"
+    assert mine.name_label("surface=mud") == "mud ground"
     assert labels(mine.senses("red")) == ["colour=red"]
 
 

@@ -47,18 +47,18 @@ def row(name):
     ],
 )
 def test_named(written, name, index):
-    assert index.named(written) == {row(name): 1.0}
+    assert index.find_rows(written) == {row(name): 1.0}
 
 
 @pytest.mark.parametrize("written", ["", " ", "—", "the", "Place", "Cat", "Avenue", "😀"])
 def test_not_named(written, index):
-    assert index.named(written) == {}
+    assert index.find_rows(written) == {}
 
 
 def test_not_every_pub_is_the_pub():
     index = NameIndex.build(Objects("The Pub"))
     assert index.longest_name(["pub"], 0) == 0
-    assert index.named("The Pub") == {0: 1.0}
+    assert index.find_rows("The Pub") == {0: 1.0}
 
 
 TOWN = [
@@ -98,29 +98,29 @@ TOWN = [
     ],
 )
 def test_names_in_part(written, names):
-    found = NameIndex.build(Objects(*TOWN)).named(written)
+    found = NameIndex.build(Objects(*TOWN)).find_rows(written)
     assert {TOWN[i] for i in found} == set(filter(None, names.split(", ")))
 
 
 def test_house_numbers():
     names = ["125 Main Street", "127a Main Street", "Main Street", "West 38th Street", "7th Inn"]
     index = NameIndex.build(Objects(*names))
-    assert index.named("125 Main St.") == {0: 1.0}
-    assert index.named("128 Main Street") == {2: 0.5}, "the map lacks the house, not the street"
-    assert index.named("Main Street") == {2: 1.0}, "no house of it"
-    assert set(index.named("W. 38th")) == {3}
-    assert index.named("7th") == {}, "a number alone is a street"
+    assert index.find_rows("125 Main St.") == {0: 1.0}
+    assert index.find_rows("128 Main Street") == {2: 0.5}, "the map lacks the house, not the street"
+    assert index.find_rows("Main Street") == {2: 1.0}, "no house of it"
+    assert set(index.find_rows("W. 38th")) == {3}
+    assert index.find_rows("7th") == {}, "a number alone is a street"
 
 
 def test_a_part_of_many_names_means_each_of_them_less():
     index = NameIndex.build(Objects("Rex Tower", "Elm House", *(f"Elm {i}" for i in range(9))))
-    (one,), several = index.named("Rex").values(), index.named("Elm").values()
+    (one,), several = index.find_rows("Rex").values(), index.find_rows("Elm").values()
     assert max(several) < one < 1.0
 
 
 def test_one_name_of_several_objects_and_spellings():
     index = NameIndex.build(Objects("Casino", "casino", "CASINO!", "Kasino"))
-    assert index.named("casino") == {0: 1.0, 1: 1.0, 2: 1.0}
+    assert index.find_rows("casino") == {0: 1.0, 1: 1.0, 2: 1.0}
 
 
 def test_the_longest_name_wins(index):
@@ -157,7 +157,7 @@ def test_nothing_close(written, index):
 
 def test_a_map_without_names():
     index = NameIndex.build(Objects())
-    assert index.named("Casino") == {}
+    assert index.find_rows("Casino") == {}
     assert index.closest_name("Casino") is None
     assert index.longest_name(["casino"], 0) == 0
 
@@ -169,6 +169,6 @@ def test_every_name_is_found_as_written(names):
         words = tokens(name)
         if not words:
             continue
-        assert i in index.named(name)
+        assert i in index.find_rows(name)
         if len(words) <= LONGEST:
             assert index.longest_name([*words, "zzz"], 0) == len(words)

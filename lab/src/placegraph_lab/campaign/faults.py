@@ -106,10 +106,12 @@ def changes(
                     error = log.read_text() if log.exists() else ""
                     effort.report(f"{what} {how}: {outcome} {error}")
         seconds = perf_counter() - start
-        yield Row.counted("faults", f"{what} changed in use", counts, effort.seed, seconds)
+        yield Row.from_counts("faults", f"{what} changed in use", counts, effort.seed, seconds)
     right = are_maps_reloaded(shutil.copytree(inputs, folder, dirs_exist_ok=True))
     found = {"accepted": int(right), "untyped": int(not right)}
-    yield Row.counted("faults", "a clock set back under a server's maps", found, effort.seed, 0.0)
+    yield Row.from_counts(
+        "faults", "a clock set back under a server's maps", found, effort.seed, 0.0
+    )
 
 
 def _try_change(commands: Commands, what: str, how: str, folder: Path, seed: int) -> str:
@@ -247,7 +249,7 @@ def rows_of(trials: Sequence[TrialFolder], fault: str, seed: int) -> Iterator[Ro
     for trial in trials:
         if trial.counts:
             what = f"{fault} {trial.command.what}"
-            yield Row.counted("faults", what, trial.counts, seed, trial.elapsed)
+            yield Row.from_counts("faults", what, trial.counts, seed, trial.elapsed)
         trial.counts, trial.elapsed = Counter(), 0.0
 
 

@@ -185,7 +185,7 @@ def rows(effort: Effort) -> Iterator[Row]:
     wanted = sorted(filter(effort.wants, targets), key=lambda n: targets[n].slow)
     for name, tally in run_targets(effort, wanted, most):
         tally.counts["untyped"] += len(tally.refused)
-        yield Row.counted("fuzz", name, tally.counts, effort.seed, tally.seconds)
+        yield Row.from_counts("fuzz", name, tally.counts, effort.seed, tally.seconds)
 
 
 def main() -> None:

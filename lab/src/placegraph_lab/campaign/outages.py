@@ -145,7 +145,7 @@ def kill_server_under_load(
                 killed += 1
     taken, what = time.perf_counter() - start, "a server's workers killed under load"
     said = f"{killed} kills while these requests were answered"
-    yield Row.counted("faults", what, load.counts, effort.seed, taken, said)
+    yield Row.from_counts("faults", what, load.counts, effort.seed, taken, said)
     start, counts = time.perf_counter(), Counter[str]()
     while True:
         counts[_kill_server(server, effort, rng)] += 1
@@ -153,7 +153,7 @@ def kill_server_under_load(
             break
         server = Server.start(maps, room)
     taken = time.perf_counter() - start
-    yield Row.counted("faults", "a server killed under load", counts, effort.seed, taken)
+    yield Row.from_counts("faults", "a server killed under load", counts, effort.seed, taken)
 
 
 def _kill_server(server: Server, effort: Effort, rng: Generator) -> str:

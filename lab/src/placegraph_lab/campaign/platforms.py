@@ -280,7 +280,7 @@ def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
     if broken:
         effort.report(f"{name}: {broken}")
     found = {"untyped" if broken else "accepted": 1}
-    return Row.counted(PART, name, found, effort.seed, monotonic() - start)
+    return Row.from_counts(PART, name, found, effort.seed, monotonic() - start)
 
 
 def _run(program: str, *words: str, cwd: Path | None = None) -> str:

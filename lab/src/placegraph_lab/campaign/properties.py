@@ -272,4 +272,4 @@ def try_property(
         if broken:
             report(f"{tested.name}, seed {(*seed, k)}: {broken}")
         k += 1
-    return Row.counted(PART, tested.name, found, seed[0], monotonic() - start)
+    return Row.from_counts(PART, tested.name, found, seed[0], monotonic() - start)

@@ -67,7 +67,7 @@ class Row:
         return self.faults - self.mended
 
     @classmethod
-    def counted(
+    def from_counts(
         cls,
         part: str,
         what: str,
@@ -94,7 +94,9 @@ class Row:
         return cls(**{f.name: record[f.name] for f in fields(cls) if f.name in record})
 
 
-def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] = ()) -> list[Row]:
+def merge_rows(
+    before: Iterable[Row], now: Iterable[Row], without: Collection[str] = ()
+) -> list[Row]:
     """Merge rows: new ones replace those of the same name and seed; parts in `without` are dropped."""
     new = list(now)
     there = {(r.part, r.what, r.seed) for r in new}

@@ -112,7 +112,7 @@ def _row(load: str, report: LoadReport, wrong: int, effort: Effort) -> Row:
         "hang": late,
         "memory": grown,
     }
-    return Row.counted("soak", load, counts, effort.seed, report.seconds, str(report))
+    return Row.from_counts("soak", load, counts, effort.seed, report.seconds, str(report))
 
 
 def run_load(load: str, folder: Path, seconds: float, seed: int) -> tuple[LoadReport, int]:

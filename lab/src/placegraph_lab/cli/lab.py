@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from placegraph.cli.common import bare, guarded, harmless
+from placegraph.cli.common import bare, guard_streams, harmless
 from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.runner import load, names
 
@@ -67,7 +67,7 @@ app.add_typer(tables, name="table")
 
 def main() -> None:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
-    with guarded():
+    with guard_streams():
         try:
             app()
         except PlacegraphError as error:

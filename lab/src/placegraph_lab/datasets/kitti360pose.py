@@ -29,7 +29,7 @@ from placegraph.core.mapfile import (
     read_map,
 )
 from placegraph.errors import InputError, MapError, OptionError
-from placegraph_lab.datasets.pickles import Record, Release, finished, read_pickle
+from placegraph_lab.datasets.pickles import Record, Release, read_pickle, unwrap_array
 
 KIND = "kitti360pose"
 VERSION = 1
@@ -452,7 +452,7 @@ class _Fields:
     def get(self, name: str) -> Any:  # noqa: ANN401
         if name not in self.record.fields:
             raise InputError(f"{self.where} has no {name}; is this another release of the data?")
-        return finished(self.record.fields[name])
+        return unwrap_array(self.record.fields[name])
 
     def text(self, name: str) -> str:
         value = self.get(name)

@@ -193,7 +193,7 @@ def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa:
     """
     data = _mapped(Path(path))
     try:
-        return finished(_Reader(data, release).load())
+        return unwrap_array(_Reader(data, release).load())
     except RefusedError as error:
         raise InputError(
             f"{path}, before byte {data.tell():,}: {error}. It is not a file of {release.name}, or "
@@ -201,7 +201,7 @@ def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa:
         ) from None
 
 
-def finished(value: Any) -> Any:  # noqa: ANN401
+def unwrap_array(value: Any) -> Any:  # noqa: ANN401
     """Return the array of an `Array`; other values unchanged."""
     return value.value if isinstance(value, Array) else value
 
@@ -373,7 +373,7 @@ class _Vectors:
 
     def row(self, value: Any, where: str) -> int:  # noqa: ANN401
         if id(value) not in self.seen:  # the whole file stays in memory: ids do not change hands
-            vector = _vector(finished(value), where)
+            vector = _vector(unwrap_array(value), where)
             if self.rows and len(vector) != len(self.rows[0]):
                 raise InputError(
                     f"{where} has {len(vector)} numbers, others {len(self.rows[0])}; "

@@ -101,7 +101,7 @@ def write_flat(folder: Path) -> Path:
     drawing, rng = Flat.load(FLAT), np.random.default_rng(0)
     interior = drawing.furnish(rng)
     interior.write_glb(folder / f"{FLAT}.glb")
-    now = interior.moved("armchair", (0.5, -0.2), 0.6).without("chair 1")
+    now = interior.move_object("armchair", (0.5, -0.2), 0.6).without("chair 1")
     walk = stroll(drawing, rng, frames=FRAMES, through=WAY, speed=1.1)
     film = write_walk(now, walk, folder / "walk", rng)
     write_walk(now, stroll(drawing, rng, frames=3, through=WINDOW), folder / "window", rng)

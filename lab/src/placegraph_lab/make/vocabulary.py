@@ -16,7 +16,7 @@ from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary.tables import DETAIL, LETTERS, ObjectTable, read_objects
-from placegraph.outdoor.language.words import folded, normal, singular
+from placegraph.outdoor.language.words import fold_diacritics, normal, singular
 
 ENGLISH = ("en", "en-GB", "en-AU", "en-CA", "en-IN", "en-NZ", "en-US")
 # fmt: off
@@ -173,8 +173,10 @@ class Maker:
                 at = number.setdefault(label, len(number))
                 entries[normal(value)][at, "r"].add("A")
         flat: Entries = defaultdict(lambda: defaultdict(set))
-        for change in (folded, lambda word: singular(folded(word))):
-            for word in [word for word in entries if change is folded or change(word) not in flat]:
+        for change in (fold_diacritics, lambda word: singular(fold_diacritics(word))):
+            for word in [
+                word for word in entries if change is fold_diacritics or change(word) not in flat
+            ]:
                 for entry, spoken in entries[word].items():
                     flat[change(word)][entry] |= spoken
         return write(ENGLISH, list(number), flat)
@@ -188,7 +190,7 @@ class Maker:
 def write(languages: Sequence[str], labels: list[str], entries: Entries) -> str:
     """Write a lexicon as text; of several kinds of one preset, the best is kept."""
     lines = []
-    for word in sorted(entries, key=lambda word: (folded(word), word)):
+    for word in sorted(entries, key=lambda word: (fold_diacritics(word), word)):
         found = sorted(
             f"{preset}{kind}{''.join(sorted(spoken))}"
             for (preset, kind), spoken in entries[word].items()

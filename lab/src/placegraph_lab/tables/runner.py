@@ -91,7 +91,7 @@ class Journal:
     def missing(self, keys: Iterable[str]) -> list[int]:
         return [i for i, key in enumerate(keys) if key not in self]
 
-    def filled(
+    def fill(
         self,
         keys: Sequence[str],
         ask: Callable[[int], Any],

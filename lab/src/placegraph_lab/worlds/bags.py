@@ -40,7 +40,7 @@ class BagWriter(bag.BagWriter):
             step=rows.strides[0], data=rows.reshape(-1).view(np.uint8),
         )  # fmt: skip
 
-    def compressed(
+    def send_compressed(
         self, topic: str, stamp: float, data: bytes, encoding: str, frame: str = OPTICAL
     ) -> None:
         """Write a `sensor_msgs/CompressedImage`."""
@@ -136,10 +136,12 @@ def _images(
         if units is not None:
             writer.image(measured, stamp, units, "16UC1")
         return
-    writer.compressed(f"{colour}/compressed", stamp, png(rgb), "rgb8; png compressed bgr8")
+    writer.send_compressed(f"{colour}/compressed", stamp, png(rgb), "rgb8; png compressed bgr8")
     if units is not None:
         data = bytes(12) + png(units)
-        writer.compressed(f"{measured}/compressedDepth", stamp, data, "16UC1; compressedDepth png")
+        writer.send_compressed(
+            f"{measured}/compressedDepth", stamp, data, "16UC1; compressedDepth png"
+        )
 
 
 def png(pixels: NDArray[Any]) -> bytes:

@@ -251,7 +251,7 @@ def legend_line(line: str, where: str) -> LegendLine:
     )
 
 
-def shipped(folder: str) -> tuple[str, ...]:
+def list_shipped(folder: str) -> tuple[str, ...]:
     """Names of the drawings in a folder of `worlds/data` that ship with the package."""
     return tuple(
         sorted(
@@ -267,7 +267,7 @@ def load(folder: str, name: str, what: str) -> str:
 
     Raises `OptionError`: no drawing of this name ships with the package.
     """
-    if name not in (known := shipped(folder)):
+    if name not in (known := list_shipped(folder)):
         raise OptionError(f"There is no {what} {name!r}; there are {', '.join(known)}.")
     return (_data(folder) / f"{name}.txt").read_text("utf-8")
 

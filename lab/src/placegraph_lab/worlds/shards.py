@@ -141,13 +141,13 @@ def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None
             first = first_of(k)
             if k > first:
                 like = CityMap.open(folder / "shards" / f"{keys[first]}.city")
-                named = replace(like.objects, names=renamed(like.objects.names, k))
+                named = replace(like.objects, names=rename_copy(like.objects.names, k))
                 made = CityMap(plane, named, cells, city.source, {})
                 made.__dict__["_views"] = like.views
                 made.save(path, quick=True)
                 continue
             rng = np.random.default_rng([seed, i, k])
-            objects = city.objects if k == 0 else shuffled(city.objects, _word(k), rng)
+            objects = city.objects if k == 0 else shuffle_objects(city.objects, _word(k), rng)
             CityMap(plane, objects, cells, city.source, {}).save(path)
 
 
@@ -156,7 +156,7 @@ def first_of(copy: int) -> int:
     return copy if copy < DISTINCT else 1 + (copy - 1) % (DISTINCT - 1)
 
 
-def renamed(names: tuple[str, ...], copy: int) -> tuple[str, ...]:
+def rename_copy(names: tuple[str, ...], copy: int) -> tuple[str, ...]:
     """Names of a copy, with the word of another one before them."""
     return tuple(f"{_word(copy)} {name.partition(' ')[2]}" for name in names)
 
@@ -175,7 +175,7 @@ def finish_copies(source: Path, world: Path, copies: int) -> WorldFile:
             if (i, first) not in known:
                 known[i, first] = count(path.with_stem(keys[i][first]))
             found = known[i, first]
-            yield found if k == first else found._replace(names=renamed(found.names, k))
+            yield found if k == first else found._replace(names=rename_copy(found.names, k))
 
     return finish(world, old.zoom, old.overlap, each)
 
@@ -199,7 +199,7 @@ def copies_of(source: Path, large: Path, folder: Path, copies: int) -> None:
             (folder / name).hardlink_to(large / name)
 
 
-def shuffled(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
+def shuffle_objects(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
     """Objects with labels and names exchanged among those of a kind."""
     rows = np.arange(len(objects))
     for kind in range(3):

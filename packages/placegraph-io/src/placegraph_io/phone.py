@@ -101,7 +101,7 @@ class Folder:
         return _object(read_json(self.path / name), f"{self.path / name}")
 
 
-class Zipped(Archive):
+class ZipArchive(Archive):
     """Files of a ZIP, by name."""
 
     def open(self, name: str) -> IO[bytes]:
@@ -209,7 +209,7 @@ def read_record3d(path: Path) -> Capture:
     depth (LZFSE or OpenEXR) is not installed.
     """
     exported = _find_export(path)
-    source = Zipped(path) if path.is_file() else Folder(exported or path)
+    source = ZipArchive(path) if path.is_file() else Folder(exported or path)
     meta = source.json("metadata.json" if "metadata.json" in source.names else "metadata")
     where = f"{source.path}, metadata"
     colours, depths = ("rgb/", "depth/") if exported else ("rgbd/", "rgbd/")
@@ -251,12 +251,12 @@ def _find_export(path: Path) -> Path | None:
     return None
 
 
-def _record3d_colour(source: Folder | Zipped, name: str, camera: Camera) -> NDArray[np.uint8]:
+def _record3d_colour(source: Folder | ZipArchive, name: str, camera: Camera) -> NDArray[np.uint8]:
     with source.open(name) as stream:
         return read_rgb(source.path / name, (camera.width, camera.height), stream)
 
 
-def _record3d_depth(source: Folder | Zipped, name: str, camera: Camera) -> NDArray[np.float32]:
+def _record3d_depth(source: Folder | ZipArchive, name: str, camera: Camera) -> NDArray[np.float32]:
     where = f"{source.path}, {name}"
     if name.endswith(".exr"):
         return read_exr_depth(source.path / name, camera)

@@ -130,7 +130,7 @@ def test_any_quarter_is_stood_upright(recording, tmp_path, yaw, quarter):
 def test_pixel_centres_are_at_a_half(recording, tmp_path):
     capture = read_scan3r_sequence(recording.folder(tmp_path), rotate=False)
     assert (capture.camera.cx, capture.camera.cy) == (96.0, 53.0)
-    wide = capture.camera.resized(56, 43)  # depth is the same view
+    wide = capture.camera.resize(56, 43)  # depth is the same view
     assert (wide.fx, wide.cx) == pytest.approx((capture.depth_camera.fx, capture.depth_camera.cx))
     assert wide.cy == pytest.approx(capture.depth_camera.cy, abs=1e-4)
 

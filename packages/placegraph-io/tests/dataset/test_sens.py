@@ -257,7 +257,7 @@ def test_smaller_images_need_the_size_of_the_intrinsics(recording, folder):
         Image.new("RGB", (4, 3)).save(file)
     meta = folder / f"{folder.name}.txt"
     meta.write_text("colorHeight = 6\ncolorWidth = 8\nfx_color = 10.0\n")
-    assert read_scannet_export(folder).camera == COLOUR.resized(4, 3)
+    assert read_scannet_export(folder).camera == COLOUR.resize(4, 3)
     inner = folder / "exported"
     recording.export(inner)
     assert read_scannet_export(inner).camera == COLOUR
@@ -355,5 +355,5 @@ def test_labels_that_nobody_can_read_are_noted(labelled):
 def test_label_images_of_another_size_show_the_colour_camera_s_view(labelled, recording):
     recording.project(labelled.folder, "instance-filt", np.ones((5, 3, 4)), np.uint8)
     capture = read_sens(labelled.folder)
-    assert capture.label_camera == COLOUR.resized(4, 3)
+    assert capture.label_camera == COLOUR.resize(4, 3)
     assert (capture[0].labels() == 0).all()

@@ -262,7 +262,7 @@ def test_intrinsics_that_cannot_be(fields, match, bag, clip):
 
 
 def test_intrinsics_of_another_resolution_and_of_rectified_images(tmp_path, clip):
-    twice = clip.camera.resized(192, 144)
+    twice = clip.camera.resize(192, 144)
     bent = replace(clip.camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0), fx=70.0)
     p = np.array([80.0, 0, 49.0, 0, 0, 81.0, 34.5, 0, 0, 0, 1, 0])
     for name, camera, more in (("image_raw", twice, {}), ("image_rect_color", bent, {"p": p})):
@@ -319,7 +319,7 @@ def test_topics_of_another_type(bag):
 def test_a_bag_without_images(tmp_path):
     with BagWriter(tmp_path / "walk") as writer:
         writer.transform("odom", "base_link", np.eye(4), START)
-        writer.compressed("/cam/compressed", START, b"h264", "h264")
+        writer.send_compressed("/cam/compressed", START, b"h264", "h264")
     fails(
         tmp_path / "walk", r"contains no colour images.*'h264'.*cannot be read.*Record the camera"
     )

@@ -23,7 +23,7 @@ def write(path, world):
             told = pose(Y_UP_FROM_MAP @ world.poses[i])
             writer.send("/odometry", "nav_msgs/msg/Odometry", stamp, "odom_frame",
                         child_frame_id="base_link", pose={"pose": told})  # fmt: skip
-            writer.compressed(
+            writer.send_compressed(
                 "/camera/rgb/compressed", stamp, stream.getvalue(), "jpg", "camera_rgb_frame"
             )
             metres = np.where(world.sure[i] == 0, 0, world.units(i)).astype(np.uint16)

@@ -295,13 +295,13 @@ class FeaturesEncoder:
         for capture in captures:
             for frame in capture:
                 vectors = self.patches(frame)
-                patch, row, share = covered(scene, frame, vectors.shape[:2])
+                patch, row, share = find_patch_objects(scene, frame, vectors.shape[:2])
                 seen = vectors.reshape(-1, self.dimension)[patch]
                 np.add.at(sums, row, seen * share[:, None] ** 2)
         return _unit(sums.astype(np.float32))
 
 
-def covered(
+def find_patch_objects(
     scene: Scene, frame: Frame, grid: tuple[int, int]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """Return the objects of a map in the patches of a frame whose odometry is map_from_camera.

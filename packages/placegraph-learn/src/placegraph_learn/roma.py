@@ -29,7 +29,7 @@ from placegraph.indoor.refine.matching.matches import (
     Warp,
     blank,
     check_range,
-    thinned,
+    thin_matches,
 )
 from placegraph_learn.torch_files import check_weights, read_state, select_device
 
@@ -82,7 +82,7 @@ class _DenseMatcher(ViewByView):
         """Return the network's warps between two images."""
         raise NotImplementedError
 
-    def matched(
+    def match_view(
         self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
         """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
@@ -90,7 +90,7 @@ class _DenseMatcher(ViewByView):
         if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
             return Matches.none()
         found = self._warps(ours, view)
-        return thinned(
+        return thin_matches(
             found, *sizes, count=self.count, least=self.least, mask=mask, margin=self.margin
         )
 

@@ -97,13 +97,13 @@ class XFeatMatcher(ViewByView):
         self._device = select_device(torch, self.device)
         self._xfeat = _network(self.weights).to(self._device).eval()
 
-    def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
+    def prepare_query(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
         """Return features of the query: at points, or of its cells."""
         return self._cells(query) if self.dense else self._points(query)
 
-    def matched(
+    def match_view(
         self,
-        ours: Any,  # noqa: ANN401  # of `prepared`
+        ours: Any,  # noqa: ANN401  # of `prepare_query`
         view: NDArray[np.uint8],
         mask: NDArray[np.bool_] | None,
     ) -> Matches:
@@ -111,7 +111,7 @@ class XFeatMatcher(ViewByView):
         if self.dense:
             return self._match_cells(ours, view, mask)
         theirs = self._points(view).within(mask, self.margin)
-        matches: Matches = ours.matched(theirs, ratio=self.ratio, least=self.least)
+        matches: Matches = ours.match(theirs, ratio=self.ratio, least=self.least)
         return matches
 
     def _points(self, image: NDArray[np.uint8]) -> Features:

@@ -14,7 +14,7 @@ from placegraph_learn.scenegraphloc.inputs import Room
 from placegraph_learn.scenegraphloc.lessons import (
     Lesson,
     Material,
-    Surveyed,
+    SurveyedScene,
     Teacher,
     World,
     folder,
@@ -226,7 +226,7 @@ def test_folders_without_maps_and_captures_outside_are_named(room, survey, tmp_p
 
     def lost():
 
-        return Material(Surveyed(room, (survey,)), (place_capture(survey, far),))
+        return Material(SurveyedScene(room, (survey,)), (place_capture(survey, far),))
 
     with pytest.raises(OptionError, match="poses are in the map"):
         Teacher(ColourFeatures()).lesson(World("lost", lost))

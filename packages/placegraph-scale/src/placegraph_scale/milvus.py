@@ -339,7 +339,7 @@ class MilvusStore:
         asked = checked_queries(queries, n, self.dimension)
         found = np.full((len(asked), n), -1, np.int64)
         similarity = np.full((len(asked), n), -np.inf, np.float32)
-        condition = "" if region is None else _region_filter(region.checked())
+        condition = "" if region is None else _region_filter(region.validate())
         # Rows outside a region take up places in the search: with 128, a tenth of the best is lost.
         effort = max(2 * n, 128 if region is None else 1024)
         parameters = {"ef": effort} if self.info.rows >= LARGE else {}

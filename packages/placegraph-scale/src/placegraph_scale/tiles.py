@@ -356,7 +356,7 @@ def _descend(
 ) -> Iterator[tuple[str, LabelledElement]]:
     """Yield the tiles of a subtree that hold something, and what of an object lies in each."""
     if key:
-        parts = clip(piece.kind, piece.parts, tile_bounds(key).widened(margin))
+        parts = clip(piece.kind, piece.parts, tile_bounds(key).expand(margin))
         if not parts:
             return
         piece = piece._replace(parts=parts)
@@ -426,7 +426,7 @@ def build_tile(job: TileJob) -> TileDone:
     plane = LocalPlane(*(round(x, 4) for x in core.center))
     left_out, objects = LeftOut(), None
     if tables:
-        objects = _cut(drop_duplicates(ElementTable.joined(tables)), core.widened(job.margin))
+        objects = _cut(drop_duplicates(ElementTable.concatenate(tables)), core.expand(job.margin))
         del tables
     if objects:
         objects = drop_largest(objects, left_out, plane)
@@ -464,5 +464,5 @@ def _cut(objects: ElementTable, box: Box) -> ElementTable | None:
             cut.append(piece._replace(parts=parts))
     if cut:
         found.append(ElementTable.of(cut))
-    made = ElementTable.joined([table for table in found if len(table)] or found)
+    made = ElementTable.concatenate([table for table in found if len(table)] or found)
     return made if len(made) else None

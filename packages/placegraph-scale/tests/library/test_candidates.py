@@ -8,7 +8,7 @@ from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.indoor.library.library import Entry
 from placegraph.world import open_world
-from placegraph_lab.tables.scene.search import varied
+from placegraph_lab.tables.scene.search import draw_variations
 from placegraph_scale.library import candidates
 from placegraph_scale.library.shards import SceneShards
 from placegraph_scale.library.write import NamedEntry, write_shards
@@ -138,7 +138,9 @@ def test_by_the_command_line_and_a_server(maps_and_library, run):
 def damaged(maps_and_library, tmp_path):
     read, mapped = maps_and_library
     library = pg.open_map(read / "all.library")
-    more = varied({n: library.entry(n).signature for n in library}, 5, np.random.default_rng(0))
+    more = draw_variations(
+        {n: library.entry(n).signature for n in library}, 5, np.random.default_rng(0)
+    )
     listed = [NamedEntry(n, library.entry(n), str(library.entry(n).path)) for n in library]
     listed += [NamedEntry(n, Entry(s, None)) for n, s in more.items()]
     there = tmp_path / "world"

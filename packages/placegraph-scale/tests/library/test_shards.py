@@ -9,7 +9,7 @@ from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.language import read
 from placegraph.indoor.library import make_library
 from placegraph.indoor.library.library import Entry
-from placegraph_lab.tables.scene.search import varied
+from placegraph_lab.tables.scene.search import draw_variations
 from placegraph_scale.library.shards import SceneShards
 from placegraph_scale.library.write import NamedEntry, write_shards
 
@@ -21,7 +21,7 @@ TEXTS = ("a study with two desks", "a bed next to a wardrobe", "a room with a pl
 def signatures(maps):
     library = make_library(maps)
     known = {name: library.entry(name).signature for name in library}
-    return known | varied(known, SCENES - len(known), np.random.default_rng(0))
+    return known | draw_variations(known, SCENES - len(known), np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

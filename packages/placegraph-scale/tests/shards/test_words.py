@@ -46,7 +46,7 @@ def test_sums_are_those_of_the_whole(whole, sharded):
 
 def test_the_table_says_where_a_name_is(sharded):
     told, table = WorldFile.read(sharded), WordTable.open(sharded / "words.table")
-    (name,) = table.names.named("Rex")
+    (name,) = table.names.find_rows("Rex")
     held = table.entries(len(table.labels) + name)
     holders = [told.shards[i] for i in held.shards[held.objects > 0]]
     assert len(holders) == 1
@@ -135,7 +135,7 @@ def test_names_on_disk_mean_what_names_in_memory_mean(tmp_path_factory, names, p
     path = tmp_path_factory.mktemp("names") / "words.table"
     here, there = NameIndex.build(SimpleNamespace(names=names)), written(path, tuple(names))
     for said in (phrase, names[0], phrase.replace("eu", "ue")):
-        assert list(there.named(said).items()) == list(here.named(said).items())
+        assert list(there.find_rows(said).items()) == list(here.find_rows(said).items())
         words = tokens(said)
         for k in range(len(words)):
             assert there.longest_name(words, k) == here.longest_name(words, k)
@@ -153,12 +153,12 @@ def test_a_misspelt_name_is_found_by_its_words(tmp_path):
 def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
     names = tuple(sorted(f"{a} {b}" for a in WORDS for b in WORDS))
     path = tmp_path_factory.mktemp("names") / "words.table"
-    whole = written(path, names).named("Rex Theatre")
+    whole = written(path, names).find_rows("Rex Theatre")
     blob = bytearray(path.read_bytes())
     blob[data.draw(st.integers(0, len(blob) - 1))] ^= data.draw(st.integers(1, 255))
     path.write_bytes(blob)
     with suppress(MapError):
-        assert WordTable.open(path).names.named("Rex Theatre") == whole
+        assert WordTable.open(path).names.find_rows("Rex Theatre") == whole
 
 
 @pytest.mark.parametrize("off", [99, 1])  # a name that is not there; a way in which none is called
@@ -170,7 +170,7 @@ def test_a_forged_posting_is_told(off, tmp_path, monkeypatch):
     monkeypatch.setattr(table, "write_names", forged)
     names = written(tmp_path / "words.table", ("Museum of Salt", "Rex Theatre"))
     with pytest.raises(MapError, match=r"words\.table.*'postings'"):
-        names.named("Theatre")
+        names.find_rows("Theatre")
 
 
 NAMES = ("Rex", "The Rex Theatre", "Rex Theatre", "rex theatre", "Museum", "Museum of Salt", "12 Rex",

@@ -22,7 +22,7 @@ from placegraph_serve.drawing import drawing_router, page_files
 from placegraph_serve.limits import Guard, Keys
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Places
-from placegraph_serve.problem import problem, refused
+from placegraph_serve.problem import make_request_error, problem
 from placegraph_serve.routes import add_routes
 from placegraph_serve.server import Server, response_of
 
@@ -71,7 +71,7 @@ def _add_errors(app: FastAPI) -> None:
 
     async def invalid(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)  # noqa: S101
-        return await ours(request, refused(error.errors()))
+        return await ours(request, make_request_error(error.errors()))
 
     async def http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)  # noqa: S101

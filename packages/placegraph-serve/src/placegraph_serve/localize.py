@@ -238,7 +238,7 @@ def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, 
             raise OptionError("camera: missing; give fx, width and height of the images to come.")
         check_focal(camera, "camera")
         scene = dispatcher.places.scene(name)
-        camera = camera.resized(*fit_size((camera.width, camera.height)))
+        camera = camera.resize(*fit_size((camera.width, camera.height)))
         tracker = scene.tracker(camera, seed=request["seed"], description=request["description"])
     dispatcher.trackers[request["session"]] = name, tracker
     return {"map": name}

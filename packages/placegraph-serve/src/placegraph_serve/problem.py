@@ -54,7 +54,7 @@ def mend_of(detail: str) -> str:
     return told[:1].upper() + told[1:]
 
 
-def refused(errors: Any, name: str = "body") -> RequestError:  # noqa: ANN401  # pydantic's
+def make_request_error(errors: Any, name: str = "body") -> RequestError:  # noqa: ANN401  # pydantic's
     """Return the first error that pydantic found, as a `RequestError`."""
     first = errors[0]
     if first["type"] == "json_invalid":

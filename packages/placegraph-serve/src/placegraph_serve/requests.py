@@ -31,7 +31,7 @@ from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.images import open_image
 from placegraph.outdoor.options import LocateOptions
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.problem import refused
+from placegraph_serve.problem import make_request_error
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -61,7 +61,7 @@ class _Body(BaseModel):
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
-            raise refused(error.errors(), name) from None
+            raise make_request_error(error.errors(), name) from None
 
 
 class QuestionObject(_Body):
@@ -228,7 +228,7 @@ class Photo:
                 f"{given.height}; give those of the images as they are shown."
             )
         check_focal(given, name)
-        return given.resized(self.rgb.shape[1], self.rgb.shape[0])
+        return given.resize(self.rgb.shape[1], self.rgb.shape[0])
 
 
 def read_photo(data: bytes, name: str, options: ServeOptions) -> Photo:

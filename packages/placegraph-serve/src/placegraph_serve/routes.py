@@ -118,7 +118,7 @@ def _add_questions(app: FastAPI, server: Server) -> None:
     @app.post("/v1/localize", openapi_extra=_FORM)
     async def localize(request: Request) -> Response:
         """Localize images, or a capture as a ZIP."""
-        async with uploaded(request, server.options) as body:
+        async with save_upload(request, server.options) as body:
             return await server.ask(server.captures, "localize", body)
 
     @app.post("/geopose", openapi_extra=_OSCP)
@@ -275,7 +275,7 @@ def _read_message(text: str) -> Live:
 
 
 @asynccontextmanager
-async def uploaded(request: Request, options: ServeOptions) -> AsyncIterator[dict[str, Any]]:
+async def save_upload(request: Request, options: ServeOptions) -> AsyncIterator[dict[str, Any]]:
     """Save an upload in a temporary folder; yield the folder, its files by name, and the request.
 
     Raises

@@ -216,7 +216,7 @@ def label_capture(capture: Capture, segmenter: Segmenter) -> Capture:
     is not what it said.
     """
     size = segmenter.size(capture.camera.width, capture.camera.height)
-    cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
+    cameras = [frame.camera.resize(*size) for frame in capture.frames]  # some refocus
     wanted = size[1], size[0]
 
     def answer(rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -359,7 +359,7 @@ def estimate_depth(capture: Capture, estimator: DepthEstimator) -> Capture:
     if not estimator.metric:
         raise OptionError(f"estimator: its {_MEND}.")
     size = estimator.size(capture.camera.width, capture.camera.height)
-    cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
+    cameras = [frame.camera.resize(*size) for frame in capture.frames]  # some refocus
     wanted = size[1], size[0]
 
     def answer(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

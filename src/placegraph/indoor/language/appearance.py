@@ -195,10 +195,10 @@ def colours_of(scene: Scene) -> Floats:
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u).astype("f4"), np.where(over, 1.0 - v, v).astype("f4")
     colours = mesh.colour_at(order[rows].astype(np.int32), u, v)
-    return np.asarray(named(colours).reshape(len(scene), POINTS, -1).mean(axis=1))
+    return np.asarray(name_colours(colours).reshape(len(scene), POINTS, -1).mean(axis=1))
 
 
-def named(colours: NDArray[np.uint8]) -> Floats:
+def name_colours(colours: NDArray[np.uint8]) -> Floats:
     """Return the probability (n, 12) of each basic name for colours (n, 3) uint8 sRGB; rows sum to 1."""
     shown, names = _swatches()
     distance = np.linalg.norm(_lab(colours)[:, None] - shown, axis=2)

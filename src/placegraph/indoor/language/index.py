@@ -35,7 +35,7 @@ _canonical = cache(normalize_relation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Described:
+class DescriptionUnit:
     """A room, or a scene as a whole: what somebody may describe."""
 
     labels: dict[str, int]
@@ -56,7 +56,7 @@ class Described:
 
 def units(
     graph: SceneGraph, rooms: Sequence[str] = (), attributes: Sequence[Mapping[str, str]] = ()
-) -> list[Described]:
+) -> list[DescriptionUnit]:
     """Return the describable units of a scene: its rooms and, if there are several, the scene.
 
     `rooms`: (N,) name of the room of each object, empty where unknown; `attributes`: (N,) what else
@@ -89,7 +89,7 @@ def _unit(
     name: str,
     *,
     undivided: bool = False,
-) -> Described:
+) -> DescriptionUnit:
     labels = [graph.labels[row] for row in rows]
     looks: dict[str, Floats] = {}
     for label, own in zip(labels, describe_objects(graph, rows, attributes), strict=True):
@@ -101,7 +101,7 @@ def _unit(
     for (one, relation, t), found in subjects.items():
         key = (one, relation, graph.labels[t])
         counts[key] = max(counts.get(key, 0), len(found))
-    return Described(
+    return DescriptionUnit(
         dict(Counter(labels)), counts, name, undivided=undivided, appearance=looks,
         room=describe_room(graph, rows),
     )  # fmt: skip
@@ -219,7 +219,7 @@ class Columns(NamedTuple):
         return match_labels(query, self.labels)
 
 
-def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
+def columns_of(scenes: Sequence[Sequence[DescriptionUnit]]) -> Columns:
     """Return the units of scenes as arrays."""
     flat = [unit for scene in scenes for unit in scene]
     label_row: dict[str, int] = {}
@@ -263,7 +263,10 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
 
 
 def _rooms(
-    flat: Sequence[Described], labels: Sequence[str], of_labels: Postings, scene: NDArray[np.int32]
+    flat: Sequence[DescriptionUnit],
+    labels: Sequence[str],
+    of_labels: Postings,
+    scene: NDArray[np.int32],
 ) -> Floats:
     """Return the expected number (U, R) of rooms of each kind; of a whole the sum of its rooms'."""
     held = [of_labels.count_matches(likeness, len(flat)).best for likeness in likenesses(labels).T]

@@ -33,12 +33,17 @@ from placegraph.indoor.language.likeness import (
 )
 from placegraph.indoor.language.score import TOLD, sayings
 from placegraph.indoor.language.sentence import Kind, Sentence, Statement
-from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
+from placegraph.indoor.language.sight_kernels import (
+    dilate_profile,
+    look_around_for,
+    look_for,
+    vote_rooms,
+)
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.free_space import MAX_ELEVATION, decode_ranges
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.map.scene import Scene, make_object_ref
-from placegraph.language.text import Ignored
+from placegraph.language.text import IgnoredText
 
 WRONG = 0.15
 """Share of statements that are wrong, or about another thing of that name."""
@@ -80,7 +85,7 @@ def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> Floats32:
     """Return a log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
 
     Against the uniform: its exponential has the mean 1 for each statement, so it can be added
-    to what images say. Zero where nothing was said that the map could serve (`unused`).
+    to what images say. Zero where nothing was said that the map could serve (`find_unused`).
     """
     total = np.zeros((len(table), AZIMUTHS), np.float32)
     for _, ratio in _ratios(sentence, scene, table):
@@ -89,11 +94,11 @@ def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> Floats32:
     return total
 
 
-def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
+def find_unused(sentence: Sentence, scene: Scene) -> tuple[IgnoredText, ...]:
     """Return the statements that say nothing on this map, with reasons."""
     things = Referents(sentence, scene)
     reasons = [(s, things.missing(s)) for s in sentence.statements]
-    return tuple(Ignored(s.text, reason) for s, reason in reasons if reason)
+    return tuple(IgnoredText(s.text, reason) for s, reason in reasons if reason)
 
 
 def evidence(
@@ -374,7 +379,9 @@ class PoseFits:
         window = 1.0 / (1.0 + np.exp((np.abs(bins) * STEP - half) / _EDGE))
         pano = self._views.panoramas
         profile = look_around_for(pano.objects, pano.ranges, weight, fit.astype(np.float32))
-        return np.asarray(turned(profile, round(s.bearing / STEP), window.astype(np.float32)))
+        return np.asarray(
+            dilate_profile(profile, round(s.bearing / STEP), window.astype(np.float32))
+        )
 
     # two things
     def _pairs(self, a: int, b: int) -> NDArray[np.int64]:

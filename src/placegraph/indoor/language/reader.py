@@ -18,7 +18,7 @@ from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.relations import matches_label
 from placegraph.language.grammar import Chunk, Clause, PlacePhrase
-from placegraph.language.text import Ignored, check_text, scan_text
+from placegraph.language.text import IgnoredText, check_text, scan_text
 
 SCENE = -2
 """Stands for the scene itself where a mention could stand."""
@@ -82,7 +82,7 @@ def read(text: str) -> Sentence:
                 reader.ignore_chunks(left_out)
     reader.finish()
     if not reader.statements and not reader.ignored:
-        reader.ignored.append(Ignored(text.strip(), "does not describe a place"))
+        reader.ignored.append(IgnoredText(text.strip(), "does not describe a place"))
     return Sentence(text, tuple(reader.mentions), tuple(reader.statements), tuple(reader.ignored))
 
 
@@ -93,7 +93,7 @@ class Reader:
         self.text = text
         self.mentions: list[Mention] = []
         self.statements: list[Statement] = []
-        self.ignored: list[Ignored] = []
+        self.ignored: list[IgnoredText] = []
         self._spoken: list[int] = []
         self._parts: set[int] = set()  # what things come with: "it" is rarely one of them
         self.certainty = 1.0
@@ -108,7 +108,9 @@ class Reader:
         """Note words that no rule expected."""
         for chunk in left_out:
             if chunk.type in ("WORD", "REL", "DIST", "BETWEEN", "FACE", "AWAY"):
-                self.ignored.append(Ignored(self.text[chunk.start : chunk.end], "not understood"))
+                self.ignored.append(
+                    IgnoredText(self.text[chunk.start : chunk.end], "not understood")
+                )
 
     def finish(self) -> None:
         """Drop what is said twice, and that a thing is there of which a place is said."""
@@ -170,7 +172,7 @@ class Reader:
             mention = replace(mention, label=alike, attributes=attributes, plural=False)
         last = mention.label.rpartition(" ")[2]
         if last in _NOTHING or not mention.label:
-            self.ignored.append(Ignored(mention.words, "does not name an object"))
+            self.ignored.append(IgnoredText(mention.words, "does not name an object"))
             return None
         if last in _ANYTHING and not mention.room:
             self._describe_scene(mention.attributes)
@@ -181,7 +183,9 @@ class Reader:
             if where.room:
                 self.state(Kind.ROOM, (self._find_or_add(where, owner),), owner)
             else:
-                self.ignored.append(Ignored(where.words, "does not say what the object is part of"))
+                self.ignored.append(
+                    IgnoredText(where.words, "does not say what the object is part of")
+                )
         self._spoken.append(self._find_or_add(mention, noun))
         return self._spoken[-1]
 
@@ -450,7 +454,7 @@ class Reader:
         )
 
     def _ignore(self, place: Place, reason: str) -> None:
-        self.ignored.append(Ignored(self.text[place.start : place.end], reason))
+        self.ignored.append(IgnoredText(self.text[place.start : place.end], reason))
 
 
 def _may_be_same(one: Mention, other: Mention) -> bool:

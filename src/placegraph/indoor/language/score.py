@@ -19,7 +19,7 @@ from placegraph.core.estimate import Evidence, ObjectRef
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.language.appearance import ratios, room_ratios, with_colours
-from placegraph.indoor.language.index import Columns, Described, columns_of, units
+from placegraph.indoor.language.index import Columns, DescriptionUnit, columns_of, units
 from placegraph.indoor.language.likeness import (
     EXACT,
     Floats,
@@ -72,10 +72,10 @@ def scene_scores(sentence: Sentence, columns: Columns) -> Floats:
     """Return the log-likelihood ratio (n,) of each scene against their average [nat]."""
     if not columns.scenes or not sentence.statements:
         return np.zeros(columns.scenes)
-    return of_scenes(sentence, columns, compared(sentence, columns, columns).sum(axis=0))[0]
+    return of_scenes(sentence, columns, score_statements(sentence, columns, columns).sum(axis=0))[0]
 
 
-def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> Floats:
+def score_statements(sentence: Sentence, columns: Columns, library: Columns | None) -> Floats:
     """Return log-likelihood ratios (S, U) of what each statement says.
 
     `library` says what is usual; where there is none, homes do (`rooms.toml`).
@@ -125,7 +125,7 @@ def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[T
             news = 1.0 if known.claim(thing) else AGAIN
             yield Term(row, *_unless(fit, base_rate(thing.label), not_=not_), news * sure)
         if s.kind is Kind.RELATED and not any(thing.negated for thing in things):
-            fit, both = known.related(s)
+            fit, both = known.score_relation(s)
             yield Term(row, *_unless(fit, _RELATED, not_=s.negated), sure, both)
 
 
@@ -235,7 +235,7 @@ class _UnitFits:
         np.maximum.at(out, units, ratio * like / np.maximum(best[units], 1e-6))
         return np.where(best > 0.0, out, 1.0)
 
-    def related(self, s: Statement) -> tuple[Floats, Floats]:
+    def score_relation(self, s: Statement) -> tuple[Floats, Floats]:
         """Return the agreement (U,) with a stated relation of two objects, and whether both are there."""
         columns = self._columns
         things = [self._sentence.mentions[t] for t in s.mentions]
@@ -346,7 +346,7 @@ class TextIndex:
         graphs: Iterable[SceneGraph | Scene] = (),
         rooms: Iterable[Sequence[str]] | None = None,
     ) -> None:
-        self._scenes: list[list[Described]] = []
+        self._scenes: list[list[DescriptionUnit]] = []
         self._columns: Columns | None = None
         given = iter(rooms) if rooms is not None else None
         for graph in graphs:
@@ -368,13 +368,13 @@ class TextIndex:
         """
         return self.add_units(_units(graph, rooms, attributes))
 
-    def add_units(self, described: Sequence[Described]) -> int:
+    def add_units(self, described: Sequence[DescriptionUnit]) -> int:
         """Add a scene by what may be described of it (`units`, `TextIndex.units`)."""
         self._scenes.append(list(described))
         self._columns = None
         return len(self._scenes) - 1
 
-    def units(self, row: int) -> tuple[Described, ...]:
+    def units(self, row: int) -> tuple[DescriptionUnit, ...]:
         """Return the describable units of a scene: its rooms and, if there are several, the scene."""
         return tuple(self._scenes[row])
 
@@ -410,7 +410,7 @@ def _units(
     graph: SceneGraph | Scene,
     rooms: Sequence[str] = (),
     attributes: Sequence[Mapping[str, str]] = (),
-) -> list[Described]:
+) -> list[DescriptionUnit]:
     """Return the describable units of a graph, or of a map, which knows its rooms and colours."""
     if not isinstance(graph, Scene):
         return units(graph, rooms, attributes)
@@ -449,7 +449,7 @@ def score(
 
     """
     columns = columns_of([_units(graph, rooms, attributes)])
-    ratios = compared(sentence, columns, None if library is None else library.columns)
+    ratios = score_statements(sentence, columns, None if library is None else library.columns)
     total, best = of_scenes(sentence, columns, ratios.sum(axis=0))
     evidence = tuple(
         _evidence(

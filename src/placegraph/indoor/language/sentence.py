@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from placegraph.language.text import Ignored
+    from placegraph.language.text import IgnoredText
 
 
 ME = -1
@@ -84,7 +84,7 @@ class Sentence:
     text: str
     mentions: tuple[Mention, ...] = ()
     statements: tuple[Statement, ...] = ()
-    ignored: tuple[Ignored, ...] = ()
+    ignored: tuple[IgnoredText, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and strings, ready for `json.dumps`."""

@@ -53,7 +53,7 @@ def look_around_for(objects, ranges, weight, fit):
 
 
 @kernel
-def turned(profile, shift, window):
+def dilate_profile(profile, shift, window):
     """Return the best of a profile (K, A) around each heading (K, A), turned by `shift` bins.
 
     `window`: (2 W + 1,) how well bins beside the direction said still fit it.

@@ -207,7 +207,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
             self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
         return opened
 
-    def cached(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
+    def cache_merged(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
         """Return a map merged of some scenes: one of the last eight, else made anew."""
         if key not in self._merged:
             self._merged[key] = merge()

@@ -20,9 +20,9 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import Sentence, read
-from placegraph.indoor.language.prior import unused
+from placegraph.indoor.language.prior import find_unused
 from placegraph.indoor.library.search import SceneCollection, SearchOptions
-from placegraph.indoor.localize import localized
+from placegraph.indoor.localize import localize_capture
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.window import chosen_frames
@@ -123,9 +123,9 @@ def localize_in_scenes(
         scene = _open_merged(library, mode.scene, reader)
         opening = perf_counter() - start
         useful = sentence  # what says nothing of this scene was heard by the search
-        if sentence is not None and len(unused(sentence, scene)) >= len(sentence.statements):
+        if sentence is not None and len(find_unused(sentence, scene)) >= len(sentence.statements):
             useful = None
-        estimate = localized(
+        estimate = localize_capture(
             scene, frames, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
             description=useful, **options,
         )  # fmt: skip
@@ -161,7 +161,7 @@ def _open_merged(library: SceneLibrary, name: str, reader: Encoder | None) -> Sc
             made = scene.with_embeddings(vectors[reader.key], encoder=reader.key)
         return merge_scenes({name: made})
 
-    return library.cached((reader and reader.key, name), make)
+    return library.cache_merged((reader and reader.key, name), make)
 
 
 def _move_to_scene(

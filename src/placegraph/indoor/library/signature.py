@@ -22,7 +22,7 @@ from placegraph.core.mapfile import MapFile, pack_strings, read_map
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, encode_objects
 from placegraph.indoor.language.appearance import with_colours
-from placegraph.indoor.language.index import Described, units
+from placegraph.indoor.language.index import DescriptionUnit, units
 from placegraph.indoor.library.search_kernels import hash_rows
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.free_space import MAX_ELEVATION
@@ -69,7 +69,7 @@ class Signature:
         return tuple(name for name in named if name)
 
     @cached_property
-    def described(self) -> list[Described]:
+    def described(self) -> list[DescriptionUnit]:
         """Rooms and objects as texts describe them; computed once."""
         rooms = [a.get("room", "") for a in self.attributes]
         return units(self.graph, rooms, self.attributes)

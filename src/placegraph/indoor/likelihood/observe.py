@@ -130,7 +130,7 @@ class Model(Protocol):
     noise: Noise
     """Numbers of the model, for compiled loops."""
 
-    def named(
+    def score_patches(
         self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
     ) -> Floats:
         """Score patches for each of N objects or, last column, for none: (M, N + 1).
@@ -354,7 +354,7 @@ def _semantic(patches: Patches, model: Model, background: Background) -> NDArray
     """
     # only the rows in use: the table of a merged map has thousands
     said, row = np.unique(patches.rows, return_inverse=True)
-    table = model.named(patches.table[said], patches.temperature, background.objects)
+    table = model.score_patches(patches.table[said], patches.temperature, background.objects)
     table = np.concatenate([table[row.ravel()], np.ones((1, table.shape[1]))])
     return np.ascontiguousarray(table, np.float32)
 

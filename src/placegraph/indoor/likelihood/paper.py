@@ -26,7 +26,7 @@ class Paper:
         self.options = options
         self.noise = Noise.of(options, gaussian=True)
 
-    def named(
+    def score_patches(
         self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
     ) -> Floats:
         """Score patches by cosine + 1 where patch and object agree (Sec. 3.3), (M, N + 1)."""

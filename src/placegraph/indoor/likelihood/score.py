@@ -24,7 +24,7 @@ TEMPERATURE_TONES = 6.0
 """... and with tones beside depth, as an image counts twice."""
 
 
-class Calibrated:
+class CalibratedLikelihood:
     """Calibrated likelihood, in which every patch, reading and sample may err (docs/indoor.md).
 
     Each adds its log-likelihood ratio at a pose against anywhere in the map [nat].
@@ -34,7 +34,7 @@ class Calibrated:
         self.options = options
         self.noise = Noise.of(options, gaussian=False)
 
-    def named(
+    def score_patches(
         self, cosines: NDArray[np.float32], temperature: float, object_shares: Floats
     ) -> Floats:
         """Return likelihood ratios (M, N + 1) of patches for each object.
@@ -97,7 +97,7 @@ def reading_ratio(
 
 def model_of(options: Likelihood) -> Model:
     """Make the likelihood model of the options: the paper's Eq. 2, or the calibrated one."""
-    return Paper(options) if options.kind == "gaussian" else Calibrated(options)
+    return Paper(options) if options.kind == "gaussian" else CalibratedLikelihood(options)
 
 
 class Scorer:

@@ -166,11 +166,11 @@ class Mesh:
         flat = np.concatenate([a.reshape(-1, 3) for a in self.textures])
         return flat, np.cumsum(counts) - counts, sizes
 
-    def moved(self, shift: ArrayLike) -> Mesh:
+    def translate(self, shift: ArrayLike) -> Mesh:
         """Return mesh shifted by (3,) [m]."""
         return replace(self, vertices=self.vertices + np.asarray(shift, np.float64))
 
-    def snapped(self, grain: float = GRAIN, uv_grain: float = UV_GRAIN) -> Mesh:
+    def quantize(self, grain: float = GRAIN, uv_grain: float = UV_GRAIN) -> Mesh:
         """Return mesh whose coordinates are multiples of steps, as a map file holds them.
 
         `grain` [m] and `uv_grain` are powers of two from `GRAIN` and `UV_GRAIN` on; steps are

@@ -88,13 +88,13 @@ class Landmarks(PickleFields):
         numbers = self.vectors.astype(np.float32)
         return numbers / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1.0)
 
-    def moved(self, shift: ArrayLike) -> Landmarks:
+    def translate(self, shift: ArrayLike) -> Landmarks:
         """Return landmarks shifted by (3,) [m]."""
         points = self.points.astype(np.float64) + np.asarray(shift, np.float64)
         return Landmarks(points.astype(np.float32), self.vectors)
 
     @staticmethod
-    def joined(parts: Sequence[Landmarks | None]) -> Landmarks | None:
+    def concatenate(parts: Sequence[Landmarks | None]) -> Landmarks | None:
         """Return those of several scenes; None where none has any."""
         known = [part for part in parts if part is not None]
         if not known:
@@ -179,7 +179,7 @@ class Scene(PickleFields):
         ----------
         mesh
             Triangles of the objects; every object has at least one. Coordinates are snapped to the
-            file's steps (`Mesh.snapped`), triangles brought into its order (`mesh_order`), textures
+            file's steps (`Mesh.quantize`), triangles brought into its order (`mesh_order`), textures
             decoded from what the file will hold.
         ids, labels, names
             Of the N objects.
@@ -206,7 +206,7 @@ class Scene(PickleFields):
             )
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
         mesh = sort_triangles(
-            replace(mesh.snapped(), textures=textures.decode_textures(blobs, source or scene))
+            replace(mesh.quantize(), textures=textures.decode_textures(blobs, source or scene))
         )
         bare = np.flatnonzero(np.isnan(mesh.object_bounds(len(ids))[:, 0, 0]))
         if bare.size:

@@ -148,7 +148,7 @@ def clean_model(
     row = np.full(len(model.objects), -1)
     row[thing] = np.arange(len(thing))
     return (
-        mesh.snapped(),
+        mesh.quantize(),
         [model.objects[i] for i in thing.tolist()],
         [model.pictures[i] for i in picture.tolist()],
         row,
@@ -170,7 +170,7 @@ def find_flat_triangles(
 
 def snap_mesh(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
     """Snap a mesh to its grid, and drop the triangles that lose their area there."""
-    mesh = mesh.snapped(grain, uv_grain)
+    mesh = mesh.quantize(grain, uv_grain)
     keep = ~find_flat_triangles(mesh.vertices, mesh.triangles, mesh.object_of)
     if keep.all():
         return mesh

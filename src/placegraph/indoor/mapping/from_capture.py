@@ -24,7 +24,7 @@ from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
-    from placegraph.indoor.mapping.fuse import Fused, FuseStats
+    from placegraph.indoor.mapping.fuse import FusedSurface, FuseStats
     from placegraph.indoor.mapping.segment import Segments
 
 Progress = Callable[[str, int, int], None]
@@ -133,7 +133,9 @@ def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
         edge *= 1.25
 
 
-def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tuple[str, ...]]:
+def _find_floor(
+    path: Path, fused: FusedSurface, segments: Segments
+) -> tuple[float, tuple[str, ...]]:
     """Find the height of the floor [m]; also a note where cameras saw none of it."""
     if segments.floor is not None:
         return segments.floor, ()
@@ -168,7 +170,7 @@ def _fuse_frames(
     how: FromCapture,
     left_out: Counter[str],
     progress: Progress | None,
-) -> Fused:
+) -> FusedSurface:
     from placegraph.indoor.mapping.fuse import fuse
 
     try:

@@ -349,7 +349,7 @@ def fuse(
     options: FuseOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
     left_out: Counter[str] | None = None,
-) -> Fused:
+) -> FusedSurface:
     """Fuse depth and colour of frames into one mesh.
 
     Parameters
@@ -453,7 +453,7 @@ class _Run:
         moved: Floats = points @ view.map_from_camera[:3, :3].T + view.map_from_camera[:3, 3]
         return moved
 
-    def finish(self, start: float, why: str, counts: Counter[str]) -> Fused:
+    def finish(self, start: float, why: str, counts: Counter[str]) -> FusedSurface:
         """Extract the mesh, and compare it with the readings."""
         volume, options = self.volume, self.options
         if not any(len(points) for points in self.readings):
@@ -486,7 +486,7 @@ class _Run:
             gains=gains / middle,
             coarser=why,
         )
-        return Fused(vertices, triangles, shades, stats)
+        return FusedSurface(vertices, triangles, shades, stats)
 
 
 @dataclass(frozen=True, slots=True)
@@ -549,7 +549,7 @@ class FuseStats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fused:
+class FusedSurface:
     """Coloured surface; triangles face free space and share their vertices."""
 
     vertices: NDArray[np.float64]

@@ -284,7 +284,7 @@ def _facets_of(depth, eye, reach, edges, out, first, last):
             z = depth[v, u]
             read = z >= NEAR
             if not read:
-                z = between(depth, v, u)
+                z = interpolate_depth(depth, v, u)
             if not (NEAR <= z <= reach):
                 continue
             here = 1.0 / z
@@ -335,7 +335,7 @@ def _facets_of(depth, eye, reach, edges, out, first, last):
 
 
 @kernel(error_model="numpy")
-def between(depth, v, u):
+def interpolate_depth(depth, v, u):
     """Interpolate a reading between two that agree, up to 4 pixels apart; else 0.
 
     Near surfaces are larger in the image than their voxels: one hole would leave voxels unseen.

@@ -61,7 +61,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
             uv=np.concatenate([m.uv for m in meshes]),
             texture_of=_offset_columns([m.texture_of for m in meshes], first_textures),
             textures=_join_tuples([m.textures for m in meshes]),
-        ).snapped(),
+        ).quantize(),
         attributes=_join_tuples([m.attributes for m in moved]),
         floors=np.concatenate([m.floors for m in moved]),
         scenes=_join_tuples([m.scenes for m in moved]),
@@ -69,7 +69,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
         source=", ".join(scenes),
         encoded=_join_tuples([m.encoded for m in moved]),
-        landmarks=Landmarks.joined([m.landmarks for m in moved]),
+        landmarks=Landmarks.concatenate([m.landmarks for m in moved]),
         viewpoints=np.concatenate([m.viewpoints for m in moved]),
         anchors=_join_tuples([m.anchors for m in moved]),
     )
@@ -127,8 +127,8 @@ def _shift_scene(name: str, scene: S, shift: NDArray[np.float64]) -> S:
     return replace(
         scene,
         graph=graph,
-        mesh=scene.mesh.moved(shift),
-        landmarks=scene.landmarks and scene.landmarks.moved(shift),
+        mesh=scene.mesh.translate(shift),
+        landmarks=scene.landmarks and scene.landmarks.translate(shift),
         viewpoints=scene.viewpoints + shift,
         floors=scene.floors + shift[2],
         scenes=tuple(parts),

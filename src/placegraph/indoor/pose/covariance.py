@@ -22,7 +22,7 @@ from placegraph.indoor.pose.local_fit import (
     merge_fits,
     probabilities,
 )
-from placegraph.indoor.pose.window import Chain, Window, timed
+from placegraph.indoor.pose.window import Chain, Window, time_stage
 
 TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
@@ -82,7 +82,7 @@ def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floa
 
 def explore_unobservable(window: Window, candidates: list[Fit], rng: Generator) -> list[Fit]:
     """Probe the best fit along its least certain direction, and add the best rival there; best first."""
-    with timed(window.seconds, "polish"):
+    with time_stage(window.seconds, "polish"):
         candidates = merge_fits(candidates)  # bending may have brought some together
         best, other = _probe_direction(window, candidates[0], rng)
         candidates = [best, *candidates[1:]]

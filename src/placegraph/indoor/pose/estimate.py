@@ -26,7 +26,7 @@ from placegraph.indoor.pose.agreement import (
 from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Window, time_stage
 from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose
 
 
@@ -67,7 +67,7 @@ _EXPLAINED = 3
 
 def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
     """Estimate the pose of the last frame from fits, best first."""
-    with timed(window.seconds, "verdict"):
+    with time_stage(window.seconds, "verdict"):
         judging, looked = window.judging, window.newest
         told_apart = [judging.views(FINE)[i] for i in looked]
 

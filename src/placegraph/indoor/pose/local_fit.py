@@ -20,8 +20,8 @@ from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.indoor.likelihood.observe import COARSE, FINE, View, recent
 from placegraph.indoor.likelihood.score import Scorer, log_sum
 from placegraph.indoor.likelihood.score_kernels import DEPTH
-from placegraph.indoor.pose.search import APART, SCREENED, TURNED, distinct, thinned
-from placegraph.indoor.pose.window import Chain, Window, timed
+from placegraph.indoor.pose.search import APART, SCREENED, TURNED, distinct, thin_view
+from placegraph.indoor.pose.window import Chain, Window, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
@@ -180,7 +180,7 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
 
 def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
     """Fit the last frame's pose from `starts` (M, 4) to all frames of a window; best first."""
-    with timed(window.seconds, "fit_modes"):
+    with time_stage(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
             fit_level(window, COARSE, rounds=2, samples=32, most=10, frames=5),
@@ -210,7 +210,7 @@ def fit_level(
     views = [window.views(stride)[i] for i in looked]
     # small images have no rays to spare
     if all(view.terms[DEPTH] and len(view.patch) >= _RICH * LANES for view in views):
-        views = [thinned(view, 2, i) for view, i in zip(views, looked, strict=True)]
+        views = [thin_view(view, 2, i) for view, i in zip(views, looked, strict=True)]
     else:
         samples = _SAMPLES
     return FitLevel(window.chain, looked, views, rounds, most, gap, samples)
@@ -376,7 +376,7 @@ def correct_drift(window: Window, candidates: list[Fit], rng: Generator) -> list
     """
     if len(window) < 2:
         return candidates
-    with timed(window.seconds, "correct_drift"):
+    with time_stage(window.seconds, "correct_drift"):
         level = fit_level(window, FINE, rounds=_ROUNDS)
         top = candidates[0].log_likelihood
         near = sum(fit.log_likelihood > top - GAP for fit in candidates)

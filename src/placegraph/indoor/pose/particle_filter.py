@@ -17,7 +17,7 @@ from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import STANDING, FilterOptions, MotionNoise, Pass
 from placegraph.indoor.pose.local_fit import FINEST, Fit
 from placegraph.indoor.pose.search import around, distinct, near, near_prior, table_seeds
-from placegraph.indoor.pose.window import Chain, Window, deviations, timed
+from placegraph.indoor.pose.window import Chain, Window, deviations, time_stage
 
 if TYPE_CHECKING:
     from placegraph.indoor.likelihood.score import Scorer
@@ -36,7 +36,7 @@ class Particles:
     """(N,) float64; their exponentials add up to 1."""
 
     @classmethod
-    def even(cls, poses: NDArray[np.float64]) -> Particles:
+    def uniform(cls, poses: NDArray[np.float64]) -> Particles:
         """Make particles of equal weight."""
         return cls(poses, np.full(len(poses), -np.log(max(1, len(poses)))))
 
@@ -48,7 +48,7 @@ class Particles:
         """(N,) adding up to 1."""
         return np.asarray(np.exp(self.log_weights))
 
-    def reweighted(self, log_likelihoods: NDArray[np.float64]) -> tuple[Particles, float]:
+    def reweight(self, log_likelihoods: NDArray[np.float64]) -> tuple[Particles, float]:
         """Return the particles after an observation, and the log of its mean likelihood."""
         raw = self.log_weights + log_likelihoods
         total = log_sum(raw)
@@ -89,7 +89,7 @@ def resample(particles: Particles, count: int, rng: Generator) -> Particles:
     edges = np.cumsum(particles.weights)
     points = (np.arange(count) + rng.random(count)) / count * edges[-1]
     rows = np.minimum(np.searchsorted(edges, points, side="right"), len(particles) - 1)
-    return Particles.even(particles.poses[rows])
+    return Particles.uniform(particles.poses[rows])
 
 
 def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -152,7 +152,7 @@ class ParticleFilter:
         self.mean_log_likelihood = (
             explained if mean is None else (1.0 - _MEMORY) * mean + _MEMORY * explained
         )
-        self.particles, _ = self.particles.reweighted(flat * values)
+        self.particles, _ = self.particles.reweight(flat * values)
 
     def _temper(self, values: NDArray[np.float64]) -> float:
         """Return the tempering exponent in (0, 1] that leaves enough particles effective."""
@@ -187,7 +187,9 @@ class ParticleFilter:
         old = self.particles.poses
         left = max(len(old) - len(poses), len(old) // 2)
         kept = old[np.linspace(0, len(old) - 1, left).round().astype(np.int64)]
-        self.particles = Particles.even(np.concatenate([poses[: self.max_particles - left], kept]))
+        self.particles = Particles.uniform(
+            np.concatenate([poses[: self.max_particles - left], kept])
+        )
 
     def modes(self) -> NDArray[np.float64]:
         """Return distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
@@ -303,7 +305,7 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
         log_prior = window.log_prior
         return table_seeds(window.table, [view], poses[[t]], noise, 0, count, log_prior)[0]
 
-    with timed(window.seconds, "filter"):
+    with time_stage(window.seconds, "filter"):
         for number, spec in enumerate(options.passes):
             # back to the first frame, from where the pass starts
             first = compose(modes, between(poses[-1], poses[0]))
@@ -312,10 +314,10 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
                 if number
                 else _start(window, options, spec, first, rng)
             )
-            particles = Particles.even(start)
+            particles = Particles.uniform(start)
             if window.log_prior is not None and not number:
                 ends = compose(start, between(poses[0], poses[-1]))
-                particles, _ = particles.reweighted(window.log_prior.at(ends))
+                particles, _ = particles.reweight(window.log_prior.at(ends))
             filter_ = ParticleFilter(window.scorer, options, rng, particles, spec.particles)
             frames = [s.frame.index for s in window.observations]
             views = window.views(spec.stride, scaled=spec.scaled)

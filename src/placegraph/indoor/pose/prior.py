@@ -105,11 +105,11 @@ def _read(description: str | Sentence | None, scene: Scene) -> Sentence | None:
     if description is None:
         return None
     from placegraph.indoor.language import read
-    from placegraph.indoor.language.prior import unused
+    from placegraph.indoor.language.prior import find_unused
 
     sentence = read(description) if isinstance(description, str) else description
-    ignored = [*sentence.ignored, *unused(sentence, scene)]
-    if len(unused(sentence, scene)) == len(sentence.statements):
+    ignored = [*sentence.ignored, *find_unused(sentence, scene)]
+    if len(find_unused(sentence, scene)) == len(sentence.statements):
         reasons = "; ".join(f"{i.text!r}: {i.reason}" for i in ignored)
         raise OptionError(
             f"description {sentence.text!r} mentions nothing on this "

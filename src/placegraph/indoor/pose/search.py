@@ -15,7 +15,7 @@ from placegraph.indoor.likelihood.observe import COARSE, Noise, View, spread
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.map_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.prior import LogPrior, Prior
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Window, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 
 APART = 0.75
@@ -67,7 +67,7 @@ def search(window: Window, rng: Generator) -> Floats:
         The map has no free place at the camera's height.
 
     """
-    with timed(window.seconds, "table"):
+    with time_stage(window.seconds, "table"):
         if not len(window.table):
             raise OptionError(
                 f"heights: {window.scene.source or 'the map'} has no free place "
@@ -77,7 +77,7 @@ def search(window: Window, rng: Generator) -> Floats:
     options = window.options.particle_filter
     if options is not None and options.start == "uniform":
         return np.zeros((0, 4))
-    with timed(window.seconds, "search"):
+    with time_stage(window.seconds, "search"):
         last, noise = len(window) - 1, window.scorer.model.noise
         table, log_prior, prior = window.table, window.log_prior, window.query.prior
         first, *rounds = _TRIES
@@ -98,13 +98,13 @@ def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Genera
     tries = around(seeds, round_.each, round_.box, round_.turn, rng)
     looked = spread(len(window), round_.frames)
     steps = between(poses[last], poses[looked])
-    views = [thinned(window.views(COARSE)[i], round_.thinned, i) for i in looked]
+    views = [thin_view(window.views(COARSE)[i], round_.thinned, i) for i in looked]
     values = window.scorer.together(tries, views, steps).reshape(len(seeds), round_.each)
     best = tries.reshape(len(seeds), round_.each, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
     return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")[: round_.most]])
 
 
-def thinned(view: View, step: int, offset: int) -> View:
+def thin_view(view: View, step: int, offset: int) -> View:
     """Keep one of `step` tiles of a view, and raise the weight of its patches as much."""
     tiles = np.arange(len(view.patch) // LANES)
     use = np.repeat(tiles % step == offset % step, LANES)

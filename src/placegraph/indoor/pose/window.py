@@ -209,7 +209,7 @@ NEWEST = 12
 
 
 @contextmanager
-def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+def time_stage(seconds: dict[str, float], stage: str) -> Iterator[None]:
     """Add the time spent inside to a stage's seconds."""
     start = perf_counter()
     try:
@@ -289,7 +289,7 @@ class Window:
         newest._derived = self._derived
         return newest
 
-    def derived(self, key: Hashable, make: Callable[[], T]) -> T:
+    def derive(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return a value that a stage derives from frames, made once for each key."""
         if key not in self._derived:
             self._derived[key] = make()
@@ -323,7 +323,7 @@ def observe(query: PoseQuery) -> Window:
     """
     scene = query.scene
     window = Window(query, Scorer(scene, query.options.likelihood), [])
-    with timed(window.seconds, "reading"):
+    with time_stage(window.seconds, "reading"):
         encoder = query.encoder or make_label_encoder(scene, query.frames[0])
         window.observations = [
             observe_frame(frame, encoder, query.options) for frame in query.frames

@@ -442,7 +442,7 @@ def share_view(camera: Camera, other: Camera | None) -> bool:
     """Return whether two cameras have one view, in images of any size."""
     if other is None:
         return False
-    same = camera.resized(other.width, other.height)
+    same = camera.resize(other.width, other.height)
     pairs = [(getattr(same, k), getattr(other, k)) for k in ("fx", "fy", "cx", "cy")]
     return all(abs(a - b) < _SAME * other.width for a, b in pairs)
 

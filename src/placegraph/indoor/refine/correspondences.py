@@ -29,7 +29,7 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.likelihood.observe import REFERENCE, spread
 from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, Landmarks, Scene
 from placegraph.indoor.options import RefineOptions
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Window, time_stage
 from placegraph.indoor.rays.trace_kernels import Tracer
 from placegraph.indoor.refine.matching import Matcher, Matches
 from placegraph.indoor.refine.matching.sift import SiftMatcher
@@ -272,7 +272,7 @@ def shrink_camera(camera: Camera, size: int) -> Camera:
     scale = size / max(camera.width, camera.height)
     if scale >= 1.0:
         return camera
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    return camera.resize(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
 def held_back(pixels: Floats, camera: Camera) -> NDArray[np.bool_]:
@@ -414,7 +414,7 @@ def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> 
     camera = shrink_camera(frame.camera, LARGEST)
     x, y, _ = frame.gravity
     down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
-    found = sift.described(resize_image(rgb, camera.width, camera.height), down)
+    found = sift.describe_image(resize_image(rgb, camera.width, camera.height), down)
     scale = np.array([rgb.shape[1] / camera.width, rgb.shape[0] / camera.height])
     return type(found)(found.points * scale, compact(found.vectors))
 
@@ -506,7 +506,7 @@ def match_window(window: Window) -> list[PointMatches]:
         frame, rgb = window.observations[t].frame, window.observations[t].rgb
         if rgb is not None:
             match = partial(_match_frame, landmarks, sift, frame, rgb)
-            out[t] = window.derived(("landmarks", frame.index), match)
+            out[t] = window.derive(("landmarks", frame.index), match)
     return out
 
 
@@ -555,7 +555,7 @@ def has_plenty_everywhere(matches: Sequence[PointMatches]) -> bool:
 
 def locate_by_landmarks(window: Window) -> Floats:
     """Return the pose (K, 4) of the last frame by landmarks: one, or none."""
-    with timed(window.seconds, "landmarks"):
+    with time_stage(window.seconds, "landmarks"):
         odometry = np.stack([s.frame.odometry for s in window.observations])
         mounts = np.linalg.inv(odometry[-1]) @ odometry
         matches = match_window(window)

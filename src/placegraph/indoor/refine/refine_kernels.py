@@ -107,8 +107,8 @@ def read(depth, rays, v, u, reach):
         read[k] = z
         up, down = max(row - reach, 0), min(row + reach, h - 1)
         left, right = max(column - reach, 0), min(column + reach, w - 1)
-        ax, ay, az = between(depth, rays, up, column, down, column)
-        bx, by, bz = between(depth, rays, row, left, row, right)
+        ax, ay, az = subtract_points(depth, rays, up, column, down, column)
+        bx, by, bz = subtract_points(depth, rays, row, left, row, right)
         x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         length = np.sqrt(x * x + y * y + z * z)
         if length > 1e-12:  # not so where one of the points is no number
@@ -117,7 +117,7 @@ def read(depth, rays, v, u, reach):
 
 
 @kernel(inline="always")
-def between(depth, rays, row, column, other, beside):
+def subtract_points(depth, rays, row, column, other, beside):
     """Return way (3 floats) from the point that a pixel shows to that of another."""
     near, far = depth[row, column], depth[other, beside]
     return (

@@ -26,7 +26,7 @@ from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
 from placegraph.indoor.pose.covariance import FITTED
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
-from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, timed
+from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import (
     DULL,
@@ -264,7 +264,7 @@ def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -
     if not refiner.options.check:
         by = check.reason.removesuffix(".")
         return replace(check, reason=f"{by}, unchecked.")
-    with timed(refiner.seconds, "check"):
+    with time_stage(refiner.seconds, "check"):
         way, against = _choose_candidate(refiner, coarse, ways)
         objection, camera = _diagnose_camera(refiner, way)
         way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))

@@ -17,7 +17,7 @@ from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import RefineOptions
-from placegraph.indoor.pose.window import Progress, Window, timed
+from placegraph.indoor.pose.window import Progress, Window, time_stage
 from placegraph.indoor.refine.correspondences import (
     SHARE,
     SIGMA,
@@ -210,7 +210,7 @@ class Refiner:
             matches, led = self._find_consensus(stage, found, poses)
             if stage.matcher is None and not any(map(len, matches)):
                 continue
-            with timed(self.seconds, "solving"):
+            with time_stage(self.seconds, "solving"):
                 solution = solve(self.problem(matches), led, FINE_WIDTHS)
             poses = solution.poses
             if stage.matcher is None and has_plenty(matches):
@@ -224,7 +224,7 @@ class Refiner:
         """Return an accepted fit, with those landmarks too that were kept for its check."""
         if self.landmark_matches is None or not any(map(len, fit_trajectory.matches)):
             return fit_trajectory
-        with timed(self.seconds, "solving"):
+        with time_stage(self.seconds, "solving"):
             matches = self._inliers(list(self.landmarks), fit_trajectory.poses)
             solution = solve(self.problem(matches), fit_trajectory.poses, FINE_WIDTHS[-1:])
         return self._conclude(solution.poses, solution, matches)
@@ -235,7 +235,7 @@ class Refiner:
         """Return poses by depth alone; None where there is none."""
         if not self.has_depth:
             return None
-        with timed(self.seconds, "depth"):
+        with time_stage(self.seconds, "depth"):
             solution = solve(self.problem(), start, DEPTH_WIDTHS)
         self.stats["depth_cost"] = None if np.isnan(solution.cost) else round(solution.cost, 3)
         return solution
@@ -273,7 +273,7 @@ class Refiner:
             )  # fmt: skip
             return seen[~held_back(seen.pixels, frame.camera)] if self.options.check else seen
 
-        with timed(self.seconds, "matching"), ThreadPoolExecutor(_threads(matcher)) as pool:
+        with time_stage(self.seconds, "matching"), ThreadPoolExecutor(_threads(matcher)) as pool:
             for t, seen in zip(rows, pool.map(one, rows), strict=True):
                 matches[t] = seen
         self.stats["matches"] = sum(map(len, matches))
@@ -290,7 +290,7 @@ class Refiner:
         """Return matches that agree on one pose of the rig, and the trajectory that follows from it."""
         if not stage.rigid:
             return matches, poses
-        with timed(self.seconds, "ransac"):
+        with time_stage(self.seconds, "ransac"):
             mounts = np.linalg.inv(poses[-1]) @ poses
             consensus = solve_rig(matches, list(mounts), self.options)
         if consensus is None or consensus.count < stage.share * sum(map(len, matches)):
@@ -311,7 +311,7 @@ class Refiner:
     def _best_frame(self, matches: list[PointMatches], poses: Floats) -> FittedTrajectory:
         """Sec. 3.6: PnP frame by frame, the one with most inliers decides."""
         best: tuple[int, Floats, int] | None = None
-        with timed(self.seconds, "ransac"):
+        with time_stage(self.seconds, "ransac"):
             for t, seen in enumerate(matches):
                 found = solve_frame(seen, self.options)
                 if found is not None and (best is None or found.count > best[0]):

@@ -322,7 +322,7 @@ class Belief:
         self.anchor: Anchor | None = None
         self.near: GivenPose | None = None
         """Pose around which images are searched first."""
-        self._last = LiveState.lost(NOTHING)
+        self._last = LiveState.make_lost(NOTHING)
         self._placed: tuple[Floats, Floats, str] | None = None
 
     @property
@@ -374,15 +374,15 @@ class Belief:
             return
         self.anchor = Anchor.of(now, pose, covariance, scene)
         self.near = GivenPose(self.anchor.map_from_odom, covariance, scene)
-        self._last = LiveState.unconfirmed(why)
+        self._last = LiveState.make_unconfirmed(why)
 
     def forget(self, why: str) -> None:
         """Forget the pose."""
         self.epoch += 1
         self.anchor = self.near = self._placed = None
-        self._last = LiveState.lost(why)
+        self._last = LiveState.make_lost(why)
 
-    def carried(self, why: str) -> None:
+    def keep_pose(self, why: str) -> None:
         """Keep the pose after an image without a result."""
         self._last = replace(self._last, reason=why)
 

@@ -34,7 +34,7 @@ from placegraph.io.capture.frame import Frame
 if TYPE_CHECKING:
     from placegraph.core.geometry import Camera
     from placegraph.indoor.track.belief import LivePose
-    from placegraph.indoor.track.tracker import FrameResult, Relocalization, Relocalized
+    from placegraph.indoor.track.tracker import FrameResult, Relocalization, RelocalizationResult
 
 
 class Inline(Executor):
@@ -67,7 +67,7 @@ class Worker:
         self._seen = -np.inf
         self._heard = belief.epoch
         self._inbox: Frame | None = None
-        self._answer: Relocalized | None = None
+        self._answer: RelocalizationResult | None = None
         self._busy = self._searching = False
         self._failed: BaseException | None = None
 
@@ -147,7 +147,7 @@ class Worker:
         if sample is not None:
             return replace(frame, odometry=sample.pose)
         self.dropped += 1
-        self._belief.carried(why)
+        self._belief.keep_pose(why)
         return None
 
     def _publish(self, epoch: int, result: FrameResult | None) -> None:
@@ -427,7 +427,7 @@ class LiveTracker:
         spread = checked_covariance("covariance", covariance)
         with self._changed:
             anchor = self._belief.anchor
-            name = self._finder.named(scene or (anchor.scene if anchor else ""))
+            name = self._finder.resolve_scene(scene or (anchor.scene if anchor else ""))
             why = "The pose was given; no image has confirmed it."
             self._belief.believe(pose, spread, name, why)
 
@@ -484,7 +484,10 @@ class LiveTracker:
         saved = SavedPose.read(path)
         live = cls(maps, **options)
         try:
-            same = digest_of(live._finder.scene(live._finder.named(saved.scene))) == saved.digest
+            same = (
+                digest_of(live._finder.scene(live._finder.resolve_scene(saved.scene)))
+                == saved.digest
+            )
         except OptionError as error:
             raise MapError(f"{path} belongs to another map: {error}") from error
         if not same:

@@ -389,7 +389,7 @@ class Relocalizer:
         """Return the names of the maps; a plain map has that of its first scene."""
         return self.maps.scenes[:1] if isinstance(self.maps, Scene) else self.maps.names
 
-    def named(self, name: str) -> str:
+    def resolve_scene(self, name: str) -> str:
         """Return the name, or that of the only map if empty; `OptionError`: there is no such map."""
         if not name and len(self.scenes) == 1:
             return self.scenes[0]
@@ -473,7 +473,7 @@ class Relocalization:
     near: GivenPose | None
     rng: Generator
 
-    def search(self, relocalizer: Relocalizer) -> Relocalized:
+    def search(self, relocalizer: Relocalizer) -> RelocalizationResult:
         """Search the frames; faults of frames or maps are part of the answer."""
         try:
             if self.near is None:
@@ -483,12 +483,12 @@ class Relocalization:
                 prior = prior_of(first, self.near.covariance)
                 name, estimate = relocalizer.near(self.frames, self.near.scene, prior, self.rng)
         except PlacegraphError as error:
-            return Relocalized(self.frames, "", None, str(error))
-        return Relocalized(self.frames, name, estimate, estimate.reason)
+            return RelocalizationResult(self.frames, "", None, str(error))
+        return RelocalizationResult(self.frames, name, estimate, estimate.reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Relocalized:
+class RelocalizationResult:
     """Answer to a `Relocalization`."""
 
     frames: tuple[Frame, ...]
@@ -575,7 +575,7 @@ class Follower:
         before = [frame for frame in self._recent if frame is not self._newest][1 - KEPT :]
         return Relocalization((*before, self._newest), self._given, self._rng.spawn(1)[0])
 
-    def take_answer(self, answer: Relocalized) -> FrameResult | None:
+    def take_answer(self, answer: RelocalizationResult) -> FrameResult | None:
         """Accept an answer; while a pose is followed, only one that is sure."""
         last, estimate = answer.frames[-1], answer.estimate
         if estimate is not None and self._given is None:  # else a person and an image say the same
@@ -612,7 +612,7 @@ class Follower:
         self._unsure_count = self._denied_count = 0
         return FrameResult(frame, estimate.reason, self._scene, estimate, has_pose=True)
 
-    def _start_tracker(self, answer: Relocalized) -> Tracker:
+    def _start_tracker(self, answer: RelocalizationResult) -> Tracker:
         """Start a tracker from an answer."""
         assert answer.estimate is not None and answer.estimate.best is not None  # noqa: S101, PT018  sure
         tracker = Tracker(self.relocalizer.query(answer.scene, self.seed), self.camera)

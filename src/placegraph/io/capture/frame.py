@@ -215,7 +215,7 @@ def _resized(what: str, array: NDArray[Any], camera: Camera) -> Camera:
             f"{what}: {width} x {height} is not a scaled version of {camera.width} x "
             f"{camera.height}; give its own camera."
         )
-    return camera if array.shape == (camera.height, camera.width) else camera.resized(width, height)
+    return camera if array.shape == (camera.height, camera.width) else camera.resize(width, height)
 
 
 def _to_metres(depth: ArrayLike) -> NDArray[np.float32]:

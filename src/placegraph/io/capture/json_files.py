@@ -110,7 +110,7 @@ def _entry_camera(path: Path, entry: dict[str, Any], kind: str, camera: Camera) 
     if any(name in entry for name in _INTRINSICS):
         return _camera(path, entry, f"{kind}.")
     if "width" in entry or "height" in entry:
-        return camera.resized(*_size(path, entry, f"{kind}."))
+        return camera.resize(*_size(path, entry, f"{kind}."))
     return None
 
 

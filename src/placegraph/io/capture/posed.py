@@ -181,7 +181,7 @@ def resize_camera(camera: Camera, size: tuple[int, int], name: object) -> Camera
             f"colour images, {camera.width} x {camera.height}; export depth of the same "
             "view."
         )
-    return camera if size == (camera.width, camera.height) else camera.resized(*size)
+    return camera if size == (camera.width, camera.height) else camera.resize(*size)
 
 
 def read_text(path: Path) -> str:

@@ -100,7 +100,7 @@ def encode_glb(
         document.material(material)
     for part in parts:
         document.part(part)
-    return document.encoded(extras or {}, generator)
+    return document.encode(extras or {}, generator)
 
 
 class _Document:
@@ -201,7 +201,7 @@ class _Document:
             "material": surface.material,
         }
 
-    def encoded(self, extras: Mapping[str, Any], generator: str) -> bytes:
+    def encode(self, extras: Mapping[str, Any], generator: str) -> bytes:
         """Return header, JSON chunk and binary chunk."""
         repeat, linear, mipmaps = 10497, 9729, 9987
         scene = {"nodes": list(range(len(self.tables["nodes"])))}

@@ -297,7 +297,7 @@ def encode_rooms(shapes: Sequence[IndoorShape], *, osmag: bool, generator: str) 
             file.node(line.mean(axis=0), {"door": "yes"} | door.tags)
         for room in rooms:
             _write(file, room, {"indoor": room.kind} | room.tags)
-    return file.encoded(generator)
+    return file.encode(generator)
 
 
 class _File:
@@ -332,7 +332,7 @@ class _File:
             f'  <relation id="{next(self.ids)}" visible="true">{held}{_tags(tags)}</relation>\n'
         )
 
-    def encoded(self, generator: str) -> bytes:
+    def encode(self, generator: str) -> bytes:
         head = '<?xml version="1.0" encoding="UTF-8"?>\n'
         head += f'<osm version="0.6" generator={quoteattr(generator)} upload="false">\n'
         nodes = [

@@ -8,7 +8,7 @@ from math import atan2, cos, hypot, pi, sin
 from typing import Protocol
 
 from placegraph.language.grammar import Chunk, Clause, PlacePhrase
-from placegraph.language.text import Ignored, check_text
+from placegraph.language.text import IgnoredText, check_text
 from placegraph.outdoor.language.chunks import Chunker, InflectedChunker
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -129,9 +129,9 @@ def describe(
     builder.finish()
     statements, ignored = places.statements, [*places.ignored, *references.list_unknown()]
     if not (statements or ignored):
-        ignored.append(Ignored(text.strip(), NO_PLACE))
+        ignored.append(IgnoredText(text.strip(), NO_PLACE))
     unsure = [part for part in parts if statements and not part.certain]
-    ignored += [Ignored(cleaned[p.start : p.end].strip(), NO_LANGUAGE) for p in unsure]
+    ignored += [IgnoredText(cleaned[p.start : p.end].strip(), NO_LANGUAGE) for p in unsure]
     conflicts = find_conflicts(statements, references.heads, places.goals, references.kinds)
     return Description(
         text,
@@ -169,7 +169,7 @@ def _read_sentence(sentence: list[Chunk], language: Language, builder: GraphBuil
             opens = False
             for chunk in left_out:
                 if clause.verb and chunk.type == "WORD":
-                    builder.ignored.append(Ignored(chunk.words, "unknown word"))
+                    builder.ignored.append(IgnoredText(chunk.words, "unknown word"))
 
 
 def _is_directive(sentence: list[Chunk]) -> bool:
@@ -212,7 +212,7 @@ class GraphBuilder:
         else:
             self.places.reason = "not understood"
         if self._count() == before and clause.verb != "too_far":
-            self.ignored.append(Ignored(words, self.places.reason))
+            self.ignored.append(IgnoredText(words, self.places.reason))
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._choose_topic()
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from placegraph.core.geometry import angle_between
 
 if TYPE_CHECKING:
-    from placegraph.language.text import Ignored
+    from placegraph.language.text import IgnoredText
 
 
 SPEAKER = 0
@@ -128,7 +128,7 @@ class Description:
     mentions: tuple[Mention, ...] = ()
     """`mentions[SPEAKER]` and `mentions[LISTENER]` always stand first."""
     statements: tuple[Statement, ...] = ()
-    ignored: tuple[Ignored, ...] = ()
+    ignored: tuple[IgnoredText, ...] = ()
     conflicts: tuple[str, ...] = field(default=())
     """Sentences that say which statements contradict each other."""
     language: str = "en"

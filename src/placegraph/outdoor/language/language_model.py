@@ -8,7 +8,7 @@ from math import degrees, radians
 from typing import Any
 
 from placegraph.errors import OptionError, ServiceError
-from placegraph.language.text import Ignored, check_text
+from placegraph.language.text import IgnoredText, check_text
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -234,7 +234,7 @@ class Answer:
             if s.relation is Relation.SAME and s.source == SPEAKER and not s.negated
         )
         ignored = [
-            Ignored(item["text"], item.get("reason", "left out by the language model"))
+            IgnoredText(item["text"], item.get("reason", "left out by the language model"))
             for item in self.content["ignored"]
         ]
         conflicts = find_conflicts(statements, nouns, here)

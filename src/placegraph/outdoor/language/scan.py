@@ -80,7 +80,7 @@ class _Signs(NamedTuple):
     letters: dict[str, frozenset[str]]
     """Letters of the words of a language."""
 
-    def written(self, code: str) -> int:
+    def count_scripts(self, code: str) -> int:
         """Count the scripts that a language is written in."""
         return sum(code in codes for codes in self.scripts.values())
 
@@ -186,8 +186,8 @@ def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | N
             # no spaces: letters stand for words; Chinese signs without kana are Chinese
             count += max(1, len(word) // 2)
             codes = signs.scripts.get(script, ())
-            few = min((signs.written(code) for code in codes), default=0)
-            for code in (code for code in codes if signs.written(code) == few):
+            few = min((signs.count_scripts(code) for code in codes), default=0)
+            for code in (code for code in codes if signs.count_scripts(code) == few):
                 scores[code] = scores.get(code, 0.0) + max(1, len(word) // 2)
             continue
         count += 1

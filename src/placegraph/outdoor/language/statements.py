@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING
 
-from placegraph.language.text import Ignored, Measure
+from placegraph.language.text import IgnoredText, Measure
 from placegraph.outdoor.language.chunks import LONGEST_NOUN
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -135,10 +135,10 @@ class References:
             self.street = node
         return node
 
-    def list_unknown(self) -> list[Ignored]:
+    def list_unknown(self) -> list[IgnoredText]:
         """Return the things of which nothing is known, each with the reason."""
         return [
-            Ignored(mention.words, self.vocabulary.unknown(self.heads[mention.id]))
+            IgnoredText(mention.words, self.vocabulary.explain_unknown(self.heads[mention.id]))
             for mention in self.mentions
             if mention.id > LISTENER and not mention.senses and not mention.name
         ]
@@ -268,7 +268,7 @@ class PlaceReader:
         self.references, self.heading, self.directive = references, heading, directive
         self.block_length = block_length
         self.statements: list[Statement] = []
-        self.ignored: list[Ignored] = []
+        self.ignored: list[IgnoredText] = []
         self.goals = {SPEAKER}
         """Nodes that stand where the speaker stands."""
         self.reason = ""
@@ -368,7 +368,7 @@ class PlaceReader:
         before, self.reason = len(self.statements), NO_PLACE
         changed: int | None = getattr(self, f"_{place.how}")(place, source, context)
         if len(self.statements) == before or self.reason == NEEDS_HEADING:
-            left_out = Ignored(self.references.text[place.start : place.end], self.reason)
+            left_out = IgnoredText(self.references.text[place.start : place.end], self.reason)
             if left_out not in self.ignored[-1:]:
                 self.ignored.append(left_out)
         if place.negated:

@@ -91,7 +91,7 @@ def _singular(word: str) -> str:
     return word[:-1]
 
 
-def folded(phrase: str) -> str:
+def fold_diacritics(phrase: str) -> str:
     """Return a normal form without diacritics: "café" -> "cafe", "kırtasiye" -> "kirtasiye"."""
     if phrase.isascii():
         return phrase
@@ -174,7 +174,7 @@ class Words(Protocol):
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
         """Return the most similar known phrase and its similarity in [0, 1]."""
 
-    def unknown(self, phrase: str) -> str:
+    def explain_unknown(self, phrase: str) -> str:
         """Say why a phrase has no senses."""
 
 

@@ -433,7 +433,7 @@ def _find_names(mention: Mention, city: Lexicon) -> dict[int, float]:
     """Find the names on the map that a mention may mean: "New York" library, or "New York library"."""
     if not mention.name:
         return {}
-    return city.name_index.named(mention.name) or city.name_index.named(mention.words)
+    return city.name_index.find_rows(mention.name) or city.name_index.find_rows(mention.words)
 
 
 def is_tag(words: str, label: str) -> bool:

@@ -225,7 +225,7 @@ class City(PickleFields):
     @cached_property
     def blocks(self) -> Blocks:
         """Length of a block; derived on first use."""
-        return Blocks.measured(self.objects)
+        return Blocks.measure(self.objects)
 
     def block_length(self, bearing: float | None) -> float:
         """Return the length of a block [m] in a direction [rad], or in any where that is None."""

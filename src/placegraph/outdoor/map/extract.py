@@ -96,7 +96,7 @@ class ElementTable:
         )
 
     @classmethod
-    def joined(cls, tables: Sequence[ElementTable]) -> Self:
+    def concatenate(cls, tables: Sequence[ElementTable]) -> Self:
         """Concatenate tables, of which there must be one."""
         return cls(
             np.concatenate([t.osm_type for t in tables]),
@@ -272,7 +272,7 @@ def read_extract(
         overture = load_module("placegraph_io.overture", "overture")
         blocks = _in_columns(overture.read_overture(path, left_out))
     tables = list(label_elements(blocks, vocabulary, progress or (lambda _step, _n: None)))
-    things = drop_largest(ElementTable.joined(tables), left_out) if tables else ()
+    things = drop_largest(ElementTable.concatenate(tables), left_out) if tables else ()
     if not things:
         raise make_empty_error(path, left_out)
     plane = _plane(things.lonlat)
@@ -302,10 +302,10 @@ def label_elements(
         seen += len(columns.tags)
         waiting.append(_label_block(columns, vocabulary))
         if sum(map(len, waiting)) >= BATCH:
-            yield ElementTable.joined(waiting)
+            yield ElementTable.concatenate(waiting)
             waiting = []
     if any(map(len, waiting)):
-        yield ElementTable.joined(waiting)
+        yield ElementTable.concatenate(waiting)
 
 
 def _label_block(columns: OsmColumns, vocabulary: Vocabulary) -> ElementTable:

@@ -30,7 +30,7 @@ CROWDED = 20_000
 """Of names with a number no more than this are looked through for streets."""
 
 
-class Named(Protocol):
+class NameTable(Protocol):
     """Table with names: the objects of a city, or the words of a world."""
 
     @property
@@ -50,12 +50,12 @@ class NameIndex:
     meant: dict[str, dict[int, float]] = field(default_factory=dict)
 
     @classmethod
-    def build(cls, objects: Named) -> NameIndex:
+    def build(cls, objects: NameTable) -> NameIndex:
         """Index the names of a city."""
         by_words: dict[str, list[int]] = {}
         first: dict[str, int] = {}
         for row, name in enumerate(objects.names):
-            for said in spoken(name):
+            for said in list_spoken_forms(name):
                 by_words.setdefault(" ".join(said), []).append(row)
                 first[said[0]] = max(first.get(said[0], 0), min(len(said), LONGEST))
         return cls(by_words, first)
@@ -87,7 +87,7 @@ class NameIndex:
         del words
         return self.by_words.keys()
 
-    def named(self, phrase: str) -> dict[int, float]:
+    def find_rows(self, phrase: str) -> dict[int, float]:
         """Find the rows of `CityObjects.names` that a phrase may mean, and their weights.
 
         A name that was said as a whole weighs 1. One of which a part was said weighs the less the
@@ -215,7 +215,7 @@ class NameIndex:
         return found
 
 
-def spoken(name: str) -> list[list[str]]:
+def list_spoken_forms(name: str) -> list[list[str]]:
     """List the words by which a name is called, one way or two.
 
     "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub".

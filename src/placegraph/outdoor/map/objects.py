@@ -217,7 +217,7 @@ class Blocks(NamedTuple):
         return self.first if along else self.second
 
     @classmethod
-    def measured(cls, objects: CityObjects) -> Blocks:
+    def measure(cls, objects: CityObjects) -> Blocks:
         """Measure the usual distances between neighbouring crossings of the streets of a map."""
         gaps = _gaps(*_followed(objects))
         length = np.hypot(*gaps.T)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.language.text import Ignored
+from placegraph.language.text import IgnoredText
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -90,7 +90,7 @@ class Answer:
     def added_to(self, description: Description) -> Description:
         """Return the description with the answer as further statements."""
         if self.option == UNKNOWN:  # so that the question is not asked again
-            unknown = Ignored(self.question.text, "not known")
+            unknown = IgnoredText(self.question.text, "not known")
             return replace(description, ignored=(*description.ignored, unknown))
         is_choice = self.question.options != (YES, NO)
         for subject in self.question.subjects:
@@ -226,7 +226,7 @@ def _rank_yes_no_questions(weights: Floats, around: _Surroundings) -> Iterator[Q
     winds = ("", *COMPASS)
     for j, i in zip(*np.unravel_index(np.argsort(-gains, axis=None), gains.shape), strict=True):
         if there[j, i]:
-            words, wind = vocabulary.spoken(around.labels[i]), winds[j]
+            words, wind = vocabulary.name_label(around.labels[i]), winds[j]
             article = "an" if words[:1].lower() in "aeiou" else "a"
             where = f"within sight to your {wind}" if wind else "within sight"
             text = f"Is there {article} {words} {where}?"

@@ -321,7 +321,7 @@ class Distance(NamedTuple):
     """Whether the search ended in time; otherwise the cost is an upper bound."""
 
 
-class Ranked(NamedTuple):
+class GraphRanking(NamedTuple):
     """Graphs in the order of their distances; ties stay in the order given."""
 
     rows: NDArray[np.int64]
@@ -339,7 +339,7 @@ def rank(
     centers: ArrayLike | None = None,
     timeout: float = TIMEOUT,
     plain: bool = False,
-) -> Ranked:
+) -> GraphRanking:
     """Rank cells by the edit distance of their scene graphs to a text's graph (question Q3).
 
     Parameters
@@ -378,7 +378,7 @@ def rank(
         found.append(distance(text, cell, costs=PLAIN if plain else Costs(), timeout=timeout))
     costs = np.array([d.cost for d in found])
     order = np.argsort(costs, kind="stable")
-    return Ranked(order, costs[order], np.array([d.exact for d in found], np.bool_)[order])
+    return GraphRanking(order, costs[order], np.array([d.exact for d in found], np.bool_)[order])
 
 
 def distance(

@@ -217,7 +217,7 @@ def hint_swapped(city: City, lonlat: Sequence[float]) -> str:
 
 def find_in_region(city: City, positions: Floats, region: Region) -> NDArray[np.bool_]:
     """Find which positions (K, 2) [m] lie in a region."""
-    region.checked()
+    region.validate()
     longitude, latitude = city.plane.to_lonlat(positions).T
     east, west = longitude <= region.east, longitude >= region.west
     across = east | west if region.crosses_date_line else east & west
@@ -324,7 +324,7 @@ class Matching(RankingOptions):
                     f"region is {self.region!r}; give a `Region` of west, south, east and north in "
                     "degrees."
                 )
-            self.region.checked()
+            self.region.validate()
         encoded = self.encoded
         if encoded is not None and not (
             isinstance(encoded, EncodedCity)

@@ -267,7 +267,7 @@ def example_sentences(city: City, paints: Sequence[str], most: int = 3) -> list[
     found: list[str] = []
     if not len(rows):
         return found
-    spoken = Vocabulary.default().spoken
+    spoken = Vocabulary.default().name_label
     names = [spoken(objects.label(row)) for row in rows.tolist()]
     at = objects.center[rows].astype(np.float64)
     # from all over the city, the same each time

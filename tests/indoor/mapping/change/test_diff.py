@@ -33,7 +33,7 @@ def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
 
 @pytest.fixture(scope="module")
 def later(room, room_world, tmp_path_factory):
-    interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
+    interior = room_world.interior.move_object("chair", (0.5, -0.6), 0.6).without("lamp")
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
     truth = make_rigid(rotation_z(0.6), np.zeros(3))
     middle = room_world.interior.find_object("chair").bounds.mean(axis=0)

@@ -36,7 +36,7 @@ def before(room_world):
 
 @pytest.fixture(scope="module")
 def after(room_world):
-    changed = room_world.interior.moved("side table", (0.1, -0.6)).without("lamp")
+    changed = room_world.interior.move_object("side table", (0.1, -0.6)).without("lamp")
     return gaze(room_world, "diff-after", 6, changed)
 
 
@@ -98,7 +98,7 @@ def test_depth_does_not_tell_a_picture_from_its_wall_colours_do(room_world, room
 
 
 def test_a_picture_that_hangs_elsewhere_is_found_by_its_colours(room_world, room):
-    changed = room_world.interior.moved("picture 2", (-0.5, 0.0))
+    changed = room_world.interior.move_object("picture 2", (-0.5, 0.0))
     later = gaze(room_world, "diff-slid", 8, changed, pitch=0.1)
     (picture,) = diff_capture(room, later.walk, later.poses)
     assert (picture.kind, picture.name) == ("moved", "picture 2")

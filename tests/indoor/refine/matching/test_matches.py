@@ -8,7 +8,7 @@ from tests.indoor.refine.matching.conftest import draw_texture, warp
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching import MATCHERS, Matcher, matcher
-from placegraph.indoor.refine.matching.matches import Warp, thinned, to_normalised, to_pixels
+from placegraph.indoor.refine.matching.matches import Warp, thin_matches, to_normalised, to_pixels
 
 SHIFT = np.array([12.0, -7.0])
 SIDES = st.integers(1, 4000)
@@ -41,14 +41,14 @@ def test_a_shift_is_recovered_at_any_resolution(rng, resolution):
     own = grid(*resolution)
     there = to_normalised(to_pixels(own, (180, 320)) + SHIFT, (200, 340))
     warp = Warp(own, there.astype(np.float32), rng.random(resolution, np.float32))
-    found = thinned([warp], (180, 320), (200, 340), count=400, least=0.0)
+    found = thin_matches([warp], (180, 320), (200, 340), count=400, least=0.0)
     assert 200 < len(found) <= 400
     assert np.allclose(found.rendered - found.query, SHIFT, atol=1e-3)
     assert (np.diff(found.confidence) <= 0).all()
     # both directions share the count
     own, there = shifted(64, 64, (64, 64), (5, 3))
     forth = Warp(own, there, rng.random((64, 64), np.float32))
-    found = thinned([forth, forth], (64, 64), (64, 64), count=100, least=0.0)
+    found = thin_matches([forth, forth], (64, 64), (64, 64), count=100, least=0.0)
     assert 50 < len(found) <= 100
     assert np.allclose(found.rendered - found.query, (5, 3), atol=1e-3)
 
@@ -56,7 +56,7 @@ def test_a_shift_is_recovered_at_any_resolution(rng, resolution):
 def test_the_surest_of_each_block_is_taken(rng):
     own = grid(40, 60)
     certainty = rng.random((40, 60), np.float32)
-    found = thinned([Warp(own, own, certainty)], (40, 60), (40, 60), count=24, least=0.0)
+    found = thin_matches([Warp(own, own, certainty)], (40, 60), (40, 60), count=24, least=0.0)
     assert len(found) == 24
     cells = {(int(y) // 10, int(x) // 10) for x, y in found.query}
     assert len(cells) == 24
@@ -71,14 +71,14 @@ def test_unsure_masked_and_outside_matches_are_left_out():
     sure[30, 30] = np.nan
     mask = np.zeros((50, 80), bool)
     mask[:, 40:70] = True
-    found = thinned(
+    found = thin_matches(
         [Warp(own, there, sure)], (50, 80), (50, 80), count=4000, least=0.05, mask=mask, margin=2
     )
     x = found.rendered[:, 0]
     assert len(found) > 500
     assert ((x >= 42) & (x < 68) & (found.query[:, 1] > 25)).all()
     assert np.isfinite(found.confidence).all()
-    nothing = thinned([Warp(own, there, 0 * sure)], (50, 80), (50, 80), count=9, least=0.05)
+    nothing = thin_matches([Warp(own, there, 0 * sure)], (50, 80), (50, 80), count=9, least=0.05)
     assert len(nothing) == 0
 
 
@@ -86,7 +86,7 @@ def test_unsure_masked_and_outside_matches_are_left_out():
 def test_never_more_than_asked_for(height, width, count):
     own = grid(height, width)
     warp = Warp(own, own, np.ones((height, width), np.float32))
-    found = thinned([warp], (height, width), (height, width), count=count, least=0.0)
+    found = thin_matches([warp], (height, width), (height, width), count=count, least=0.0)
     assert 1 <= len(found) <= count
 
 

@@ -57,11 +57,11 @@ def test_bad_input(clip):
     cap = perturb_images.lens_cap(clip, 0, rng).frames[0]
     assert np.isnan(cap.depth()).all()
     assert cap.rgb().max() < 20
-    still = perturb_images.frozen(clip, 0, rng).frames
+    still = perturb_images.freeze_images(clip, 0, rng).frames
     assert (still[-1].rgb() == clip.frames[0].rgb()).all()
     stamps = [f.stamp for f in perturb_images.backwards(clip, 0, rng).frames]
     assert stamps == sorted(stamps, reverse=True)
-    flipped = perturb_images.mirrored(clip, 0, rng).frames[2]
+    flipped = perturb_images.mirror_images(clip, 0, rng).frames[2]
     assert (flipped.rgb()[:, 0] == clip.frames[2].rgb()[:, -1]).all()
     half = perturb_images.half_elsewhere(clip, clip.recording).frames
     assert (half[0].rgb() == clip.recording.frames[0].rgb()).all()

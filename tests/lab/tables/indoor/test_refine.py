@@ -9,7 +9,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refine_jobs
-from placegraph_lab.tables.indoor.windows import Window, disturbed
+from placegraph_lab.tables.indoor.windows import Window, disturb_pose
 from placegraph_lab.tables.named import indoor_refine as script
 
 JOBS = {job.name: job for job in refine_jobs()}
@@ -29,7 +29,7 @@ class Scene:
 
     def localize(self, capture, **options):
         self.asked.append((capture, options))
-        coarse = disturbed(self.truth, np.random.default_rng(options["seed"]), 0.3, 3.0)
+        coarse = disturb_pose(self.truth, np.random.default_rng(options["seed"]), 0.3, 3.0)
         return self._estimate(coarse)
 
     def refine(self, capture, map_from_camera, **options):
@@ -108,7 +108,9 @@ def asked(monkeypatch, shared):  # noqa: ARG001  # the benchmark's data
 
     monkeypatch.setattr(script, "ask", fake)
     monkeypatch.setattr("placegraph_lab.tables.indoor.refine.encoder_of", lambda *_: None)
-    monkeypatch.setattr("placegraph_lab.tables.indoor.bench.covered", lambda _, window: window)
+    monkeypatch.setattr(
+        "placegraph_lab.tables.indoor.bench.measure_coverage", lambda _, window: window
+    )
     monkeypatch.setattr(script.Bench, "scene", lambda _, name: name)
     return asked
 

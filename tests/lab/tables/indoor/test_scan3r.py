@@ -10,7 +10,7 @@ from placegraph_io.dataset.scan3r import read_rooms
 from placegraph_lab.tables.indoor import scan3r
 from placegraph_lab.tables.indoor.scan3r import (
     cross_temporal_pairs,
-    recorded,
+    read_query,
     scan_folder,
     split_rooms,
 )
@@ -111,7 +111,7 @@ def test_windows(rooms, tmp_path):
     write_sequence(tmp_path / "scenes" / "c1-x" / "sequence", poses)
     (pair,) = (p for p in cross_temporal_pairs(rooms.rooms) if p.query == "c1-x")
     windows = drifting_windows(
-        pair.name, *recorded(tmp_path, pair, every=2), 5, np.random.default_rng(0)
+        pair.name, *read_query(tmp_path, pair, every=2), 5, np.random.default_rng(0)
     )
     indices = [[f.index for f in w.capture] for w in windows]
     assert indices == [[0, 2, 4, 6, 8], [10, 12, 14, 16, 18]]
@@ -122,6 +122,6 @@ def test_windows(rooms, tmp_path):
         moved = window.capture[-1].odometry[:3, 3] - window.capture[0].odometry[:3, 3]
         assert np.linalg.norm(moved) == pytest.approx(1.6, abs=0.2)
     with pytest.raises(OptionError, match="every"):
-        recorded(tmp_path, pair, every=0)
+        read_query(tmp_path, pair, every=0)
     with pytest.raises(InputError, match="contains no scan c0-x"):
         scan_folder(tmp_path, "c0-x")

@@ -8,7 +8,7 @@ from placegraph_lab.tables.indoor.scannet import (
     ScanPair,
     derive_pairs,
     read_pairs,
-    recorded,
+    read_query,
     true_poses,
 )
 from placegraph_lab.tables.indoor.windows import drifting_windows
@@ -66,7 +66,7 @@ def test_the_truth_is_that_of_the_aligned_map(scans, scannet_world):
 
 
 def test_windows_hold_no_truth(scans, rng):
-    windows = drifting_windows(PAIR.name, *recorded(scans.folder.parent, PAIR, every=2), 5, rng)
+    windows = drifting_windows(PAIR.name, *read_query(scans.folder.parent, PAIR, every=2), 5, rng)
     assert [w.name for w in windows] == [
         "scene0001_01 in scene0001_00 0:11:2", "scene0001_01 in scene0001_00 12:21:2",
     ]  # fmt: skip
@@ -84,7 +84,7 @@ def test_windows_hold_no_truth(scans, rng):
         np.testing.assert_array_equal(
             window.capture[0].rgb(), scans.recording.colour[window.capture[0].index]
         )
-    alone = recorded(scans.folder.parent, PAIR)
+    alone = read_query(scans.folder.parent, PAIR)
     assert drifting_windows(PAIR.name, *alone, 5, rng) == []
     with pytest.raises(OptionError, match="length is 0"):
         drifting_windows(PAIR.name, *alone, 0, rng)

@@ -11,7 +11,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.tum import write_tum
-from placegraph_lab.tables.indoor.windows import Window, covered, house_windows
+from placegraph_lab.tables.indoor.windows import Window, house_windows, measure_coverage
 
 CAMERA = Camera(60, 40, 40.0, 40.0, 30.0, 20.0)
 LEVEL = level_from_camera([0.0, 1.0, 0.0])
@@ -68,8 +68,8 @@ def test_coverage_is_what_the_map_holds():
     frame = Frame.from_arrays(np.zeros((40, 60, 3), np.uint8), CAMERA, depth=depth)
     truth = pose_matrix([0.0, 0.0, 1.6, 0.0], LEVEL)  # left of the image is y > 0
     window = Window("w", Capture.from_frames([frame]), truth)
-    assert covered(scene, window, step=1).coverage == pytest.approx(1 / 3, abs=0.01)
+    assert measure_coverage(scene, window, step=1).coverage == pytest.approx(1 / 3, abs=0.01)
     blank = Frame.from_arrays(frame.rgb(), CAMERA, depth=np.zeros((40, 60)))
-    assert covered(scene, Window("w", Capture.from_frames([blank]), truth)).coverage == 0.0
+    assert measure_coverage(scene, Window("w", Capture.from_frames([blank]), truth)).coverage == 0.0
     none = Window("w", Capture.from_frames([Frame.from_arrays(frame.rgb(), CAMERA)]), truth)
-    assert covered(scene, none).coverage is None
+    assert measure_coverage(scene, none).coverage is None

@@ -1,7 +1,7 @@
 import pytest
 
 from placegraph.outdoor.language import describe
-from placegraph_lab.tables.named.languages import spoken, translate_queries
+from placegraph_lab.tables.named.languages import list_languages, translate_queries
 
 
 @pytest.fixture(scope="module")
@@ -9,7 +9,7 @@ def texts(town):
     return dict(translate_queries(town, 5, 0))
 
 
-@pytest.mark.parametrize("code", spoken())
+@pytest.mark.parametrize("code", list_languages())
 def test_what_is_said_in_a_language_is_read(texts, code):
     asked = read = 0
     for text, query in texts[code]:

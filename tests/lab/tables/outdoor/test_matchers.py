@@ -24,7 +24,7 @@ from placegraph_lab.tables.outdoor.matchers import (
 from placegraph_lab.tables.outdoor.metrics import Protocol
 from placegraph_lab.tables.outdoor.queries import load, make_queries
 from placegraph_lab.tables.runner import Journal
-from placegraph_learn.city.descriptions import evaluated
+from placegraph_learn.city.descriptions import is_evaluation
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_queries_of_trained_cities_stand_in_held_out_tiles(shared, tmp_path):
     for asked in (trained, unseen):
         lonlat = np.array([(q.longitude, q.latitude) for q in asked])
         inside = in_held_out_tiles(city)(lonlat)
-        assert np.array_equal(inside, evaluated(*city.plane.to_plane(lonlat).T))
+        assert np.array_equal(inside, is_evaluation(*city.plane.to_plane(lonlat).T))
         share.append(inside.mean())
     assert share[0] == 1.0
     assert 0.0 < share[1] < 0.8

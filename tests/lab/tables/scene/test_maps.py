@@ -6,7 +6,7 @@ import pytest
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
-from placegraph_lab.tables.indoor.refine import Refined
+from placegraph_lab.tables.indoor.refine import RefineOutcome
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.named import scene_maps as script
 from placegraph_lab.tables.runner import Journal
@@ -119,7 +119,7 @@ def asking(maps, monkeypatch):
     def refine(job, scene, window, *, matcher, seed, device):
         after = ask(job, scene, window, seed=seed, device=device)
         assert matcher == "auto"
-        return Refined(before=(0.2, 10.0), after=after, accepted=True)
+        return RefineOutcome(before=(0.2, 10.0), after=after, accepted=True)
 
     class Frame:
         index = 0

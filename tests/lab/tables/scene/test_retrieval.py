@@ -16,7 +16,7 @@ from placegraph_lab.tables.scene.places import (
     THINGS,
     Place,
     Walk,
-    encoded,
+    encode_walk,
     encoder_of,
     noisy,
     replay,
@@ -126,25 +126,25 @@ def test_vectors_are_kept_and_replayed(tmp_path, world):
     walk = world[0][1]
     encoder = LabelsEncoder()
     words = sorted(walk.capture.label_names.values())
-    known = encoded(walk, "labels", encoder, words, tmp_path)
+    known = encode_walk(walk, "labels", encoder, words, tmp_path)
     told = replay(encoder)
     for frame, old in zip(known.walk.capture, walk.capture, strict=True):
         assert np.array_equal(told.patches(frame), encoder.patches(old))
     assert known.seconds > 0
     files = list(tmp_path.rglob("*.npz"))
-    again = encoded(walk, "labels", encoder, words, tmp_path)
+    again = encode_walk(walk, "labels", encoder, words, tmp_path)
     assert again.seconds == known.seconds
     assert list(tmp_path.rglob("*.npz")) == files
     with pytest.raises(OptionError, match="has not been encoded"):
         told.patches(walk.capture[0])
-    other = encoded(walk, NOISY, encoder, words, tmp_path)
+    other = encode_walk(walk, NOISY, encoder, words, tmp_path)
     differ = [
         (told.patches(a) != told.patches(b)).any(axis=2)[told.patches(a).any(axis=2)]
         for a, b in zip(known.walk.capture, other.walk.capture, strict=True)
     ]
     assert 0.2 < np.concatenate(differ).mean() < 0.4
     bare = replace(walk, name="bare", capture=record_without_labels(walk))
-    assert encoded(bare, "labels", encoder, words, tmp_path) is None
+    assert encode_walk(bare, "labels", encoder, words, tmp_path) is None
 
 
 def record_without_labels(walk):
@@ -209,7 +209,7 @@ def test_recall_and_tables_of_known_answers():
 
 def test_a_large_library_is_measured(tmp_path, world, scenes):
     encoder = encoder_of("labels")
-    walk = encoded(world[0][1], "labels", encoder, [], tmp_path)
+    walk = encode_walk(world[0][1], "labels", encoder, [], tmp_path)
     lines = measure(
         "labels", scenes.signatures, [replay(encoder)], [walk], np.random.default_rng(0), scenes=8
     )

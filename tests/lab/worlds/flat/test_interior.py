@@ -57,7 +57,7 @@ def test_things_stay_in_their_rooms(altbau):
 def test_moved_and_taken_away(altbau):
     _, interior = altbau
     sofa, chair = interior.find_object("sofa"), interior.find_object("chair 1")
-    moved = interior.moved("sofa", (0.5, -0.25), np.pi / 2)
+    moved = interior.move_object("sofa", (0.5, -0.25), np.pi / 2)
     extent = np.diff(sofa.bounds, axis=0)[0]
     turned = np.diff(moved.find_object("sofa").bounds, axis=0)[0]
     assert turned == pytest.approx(extent[[1, 0, 2]])

@@ -13,7 +13,7 @@ from placegraph.core.geometry import (
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.render import Stage
-from placegraph_lab.worlds.flat.walks import BODY, Walk, drifted, stroll, write_walk
+from placegraph_lab.worlds.flat.walks import BODY, Walk, add_drift, stroll, write_walk
 
 ROOM = """
 [flat]
@@ -131,7 +131,7 @@ def test_depth_and_instances_are_those_of_the_truth(folder, stage, walk):
 
 def test_odometry_begins_at_home_and_drifts_a_little(flat):
     walk = stroll(flat, np.random.default_rng(0), frames=400, through="12121212")
-    odometry, tilt = split_pose(drifted(walk.map_from_camera, np.random.default_rng(1)))
+    odometry, tilt = split_pose(add_drift(walk.map_from_camera, np.random.default_rng(1)))
     truth, level_ = split_pose(walk.map_from_camera)
     assert odometry[0] == pytest.approx(np.zeros(4), abs=1e-12)
     assert tilt == pytest.approx(level_, abs=1e-9)
@@ -149,7 +149,7 @@ def test_a_changed_flat_is_seen_as_it_is_now(interior, tmp_path):
     found = {}
     for name, now in {
         "before": interior,
-        "moved": interior.moved("chair", (0.2, -0.3)),
+        "moved": interior.move_object("chair", (0.2, -0.3)),
         "gone": interior.without("chair"),
     }.items():
         write_walk(now, walk, tmp_path / name, np.random.default_rng(0), camera=SMALL)

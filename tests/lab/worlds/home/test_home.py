@@ -7,8 +7,8 @@ from placegraph_lab.worlds.home.change import KINDS, ROOMS, SHELL, SYNONYMS
 from placegraph_lab.worlds.home.home import (
     CAMERA,
     STYLES,
-    changed,
-    drawn,
+    change_home,
+    draw_home,
     home,
     record,
     scene_of,
@@ -29,8 +29,8 @@ def _furnished(seed):
 @given(SEEDS, st.sampled_from(sorted(STYLES)))
 @FEW
 def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
-    text = drawn(np.random.default_rng(seed), style)
-    assert drawn(np.random.default_rng(seed), style) == text
+    text = draw_home(np.random.default_rng(seed), style)
+    assert draw_home(np.random.default_rng(seed), style) == text
     flat = Flat.parse(text)
     assert 1 <= len(flat.rooms) <= 3
     assert {room.name for room in flat.rooms} <= ROOMS.keys()
@@ -42,7 +42,7 @@ def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
 @settings(max_examples=6)
 def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
     _, interior, rng = _furnished(seed)
-    for state in (interior, changed(interior, rng)):
+    for state in (interior, change_home(interior, rng)):
         floors = {t.room: t.bounds for t in state.objects if t.label == "floor"}
         standing = [
             t
@@ -65,7 +65,7 @@ def test_things_stay_in_their_rooms_and_no_two_in_one_place(seed):
 @settings(max_examples=6)
 def test_months_later(seed):
     _, interior, _ = _furnished(seed)
-    one, other = (changed(interior, np.random.default_rng(seed)) for _ in range(2))
+    one, other = (change_home(interior, np.random.default_rng(seed)) for _ in range(2))
     assert [t.id for t in one.objects] == [t.id for t in other.objects]
     assert all(
         (a.bounds == b.bounds).all() for a, b in zip(one.objects, other.objects, strict=True)
@@ -90,7 +90,7 @@ def test_the_map_of_a_home():
     assert {a["room"] for a in scene.attributes} == {t.room for t in interior.objects}
     assert "standing on" in scene.graph.relations
     assert scene.has_colours
-    later = changed(interior, np.random.default_rng(0), moved=0, removed=0.5, added=0)
+    later = change_home(interior, np.random.default_rng(0), moved=0, removed=0.5, added=0)
     fewer = scene_of(later, name="later")
     assert len(fewer) == len(later.objects) < len(scene)
     assert fewer.scenes == ("later",)

@@ -31,8 +31,8 @@ from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import (
     HALVES,
     Window,
-    covered,
     house_windows,
+    measure_coverage,
     office_windows,
 )
 
@@ -204,7 +204,7 @@ QUICK = (
 Row = TypeVar("Row", bound=Any)  # has a `name`
 
 
-def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
+def choose_jobs(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
     """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is.
 
     Refused where no name is.
@@ -289,7 +289,7 @@ class Bench:
             if place in HALVES:
                 folder = self.data / "office"
                 made = office_windows(folder, place, length=length, every=self.office_every)
-                made = [covered(self.scene(place), w) for w in made]
+                made = [measure_coverage(self.scene(place), w) for w in made]
             else:
                 made = house_windows(self.data / "house", length, every=self.every)
             self._windows[place, length] = made

@@ -151,7 +151,7 @@ def tilt(clip: Clip, degrees: float, rng: Generator) -> Clip:
     return clip.each(lambda f: replace(f, gravity=turn @ f.gravity))
 
 
-def shaken(clip: Clip, degrees: float, rng: Generator) -> Clip:
+def shake_gravity(clip: Clip, degrees: float, rng: Generator) -> Clip:
     """Gravity that errs anew in each frame, by an angle of this deviation about each axis."""
 
     def change(frame: Frame) -> Frame:
@@ -161,7 +161,7 @@ def shaken(clip: Clip, degrees: float, rng: Generator) -> Clip:
     return clip.each(change)
 
 
-def dropped(clip: Clip, percent: float, rng: Generator) -> Clip:
+def drop_frames(clip: Clip, percent: float, rng: Generator) -> Clip:
     """So many of the frames are missing; the last is there."""
     last = len(clip.frames) - 1
     count = last - round(percent / 100.0 * len(clip.frames))
@@ -256,7 +256,7 @@ def crop(clip: Clip, shape: float, rng: Generator) -> Clip:  # noqa: ARG001
     return clip.each(change)
 
 
-def turned(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: ARG001
+def turn_images(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Images turned by quarters, counter-clockwise, camera and gravity with them."""
     turns = round(degrees / 90.0)
     turn = quarter_turn(turns)
@@ -328,13 +328,13 @@ def lens_cap(clip: Clip, _: float, rng: Generator) -> Clip:
     return clip.each(change)
 
 
-def frozen(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
+def freeze_images(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """All images are the first, while odometry goes on."""
     first = with_images(clip.frames[0])
     return clip.each(lambda f: with_images(f, rgb=first.rgb(), depth=first.depth()))
 
 
-def mirrored(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
+def mirror_images(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Left and right changed in images and depth."""
 
     def change(frame: Frame) -> Frame:

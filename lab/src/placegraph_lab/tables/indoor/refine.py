@@ -131,7 +131,7 @@ Errors = tuple[float, float]  # of position [m] and rotation [deg]
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefineOutcome:
     """One refined estimate, measured against the truth, and where it began."""
 
     before: Errors  # of the pose before; infinite and 180 where there was none
@@ -165,7 +165,7 @@ class Refined:
         return self.before[0] <= metres and self.before[1] <= degrees
 
     @classmethod
-    def from_dict(cls, row: dict[str, Any]) -> Refined:
+    def from_dict(cls, row: dict[str, Any]) -> RefineOutcome:
         """Read what a `Journal` wrote."""
         return cls(**row | {"after": Answer(**row["after"])})
 
@@ -182,7 +182,7 @@ def errors_of(map_from_camera: Any, truth: Floats) -> Errors:
 
 def measure_refined(
     estimate: PoseEstimate, window: Window, *, seconds: float, start: Floats | None = None
-) -> Refined:
+) -> RefineOutcome:
     """Measure an estimate of a window's last frame.
 
     `start`: the pose (4, 4) that was to be refined; if not given, the coarse one it speaks of.
@@ -196,7 +196,7 @@ def measure_refined(
         before = errors_of(said.coarse.map_from_camera, window.truth)
     stats = said.stats if said else {}
     refused = stats.get(CANDIDATE)
-    return Refined(
+    return RefineOutcome(
         before=before,
         after=after,
         accepted=said.accepted if said else None,
@@ -252,7 +252,7 @@ class RefineScore:
     worst: tuple[str, ...]  # harmful ones, farthest first
 
 
-def refine_score(results: Sequence[Refined]) -> RefineScore:
+def refine_score(results: Sequence[RefineOutcome]) -> RefineScore:
     """Summarize results; `OptionError` where there are none."""
     if not results:
         raise OptionError("There are no results to score.")
@@ -283,7 +283,7 @@ def refine_score(results: Sequence[Refined]) -> RefineScore:
     )
 
 
-def spread(results: Sequence[Refined]) -> dict[str, Any]:
+def spread(results: Sequence[RefineOutcome]) -> dict[str, Any]:
     """Compare errors with the covariances that were to announce them.
 
     `rms` (6,) of `sigmas` is 1 if honest, above 1 if covariances are too small; `within_sigma` are the
@@ -404,7 +404,7 @@ def ask(
     matcher: str | Matcher,
     seed: int = 0,
     device: str = "auto",
-) -> Refined:
+) -> RefineOutcome:
     """Refine the pose of a window's last frame and measure it.
 
     The true pose is used to make a disturbed start and to measure, for nothing else. From a found
@@ -428,7 +428,7 @@ def ask(
             **window.fields, position=position, rotation=rotation, status="", probability=0.0,
             among_modes=False, whitened=(), seconds=took,
         )  # fmt: skip
-        return Refined(errors_of(start, window.truth), after, accepted=None)
+        return RefineOutcome(errors_of(start, window.truth), after, accepted=None)
     else:
         estimate = scene.refine(capture, start, matcher=matcher, options=job.options, seed=seed)
     seconds, own = time.perf_counter() - began, None if job.coarse else start

@@ -86,7 +86,7 @@ def ask_windows(
                 keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
                 task = bar.add_task(f"{job.name}, {n} frames", total=len(journal.missing(keys)))
                 ask = partial(_ask_window, once, job, windows)
-                answers = journal.filled(
+                answers = journal.fill(
                     keys,
                     partial(ask, seed=seed),
                     warm=partial(ask, 0, seed=seed + 1),

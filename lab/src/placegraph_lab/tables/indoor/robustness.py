@@ -26,7 +26,7 @@ from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_
 from placegraph_lab.tables.indoor.perturb import Clip, Recording, half_elsewhere, only
 from placegraph_lab.tables.indoor.sg2loc import RPY
 from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, TILT, true_poses
-from placegraph_lab.worlds.flat.walks import drifted
+from placegraph_lab.worlds.flat.walks import add_drift
 
 THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 2.0), (0.25, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""
@@ -127,7 +127,7 @@ class Places:
         found = {}
         for half, (made, first, last) in RPY.items():
             frames, truth = capture.frames[first:last], capture.odometry[first:last]
-            odometry = drifted(truth, rng)
+            odometry = add_drift(truth, rng)
             gravity = [f.gravity + TILT * rng.standard_normal(3) for f in frames]
             told = [
                 replace(f, odometry=pose, gravity=down / np.linalg.norm(down))
@@ -153,7 +153,7 @@ class Places:
 _PLAIN = str.maketrans({" ": "_", ":": "_"})
 
 
-def thinned(window: list[MapWindow], count: int, family: str) -> list[MapWindow]:
+def thin_windows(window: list[MapWindow], count: int, family: str) -> list[MapWindow]:
     """At most `count` windows, spread over all, as many even as odd ones.
 
     Families begin at windows of their own, so that few windows a row are many of a table; what a row
@@ -170,7 +170,7 @@ def _spread(window: list[MapWindow], most: int, turn: int) -> list[MapWindow]:
     return [window[i] for i in rows % len(window)]
 
 
-def spoiled(window: MapWindow, case: Case, other: Recording | None, seed: int) -> Clip:
+def spoil_window(window: MapWindow, case: Case, other: Recording | None, seed: int) -> Clip:
     """The window as a case has it; the same seed, the same noise."""
     rng = np.random.default_rng([seed, window.number])
     clip = only(window.clip, case.senses) if "labels" in case.senses else window.clip
@@ -265,23 +265,23 @@ SPOILED = (
     Family("drift", perturb.drift, (0.3, 1.0, 2.0), "° a frame"),
     Family("steady drift", perturb.steady_drift, (0.3, 1.0, 2.0), "° a frame"),
     Family("tilt", perturb.tilt, (1.0, 2.0, 4.0), "°"),
-    Family("shaken tilt", perturb.shaken, (1.0, 2.0, 4.0), "°"),
-    Family("frames dropped", perturb.dropped, (10.0, 30.0, 50.0), " %"),
+    Family("shaken tilt", perturb.shake_gravity, (1.0, 2.0, 4.0), "°"),
+    Family("frames dropped", perturb.drop_frames, (10.0, 30.0, 50.0), " %"),
     Family("rolling stamps", perturb.rolling, (50.0, 100.0, 200.0), " ms"),
     Family("focal length", perturb.focal, (-10.0, 5.0, 10.0), " %"),
     Family("depth scale", perturb.depth_scale, (-10.0, 5.0, 10.0), " %"),
     Family("depth late", perturb.depth_late, (1.0, 2.0, 3.0), " frames"),
     Family("depth aside", perturb.depth_aside, (3.0, 6.0, 12.0), " px"),
     Family("width to height", perturb.crop, (9 / 16, 1.0, 4 / 3)),
-    Family("turned", perturb.turned, (90.0, 180.0, 270.0), "°"),
+    Family("turned", perturb.turn_images, (90.0, 180.0, 270.0), "°"),
     Family("light", perturb.dark, (60.0, 40.0, 20.0), " %"),
     Family("noise", perturb.noise, (10.0, 20.0, 40.0), " of 255"),
     Family("blur", perturb.blur, (1.0, 2.0, 4.0), " px"),
 )
 BAD: dict[str, Make] = {
     "lens cap": perturb.lens_cap,
-    "frozen image": perturb.frozen,
-    "mirrored": perturb.mirrored,
+    "frozen image": perturb.freeze_images,
+    "mirrored": perturb.mirror_images,
     "gravity up": perturb.gravity_up,
     "no odometry": perturb.without_odometry,
     "time backwards": perturb.backwards,

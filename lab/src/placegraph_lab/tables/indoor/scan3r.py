@@ -25,7 +25,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph_io.dataset.scan3r import Room, Rooms, Scan
 from placegraph_io.dataset.scan3r_sequence import read_scan3r_sequence
 from placegraph_io.dataset.scannet import read_text
-from placegraph_lab.tables.indoor.windows import sampled
+from placegraph_lab.tables.indoor.windows import sample_frames
 
 Split = Literal["train", "validation", "test"]
 LISTS: dict[Split, str] = {
@@ -149,10 +149,10 @@ def scan_folder(root: Path, scan: str) -> Path:
     return found
 
 
-def recorded(root: Path, pair: ScanPair, *, every: int = 1) -> tuple[Capture, Floats]:
+def read_query(root: Path, pair: ScanPair, *, every: int = 1) -> tuple[Capture, Floats]:
     """A pair's query, one image in `every`, and its true map_from_camera (T, 4, 4) [m].
 
     Raises as `pair_windows` does.
     """
-    capture = sampled(read_scan3r_sequence(scan_folder(root, pair.query)), every)
+    capture = sample_frames(read_scan3r_sequence(scan_folder(root, pair.query)), every)
     return capture, pair.map_from_query @ capture.odometry

@@ -31,7 +31,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.mesh.nearest_kernels import find_nearest
 from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
-from placegraph_lab.tables.indoor.windows import sampled
+from placegraph_lab.tables.indoor.windows import sample_frames
 
 WITHIN = 0.05  # surfaces fit where they are this near [m]: two reconstructions differ by as much
 LEAST = 0.5  # least share of the query's surface that fits the map's
@@ -208,11 +208,11 @@ def true_poses(capture: Capture, folder: Path, pair: ScanPair) -> Floats:
     return poses
 
 
-def recorded(folder: Path, pair: ScanPair, *, every: int = EVERY) -> tuple[Capture, Floats]:
+def read_query(folder: Path, pair: ScanPair, *, every: int = EVERY) -> tuple[Capture, Floats]:
     """A pair's query, one image in `every`, and its true map_from_camera (T, 4, 4) [m].
 
     Raises as `pair_windows` does.
     """
     scan = folder / pair.query
-    capture = sampled(open_capture(scan), every)
+    capture = sample_frames(open_capture(scan), every)
     return capture, true_poses(capture, scan, pair)

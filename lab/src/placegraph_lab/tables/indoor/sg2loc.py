@@ -45,7 +45,7 @@ from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import write_walk
-from placegraph_lab.worlds.home.home import STYLES, changed, home, scene_of, visit
+from placegraph_lab.worlds.home.home import STYLES, change_home, home, scene_of, visit
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.runner import Run
@@ -184,7 +184,7 @@ def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
         if not (path / "gravity.txt").exists():  # which is written last
             flat, interior = drawn[name]
             rng = np.random.default_rng([int(name.split()[1]), 1 + later])
-            now = changed(interior, rng) if later else interior
+            now = change_home(interior, rng) if later else interior
             way = visit(flat, now, rng, frames=frames)
             write_walk(now, way, path, rng, camera=CAMERA, labels="labels", daylight=rng.uniform())
         return _recorded(path)
@@ -219,7 +219,7 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
         raise InputError(
             f"{root} contains no two scans of one room of the split {split!r}. {LAYOUT}"
         )
-    walks = [Walk(p.name, p.map, partial(scan3r.recorded, root, p), p.changed) for p in pairs]
+    walks = [Walk(p.name, p.map, partial(scan3r.read_query, root, p), p.changed) for p in pairs]
     run.log(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
 
     def scene(scan: str) -> SceneMap:
@@ -245,11 +245,11 @@ def of_scannet(run: Run) -> Set:
         if listed.exists()
         else scannet.derive_pairs(scannet.scans_in(scans.folder))
     )
-    known = [found for pair in pairs if (found := scans.registered(pair)) is not None]
+    known = [found for pair in pairs if (found := scans.register_pair(pair)) is not None]
     run.log(f"ScanNet: {len(known)} of {len(pairs)} pairs are registered.")
     if not known:
         raise InputError(f"{scans.root}: no two scans of a room could be registered. {LAYOUT}")
-    walks = [Walk(p.name, p.map, partial(scannet.recorded, scans.folder, p)) for p in known]
+    walks = [Walk(p.name, p.map, partial(scannet.read_query, scans.folder, p)) for p in known]
     rooms_of = {walk.map: walk.map.partition("_")[0] for walk in walks}
     return Set("ScanNet", tuple(walks), cache_maps(scans.scene), rooms_of, 30 / scannet.EVERY)
 
@@ -282,7 +282,7 @@ class _Scans:
             build_scene(self.folder / scan, path)
         return SceneMap.open(path)
 
-    def registered(self, pair: scannet.ScanPair) -> scannet.ScanPair | None:
+    def register_pair(self, pair: scannet.ScanPair) -> scannet.ScanPair | None:
         """The pair with what leads into the axes of `scene`; None where nobody can tell."""
         motion = pair.map_from_query
         if motion is None:
@@ -393,7 +393,7 @@ class Asking:
         left = len(self.journal.missing(keys))
         if left:
             self.run.log(f"{of.name}: {recipe}, {length} frames: {left} windows to ask")
-        return [Reply.from_dict(row) for row in self.journal.filled(keys, ask)]
+        return [Reply.from_dict(row) for row in self.journal.fill(keys, ask)]
 
     def _place_window(
         self, of: Set, walk: Walk, window: Window, merged: int

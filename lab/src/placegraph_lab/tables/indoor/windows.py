@@ -23,7 +23,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Images
 from placegraph.io.capture.tum import read_tum
-from placegraph_lab.worlds.flat.walks import drifted
+from placegraph_lab.worlds.flat.walks import add_drift
 
 LENGTHS = (5, 10, 25)
 EVERY = 5  # frames from the start of a window of the house to the next
@@ -113,7 +113,7 @@ def true_poses(path: Path) -> Floats:
     return read_tum(path / "trajectory.tum").poses
 
 
-def covered(scene: SceneMap, window: Window, step: int = 3) -> Window:
+def measure_coverage(scene: SceneMap, window: Window, step: int = 3) -> Window:
     """The same window with its coverage: what share of its last frame the map holds.
 
     Of the valid depth readings, on every `step`-th line and column, those count where the ray from
@@ -135,7 +135,7 @@ def covered(scene: SceneMap, window: Window, step: int = 3) -> Window:
     return replace(window, coverage=float(((hits.triangle >= 0) & (off <= TOLERANCE)).mean()))
 
 
-def sampled(capture: Capture, every: int) -> Capture:
+def sample_frames(capture: Capture, every: int) -> Capture:
     """Frames of a capture whose number is a multiple of `every`: left-out frames shift nothing."""
     if every < 1:
         raise OptionError(f"every is {every}; it is 1 or more.")
@@ -155,7 +155,7 @@ def drifting_windows(
     """Windows of `length` frames that do not overlap, of a recording whose truth is known.
 
     Their odometry is made of `truth` (T, 4, 4), map_from_camera, in a frame of its own, and drifts
-    as `worlds.flat.walks.drifted` says; gravity is off by `TILT` along each axis. Raises
+    as `worlds.flat.walks.add_drift` says; gravity is off by `TILT` along each axis. Raises
     `OptionError` where `length` is less than 1.
     """
     if length < 1:
@@ -174,7 +174,7 @@ def drifting_windows(
 def _drifting(
     capture: Capture, truth: Floats, drift: tuple[float, float], rng: np.random.Generator
 ) -> Capture:
-    odometry = drifted(truth, rng, drift=drift[0], yaw_drift=drift[1])
+    odometry = add_drift(truth, rng, drift=drift[0], yaw_drift=drift[1])
     gravity = capture.gravity + TILT * rng.standard_normal(capture.gravity.shape)
     gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
     frames = tuple(
@@ -200,7 +200,7 @@ RISE = 0.3  # most that the step climbs or falls, as a share of its horizontal w
 LEAN = 10.0  # most that the axis of the turn is away from the vertical [deg]
 
 
-def disturbed(
+def disturb_pose(
     truth: Floats, rng: Generator, metres: float = SHIFT, degrees: float = TURN
 ) -> Floats:
     """A pose (4, 4) that is exactly so far off, and turned by exactly so much.
@@ -222,7 +222,7 @@ def disturbed(
 
 def start_of(window: Window, seed: int) -> Floats:
     """The disturbed start (4, 4) of a window's last frame: the same for all who start there."""
-    return disturbed(window.truth, np.random.default_rng([seed, crc32(window.name.encode())]))
+    return disturb_pose(window.truth, np.random.default_rng([seed, crc32(window.name.encode())]))
 
 
 def without_depth(capture: Capture) -> Capture:

@@ -25,7 +25,7 @@ def nearest_owner(points, centers, half):
 
 
 @kernel
-def sighted(points, owner, object_starts, footprint_starts, footprints, reach):
+def find_visible(points, owner, object_starts, footprint_starts, footprints, reach):
     """Return the objects in sight of points (V, 2) of cells `owner` (V,): starts (V + 1,), objects, offsets.
 
     An object stands where its footprint is nearest to the point, at most `reach` away [m].
@@ -75,7 +75,7 @@ def from_speaker(starts, objects, offsets, match, op, table, bearing, noise, bac
 
 
 @kernel
-def between(object_starts, centers, source, target, table, bearing, noise, background, clutter):
+def score_pairs(object_starts, centers, source, target, table, bearing, noise, background, clutter):
     """Log-likelihood (K,) float64 of S statements about two things in each cell.
 
     `source` and `target` (S, N) say how well each object is called what a statement calls it.

@@ -33,7 +33,12 @@ from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordWeigh
 from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
-from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
+from placegraph_lab.tables.kitti.kitti_kernels import (
+    find_visible,
+    from_speaker,
+    nearest_owner,
+    score_pairs,
+)
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.nearby import relations
 
@@ -76,7 +81,7 @@ class Relational:
         ground = [o.footprint(int(row)) for row in objects]
         footprint_starts = np.concatenate(([0], np.cumsum([len(g) for g in ground])))
         points, owner = _viewpoints(data, cells, spacing)
-        starts, seen, offsets = sighted(
+        starts, seen, offsets = find_visible(
             points,
             owner,
             object_starts,
@@ -147,7 +152,7 @@ class Relational:
             for end in ("source", "target")
         )
         shares = 0.25 * source.mean(axis=1) * target.mean(axis=1)
-        return between(
+        return score_pairs(
             self.object_starts,
             self.data.objects.centers[self.objects, :2],
             source,

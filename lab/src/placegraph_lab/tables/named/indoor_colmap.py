@@ -151,7 +151,7 @@ def xfeat_peer(
     network = XFeatMatcher(weights=weights)
 
     def features(frame: Frame) -> Features:
-        found: Features = network.prepared(frame.rgb())
+        found: Features = network.prepare_query(frame.rgb())
         return found
 
     views = []

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import bench as benches
-from placegraph_lab.tables.indoor.bench import Bench, Job, ask, chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.bench import Bench, Job, ask, choose_jobs, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
 from placegraph_lab.tables.indoor.report import (
     PARTS,
@@ -118,7 +118,7 @@ def indoor_filter(
     if quick:
         windows, every, office_every = "5,10", benches.QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(benches.QUICK)
-    jobs = chosen([*house_jobs(), *office_jobs()], names)
+    jobs = choose_jobs([*house_jobs(), *office_jobs()], names)
     bench = Bench(run.data, run.cache, every, office_every)
 
     def once(job: Job, window: Window, seed: int) -> Answer:

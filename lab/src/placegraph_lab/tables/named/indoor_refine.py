@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from placegraph.indoor.refine.matching import Matcher, matcher
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import refine as rows_of
-from placegraph_lab.tables.indoor.bench import QUICK_EVERY, Bench, chosen
+from placegraph_lab.tables.indoor.bench import QUICK_EVERY, Bench, choose_jobs
 from placegraph_lab.tables.indoor.metrics import AXES
 from placegraph_lab.tables.indoor.refine import (
     GICP,
@@ -21,8 +21,8 @@ from placegraph_lab.tables.indoor.refine import (
     PAPER,
     PLACES,
     STARTS,
-    Refined,
     RefineJob,
+    RefineOutcome,
     refine_jobs,
     refine_score,
     spread,
@@ -146,12 +146,12 @@ def indoor_refine(
     if quick:
         windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(rows_of.QUICK)
-    jobs = chosen(refine_jobs(lab.parts(matchers)), names)
+    jobs = choose_jobs(refine_jobs(lab.parts(matchers)), names)
     bench = Bench(run.data, run.cache, every, office_every)
     weights = run.shared / "weights/xfeat.pt"
     made: dict[str, str | Matcher] = {word: word for word in ("auto", "guided", *GICP)}
 
-    def once(job: RefineJob, window: Window, seed: int) -> Refined:
+    def once(job: RefineJob, window: Window, seed: int) -> RefineOutcome:
         name = job.matcher
         if name not in made:
             own = weights if name == "xfeat" and weights.exists() else None
@@ -164,7 +164,8 @@ def indoor_refine(
         run, jobs, bench, lambda _: lengths, once, seed=seed, device=device, fresh=fresh
     )
     rows = [
-        Row(job, n, tuple(map(Refined.from_dict, told)), refine_score) for job, n, told in asked
+        Row(job, n, tuple(map(RefineOutcome.from_dict, told)), refine_score)
+        for job, n, told in asked
     ]
     print(report(rows))
     run.save(

@@ -20,7 +20,7 @@ from placegraph.core.geometry import Floats
 from placegraph.indoor.pose.agreement import ConfidenceModel, features
 from placegraph.indoor.status import ALONE, SURE
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.indoor.bench import chosen
+from placegraph_lab.tables.indoor.bench import choose_jobs
 from placegraph_lab.tables.indoor.metrics import NEAR
 from placegraph_lab.tables.indoor.robustness import (
     THRESHOLDS,
@@ -30,8 +30,8 @@ from placegraph_lab.tables.indoor.robustness import (
     Places,
     all_cases,
     ask,
-    spoiled,
-    thinned,
+    spoil_window,
+    thin_windows,
 )
 from placegraph_lab.tables.indoor.robustness import quick as few
 from placegraph_lab.tables.runner import Column as Col
@@ -161,10 +161,10 @@ def fit_model(outcomes: Sequence[Outcome]) -> ConfidenceModel:
         free &= ~wrong
     level, *rest = weights.round(2).tolist()
     single = ConfidenceModel(level, (rest[0], rest[1], rest[2]), (rest[3], rest[4]), (0.0, 0.0))
-    return toned(single, columns, right, rivals)
+    return fit_tones(single, columns, right, rivals)
 
 
-def toned(
+def fit_tones(
     model: ConfidenceModel,
     columns: Floats,
     right: Floats,
@@ -257,7 +257,7 @@ def indoor_robustness(
     if quick:
         cases, windows = few(cases), min(windows, QUICK_WINDOWS)
     names = lab.parts(only, ";")
-    cases = chosen(cases, names)
+    cases = choose_jobs(cases, names)
     places = Places(run.data, run.cache)
     journal, code = run.journal(fresh=fresh), lab.code_key(lab.INDOOR)  # what is loaded now answers
     rows, known = {}, {}
@@ -265,11 +265,11 @@ def indoor_robustness(
         for case in sorted(cases, key=lambda c: (c.set, c.frames)):
             if (case.set, case.frames) not in known:  # windows of the last set and length are kept
                 known = {(case.set, case.frames): places.windows(case.set, case.frames)}
-            asked = thinned(known[case.set, case.frames], windows, case.family)
+            asked = thin_windows(known[case.set, case.frames], windows, case.family)
             keys = [f"{code} {case.name} {a.clip.name} seed {seed} {device}" for a in asked]
             once = partial(_ask_window, places, case, asked, seed, device)
             task = bar.add_task(case.name, total=len(journal.missing(keys)))
-            outcomes = journal.filled(
+            outcomes = journal.fill(
                 keys, once, warm=partial(once, 0), tick=partial(bar.advance, task)
             )
             bar.remove_task(task)
@@ -289,7 +289,7 @@ def _ask_window(
 ) -> Outcome:
     asked = windows[row]
     other = next(iter(places.recordings(case.other).values()))[0] if case.other else None
-    clip = spoiled(asked, case, other, seed)
+    clip = spoil_window(asked, case, other, seed)
     scene = places.scene(case.map or asked.map)
     outcomes = ask(scene, asked, clip, case, seed=seed, device=device)
     return replace(outcomes, window=asked.clip.name)

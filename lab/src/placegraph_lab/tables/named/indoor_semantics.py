@@ -29,7 +29,7 @@ from placegraph_lab.tables.indoor.bench import (
     Job,
     NoisyEncoder,
     NoisyLabels,
-    chosen,
+    choose_jobs,
     localize,
 )
 from placegraph_lab.tables.indoor.maps import place
@@ -219,7 +219,7 @@ def indoor_semantics(
     def once(job: Job, window: Window, seed: int) -> Answer:
         return ask(job, bench.scene(job.place), window, seed=seed, device=device)
 
-    jobs = chosen(cases(available()), lab.parts(only, ";"))
+    jobs = choose_jobs(cases(available()), lab.parts(only, ";"))
     lengths = [int(n) for n in windows.split(",")]
     asked = ask_windows(
         run, jobs, bench, lambda _: lengths, once, seed=seed, device=device, fresh=fresh

@@ -52,15 +52,15 @@ class Tongue:
     def word(self, label: str) -> str:
         """Word for a label: of the table, of the presets, or else the tag itself."""
         if self.code == "en":
-            return self.words.spoken(label)
-        fallback = self.words.spoken(label)
+            return self.words.name_label(label)
+        fallback = self.words.name_label(label)
         key, _, value = label.partition("=")
         if own := self.words_of_labels.get(label) or self.words_of_labels.get(
             f"{key}=*" if key == value else label
         ):
             return own
         for code in (self.code, *VARIANTS.get(self.code, ())):
-            word = self.words.spoken(label, language=code)
+            word = self.words.name_label(label, language=code)
             if word != fallback:
                 return word
         return label
@@ -100,7 +100,7 @@ VARIANTS = {
 }  # how the presets call varieties of a language
 
 
-def spoken() -> tuple[str, ...]:
+def list_languages() -> tuple[str, ...]:
     """Codes of the languages that say how a statement is said; English first."""
     return ("en", *[code for code in codes() if language(code).say.get("direction")])
 
@@ -113,7 +113,7 @@ def translate_queries(
     teller = Teller(load(path), "none", 6)
     words = Vocabulary.default()
     labels = [{k: f"{v}={k}" for k, v in teller.keys(q.statements).items()} for q in queries]
-    for code in spoken():
+    for code in list_languages():
         tongue = Tongue(code, words)
         yield (
             code,

@@ -24,7 +24,7 @@ from placegraph_lab.tables.outdoor.extracts import (
     open_city,
     unseen_queries,
 )
-from placegraph_lab.tables.outdoor.matchers import BagMatcher, matched
+from placegraph_lab.tables.outdoor.matchers import BagMatcher, match_cells
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, load
@@ -90,7 +90,7 @@ def _hits(
     given = np.append(
         distractors[: max(GIVEN) - 1], truth
     )  # last: where all are equal, it is not found
-    match, own = (matched(encoded, asked.text, rows) for rows in (given, dense))
+    match, own = (match_cells(encoded, asked.text, rows) for rows in (given, dense))
     logit, cosine = match.logit, match.cosine
     table = {}
     for n in GIVEN:
@@ -141,7 +141,7 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
     }
 
 
-def trained(
+def train_variant(
     name: str, options: TrainOptions, cities: Mapping[str, CityMap], work: Path, device: str
 ) -> GraphTransformer:
     """Train one variant, on descriptions that all share, or go on with it."""
@@ -184,7 +184,7 @@ class Judging:
         return self.tasks[name]
 
 
-def averaged(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
+def average_seeds(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
     """Share of the seeds that find a query's cell at once, (Q,) for each city."""
     return [
         np.mean([hits[name][:, 0] for hits in city], axis=0) for city in zip(*runs, strict=True)
@@ -195,7 +195,7 @@ def lead(runs: Sequence[Sequence[Hits]], ours: Sequence[Sequence[Hits]], seed: i
     """Cells of the differences to ours: recall@1 and its interval, by what is compared."""
     cells = []
     for key in COMPARED:
-        pairs = list(zip(averaged(runs, key), averaged(ours, key), strict=True))
+        pairs = list(zip(average_seeds(runs, key), average_seeds(ours, key), strict=True))
         found = paired_interval(pairs, np.random.default_rng(seed))
         cells += [f"{found.mean:+.3f}", f"{found.low:+.3f} to {found.high:+.3f}"]
     return cells
@@ -271,7 +271,7 @@ def outdoor_ablation(
     for name, its in wanted:
         run.log(f"{name}, seed {its}")
         options = replace(every[name], seed=int(its))
-        network = trained(name, options, {n: cities[n] for n in names}, work, device)
+        network = train_variant(name, options, {n: cities[n] for n in names}, work, device)
         found.setdefault(name, []).append(judging.hits(network))
     print(report(found, seed))
     rows = [

@@ -45,7 +45,7 @@ LARGER = (52_911, 200_000, 1_000_000)
 HIT = 50.0
 
 
-def sized(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
+def resize_city(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
     if cells <= len(city.cells):
         return crop(city, cells, middle)
     copies = round(cells / len(city.cells))
@@ -134,7 +134,7 @@ def outdoor_candidates(
         run.log(f"{n:,} cells")
         few = max(1, min(queries, without // n))
         rows.append(
-            measure(sized(whole, n, middle, seed), asked, without=few, candidates=candidates)
+            measure(resize_city(whole, n, middle, seed), asked, without=few, candidates=candidates)
         )
     print(lab.render(COLUMNS, rows))
     found = {}

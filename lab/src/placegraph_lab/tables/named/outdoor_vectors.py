@@ -40,7 +40,7 @@ SEVERAL = (
 )
 
 
-def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Floats, Floats]:
+def draw_clusters(rng: np.random.Generator, count: int, queries: int) -> tuple[Floats, Floats]:
     """Vectors in clusters of about 100, most of their variance in a third of the directions."""
     spread = np.exp(-np.arange(DIMENSION) / 20).astype(np.float32)
 
@@ -202,7 +202,7 @@ def outdoor_vectors(
         sizes, queries = "447", 20
     rows: list[dict[str, Any]] = []
     worlds: list[Callable[[], tuple[Floats, Floats]]] = [
-        partial(clustered, np.random.default_rng(seed), int(s), queries) for s in parts(sizes)
+        partial(draw_clusters, np.random.default_rng(seed), int(s), queries) for s in parts(sizes)
     ]
     if city:
         worlds.append(partial(of_city, city, run, queries, seed))

@@ -62,7 +62,7 @@ def house(data: Path, cache: Path, every: int = 1) -> Place:
     first, *others = sorted((data / "house").glob("seq[0-9]*"))
     frames = tuple(frame for f in others for frame in open_capture(f)[::every])
     poses = np.concatenate([true_poses(f)[::every] for f in others])
-    shown = posed(open_capture(first), true_poses(first))
+    shown = replace_odometry(open_capture(first), true_poses(first))
     return Place("house", "house", SceneMap.open(path), frames, poses, (shown,))
 
 
@@ -74,7 +74,7 @@ def office(data: Path, cache: Path, half: str, every: int = 1) -> Place:
         build_scene(data / "office", path, capture=FromCapture(frames=slice(low, high)))
     capture, truth = open_capture(data / "office"), true_poses(data / "office")
     rows = slice(first, last, every)
-    shown = posed(capture[low:high:3], truth[low:high:3])
+    shown = replace_odometry(capture[low:high:3], truth[low:high:3])
     scene = SceneMap.open(path)
     return Place("office", f"office, {half}", scene, capture[rows].frames, truth[rows], (shown,))
 
@@ -89,11 +89,11 @@ def drawn_home(number: int) -> Place:
     asked, shown = (
         record(interior, walk, rng, daylight=float(rng.uniform(0.1, 0.9))) for walk in walks
     )
-    poses, captures = walks[0].map_from_camera, (posed(shown, walks[1].map_from_camera),)
+    poses, captures = walks[0].map_from_camera, (replace_odometry(shown, walks[1].map_from_camera),)
     return Place("homes", f"home {number}", scene, asked.frames, poses, captures)
 
 
-def posed(capture: Capture, map_from_camera: Floats) -> Capture:
+def replace_odometry(capture: Capture, map_from_camera: Floats) -> Capture:
     """Capture whose odometry is map_from_camera (T, 4, 4): images of the map itself."""
     pairs = zip(capture, map_from_camera, strict=True)
     return replace(capture, frames=tuple(replace(frame, odometry=pose) for frame, pose in pairs))

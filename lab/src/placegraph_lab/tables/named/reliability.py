@@ -26,7 +26,7 @@ from placegraph_lab.campaign.row import (
     Effort,
     Row,
     mark_fixed,
-    merged,
+    merge_rows,
     total,
 )
 from placegraph_lab.tables import runner as lab
@@ -71,12 +71,12 @@ def reliability(
         lab.check_names(lab.parts(only), PARTS, "part"),
         run.out or lab.LAB / "results/reliability.json",
     )
-    now = [row for name in lab.parts(also) for row in written(Path(name))]
+    now = [row for name in lab.parts(also) for row in read_rows(Path(name))]
     dropped = set(wanted) if fresh else set()
     healed, asked = ({n.strip() for n in told.split(";")} - {""} for told in (mended, names))
 
     def save() -> None:
-        rows = merged(written(path), now, dropped)  # others may have written meanwhile
+        rows = merge_rows(read_rows(path), now, dropped)  # others may have written meanwhile
         try:
             rows = mark_fixed(rows, healed)
         except KeyError as error:
@@ -95,7 +95,7 @@ def reliability(
                 save()
     if (now or healed) and not seconds:
         save()
-    rows = written(path)
+    rows = read_rows(path)
     if run.out is None and not quick:
         publish(rows)
     print(render_rows(now if seconds else [row for row in rows if row.part in wanted]))
@@ -115,12 +115,15 @@ def render_rows(rows: list[Row]) -> str:
 
 
 def publish(rows: list[Row], root: Path = lab.LAB.parent) -> None:
-    for name, pattern, new in ((PAGE, TABLE, render_rows(rows)), ("README.md", SUM, summed(rows))):
+    for name, pattern, new in (
+        (PAGE, TABLE, render_rows(rows)),
+        ("README.md", SUM, summarize_rows(rows)),
+    ):
         before, after = pattern.split((root / name).read_text("utf-8"))
         write_output(root / name, f"{before}{new}{after}".encode())
 
 
-def summed(rows: list[Row]) -> str:
+def summarize_rows(rows: list[Row]) -> str:
     """Write the README's sum of all rows; answers of the soak test stand apart."""
     whole, borne = total(rows), total(row for row in rows if row.part == "soak").tried
     apart = f" ({borne:,} of them to wear it out)" if borne else ""
@@ -135,7 +138,7 @@ def _cells(rows: list[Row], what: str, note: str) -> list[str]:
     return [row.part, what, *told, seeds, lab.number(row.seconds / 60, 1), note]
 
 
-def written(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[Row]:
     """Rows that were written down; none where there is no file."""
     if not path.exists():
         return []

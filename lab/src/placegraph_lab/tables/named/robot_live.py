@@ -34,7 +34,7 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import NEAR, near
 from placegraph_lab.tables.indoor.perturb import Clip, Recording, drift
 from placegraph_lab.tables.indoor.robustness import Places
-from placegraph_lab.tables.named.serve_load import Served, served
+from placegraph_lab.tables.named.serve_load import RunningServer, run_server
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
@@ -71,7 +71,7 @@ class Walk:
             before = frame.stamp
 
 
-def joined(parts: Sequence[Clip], degrees: float, rng: Generator) -> Walk:
+def join_clips(parts: Sequence[Clip], degrees: float, rng: Generator) -> Walk:
     """Parts one after the other, with odometry that drifts by so many degrees a frame."""
     frames: list[Frame] = []
     for part in parts:
@@ -98,10 +98,10 @@ def walks(recordings: Sequence[Recording], degrees: float, seed: int) -> list[Wa
         parts = [Clip.of(r, range(len(r.frames))) for r in recordings]
     order = rng.permutation(len(parts))
     fours = [order[i : i + 4] for i in range(0, len(order) - 3, 4)]
-    return [joined([parts[i] for i in four], degrees, rng) for four in fours]
+    return [join_clips([parts[i] for i in four], degrees, rng) for four in fours]
 
 
-def looped(
+def loop_recordings(
     recordings: Sequence[Recording], degrees: float, rng: Generator
 ) -> Iterator[tuple[Frame, Floats, bool]]:
     """Frames without end: to and fro along a recording, then kidnapped onto another.
@@ -151,7 +151,7 @@ def is_right(pose: LivePose, truth: Floats, limits: tuple[float, float] = RIGHT)
     return pose.map_from_camera is not None and near(pose.map_from_camera, truth, limits)
 
 
-def followed(scene: SceneMap, walk: Walk, seed: int) -> list[FrameResult]:
+def track_walk(scene: SceneMap, walk: Walk, seed: int) -> list[FrameResult]:
     """Each frame of a walk, with odometry at 50 Hz before it, in one tracker."""
     live = scene.live(seed=seed, background=False, options=SENSES)
     seen = []
@@ -263,10 +263,10 @@ class Clock:
         time.sleep(max(0.0, when - self.now()))
 
 
-def paced(data: Path, cache: Path, path: Path, rate: float, seconds: float) -> dict[str, Any]:
+def play_walks(data: Path, cache: Path, path: Path, rate: float, seconds: float) -> dict[str, Any]:
     """Play walks of the house with images at a rate [Hz], and odometry at 100 Hz, in a fresh process."""
     recordings = Places(data, cache).recordings("house")["house"]
-    endless = looped(recordings, 0.0, np.random.default_rng(0))
+    endless = loop_recordings(recordings, 0.0, np.random.default_rng(0))
     every = islice(endless, int(rate * seconds))
     frames = [_read(replace(f, stamp=i / rate)) for i, (f, _, _) in enumerate(every)]
     with SceneMap.open(path).live(options=SENSES) as live:
@@ -347,7 +347,7 @@ def from_files(scene: SceneMap, paths: Sequence[Path]) -> dict[str, Any]:
 
 def from_server(maps: Path, paths: Sequence[Path]) -> dict[str, Any]:
     """Images sent over WebSockets to sessions of a server beside us, until each answer is there."""
-    with served(maps) as server:
+    with run_server(maps) as server:
         asyncio.run(_session(server, paths[0]))
         wall: list[float] = []
         sure, spent = 0, server.cpu()
@@ -359,7 +359,7 @@ def from_server(maps: Path, paths: Sequence[Path]) -> dict[str, Any]:
     return figures(wall, [each], sure)
 
 
-async def _session(server: Served, path: Path) -> list[tuple[float, str]]:
+async def _session(server: RunningServer, path: Path) -> list[tuple[float, str]]:
     from websockets.asyncio.client import connect
 
     capture = open_capture(path, labels=None)
@@ -412,7 +412,7 @@ class Life:
     kidnapped: int
 
 
-def lived(
+def run_lifetime(
     scene: SceneMap,
     recordings: Sequence[Recording],
     frames: int,
@@ -423,7 +423,7 @@ def lived(
     live = scene.live(seed=seed, background=False, options=SENSES)
     seen: list[FrameResult] = []
     memory, wall = [], []
-    endless = looped(recordings, DRIFT, np.random.default_rng(seed))
+    endless = loop_recordings(recordings, DRIFT, np.random.default_rng(seed))
     for done, (frame, truth, kidnapped) in enumerate(islice(endless, frames)):
         if done % max(1, frames // LOOKS) == 0:
             memory.append((done, resident()))
@@ -487,7 +487,7 @@ def robot_live(
     house = places.scene("house")
     record: dict[str, Any] = {"load": os.getloadavg()}
     if "walks" in wanted:
-        rows = walked(run, places, seed, DRIFTS[1:2] if quick else DRIFTS)
+        rows = measure_walks(run, places, seed, DRIFTS[1:2] if quick else DRIFTS)
         lab.show("", WALKED, rows)
         record["walks"] = rows
     with tempfile.TemporaryDirectory() as name:
@@ -496,7 +496,9 @@ def robot_live(
         house.save(folder / "maps/house.scene")
         if "paced" in wanted:
             file = folder / "maps/house.scene"
-            every = [apart(paced, run.data, run.cache, file, r, SECONDS, cores=2) for r in RATES]
+            every = [
+                apart(play_walks, run.data, run.cache, file, r, SECONDS, cores=2) for r in RATES
+            ]
             lab.show("", PACED, every)
             record["paced"] = every
         if "ways" in wanted:
@@ -516,13 +518,13 @@ def robot_live(
             record["ways"] = found
     if "lifelong" in wanted:
         recordings = places.recordings("house")["house"]
-        life = lived(house, recordings, lifelong, seed, run.log)
+        life = run_lifetime(house, recordings, lifelong, seed, run.log)
         print(summarize(life))
         record["lifelong"] = life
     run.save(record, complete=not only)
 
 
-def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -> list[Row]:
+def measure_walks(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -> list[Row]:
     """All walks at each drift."""
     rows = []
     for place in ("house", "office"):
@@ -531,7 +533,7 @@ def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -
             for where, recordings in places.recordings(place).items():
                 for walk in walks(recordings, degrees, seed):
                     run.log(f"{where}, {degrees} degrees a frame, {len(walk.frames)} frames")
-                    seen.append(followed(places.scene(where), walk, seed))
+                    seen.append(track_walk(places.scene(where), walk, seed))
             rows.append(Row.of(place, degrees, seen))
     return rows
 

@@ -45,7 +45,7 @@ class Way:
     fuser: Fuser
 
 
-def own(options: FuseOptions | None = None, **given: Any) -> Fuser:
+def make_fuser(options: FuseOptions | None = None, **given: Any) -> Fuser:
     """`placegraph.indoor.mapping.fuse.fuse` with options."""
 
     def run(frames: Sequence[Frame], poses: Floats) -> Mesh:
@@ -199,16 +199,16 @@ def rays_of(camera: Camera, pose: Floats, step: int) -> Floats:
 
 TIMES = 3  # runs, of which the quickest counts: what else the machine does only slows them
 WAYS = (
-    Way("defaults", own()),
-    Way("voxels of 2 cm", own(voxel=0.02)),
-    Way("voxels of 5 cm", own(voxel=0.05)),
-    Way("truncation 3 voxels", own(truncation=0.09)),
-    Way("readings at edges kept", own(FuseOptions(edges=False))),
-    Way("exposure as it is", own(FuseOptions(gains=False))),
+    Way("defaults", make_fuser()),
+    Way("voxels of 2 cm", make_fuser(voxel=0.02)),
+    Way("voxels of 5 cm", make_fuser(voxel=0.05)),
+    Way("truncation 3 voxels", make_fuser(truncation=0.09)),
+    Way("readings at edges kept", make_fuser(FuseOptions(edges=False))),
+    Way("exposure as it is", make_fuser(FuseOptions(gains=False))),
 )
 
 
-def timed(folder: Path, threads: int, what: str) -> dict[str, Any]:
+def time_fusion(folder: Path, threads: int, what: str) -> dict[str, Any]:
     """Fuse all frames of a capture with their true poses."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:threads]))
@@ -266,9 +266,9 @@ def scene_fusion(run: Run, *, quick: Quick = False) -> None:
     cores = os.cpu_count() or 1
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     place = run.data / "office"
-    speed = [apart(timed, place, n, "own") for n in (1, 2) if n <= cores]
+    speed = [apart(time_fusion, place, n, "own") for n in (1, 2) if n <= cores]
     if rival:
-        speed.append(apart(timed, place, min(2, cores), "Open3D"))
+        speed.append(apart(time_fusion, place, min(2, cores), "Open3D"))
     print(
         f"#### Office, all frames; the machine's load was {number(load, 1)}\n\n{render(SPEED, speed)}\n"
     )

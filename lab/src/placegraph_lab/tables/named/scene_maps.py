@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.indoor.bench import chosen
+from placegraph_lab.tables.indoor.bench import choose_jobs
 from placegraph_lab.tables.indoor.refine import RefineScore
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
@@ -139,7 +139,7 @@ def scene_maps(
     rows, refining = findings(), refinings()
     if only:
         asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in lab.parts(only, ";")]
-        both = {r.name for r in chosen([*rows, *refining], asked_for)}
+        both = {r.name for r in choose_jobs([*rows, *refining], asked_for)}
         rows = [r for r in rows if r.name in both]
         refining = [r for r in refining if r.name in both]
     names = lab.parts(sizes)

@@ -246,7 +246,11 @@ def ask_people(house: SceneMap | None, rng: Generator, *, draws: int) -> list[di
     settings = (
         ("any", False, whole),
         ("of its kind first", True, whole),
-        ("any, a third of the things missing", False, _rankers([thinned(m, rng) for m in maps])),
+        (
+            "any, a third of the things missing",
+            False,
+            _rankers([drop_objects(m, rng) for m in maps]),
+        ),
     )
     texts = read_texts()
     out = []
@@ -276,7 +280,7 @@ def _rankers(maps: Sequence[SceneMap]) -> dict[str, Ranker]:
     }
 
 
-def thinned(scene: SceneMap, rng: Generator, share: float = MISSING) -> SceneMap:
+def drop_objects(scene: SceneMap, rng: Generator, share: float = MISSING) -> SceneMap:
     """A map that misses a share of its objects, drawn at random, but at least one is left."""
     kept = np.flatnonzero(rng.random(len(scene)) >= share)
     return part_of(scene, kept if len(kept) else np.array([0]))

@@ -51,7 +51,7 @@ LOOKED, WIDELY = SearchOptions().shortlist, 4_000
 READ = 5_000  # scenes of a library that is read, for comparison
 
 
-def drawn(run: lab.Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
+def draw_signatures(run: lab.Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
     """Signatures of drawn homes."""
     names, found = list(STYLES), []
     for i in run.track(range(DRAWN), "homes", total=DRAWN):
@@ -123,7 +123,9 @@ def frames_query(
     )
 
 
-def spoken(signatures: Sequence[Signature], stock: Stock, row: int, seed: int, wrong: float) -> str:
+def describe_room(
+    signatures: Sequence[Signature], stock: Stock, row: int, seed: int, wrong: float
+) -> str:
     """Facts about a room of a scene, each of another scene with probability `wrong`."""
     rng = np.random.default_rng((seed, row, 1))
     rows = [row, *rng.integers(len(signatures), size=9).tolist()]
@@ -153,7 +155,7 @@ def ask(folder: Path, signatures: Sequence[Signature], queries: int, seed: int) 
                 own = scene(signatures, stock, row, seed)
                 find: Callable[..., Any]
                 if way == "text":
-                    text = spoken(signatures, stock, row, seed, wrong)
+                    text = describe_room(signatures, stock, row, seed, wrong)
                     find = _text(shards, text)
                 else:
                     used = both if way == "labels and looks" else both[:1]
@@ -200,7 +202,7 @@ def ask_read(
             used = library.encoders[: 1 + (way == "labels and looks")]
             own = scene(signatures, stock, row, seed)
             query = frames_query(own, used, stock, 0.1, np.random.default_rng((seed, row, 3)))
-            text = spoken(signatures, stock, row, seed, 0.1)
+            text = describe_room(signatures, stock, row, seed, 0.1)
             start = time.perf_counter()
             if way == "text":
                 library.score_text(read(text))
@@ -241,7 +243,7 @@ def scene_shards(
     """100,000 scenes in shards: which one it is, how fast that is told, and how often rightly."""
     scenes, queries = (2_000, 5) if quick else (scenes, queries)
     encoders = [encoder("labels"), encoder("appearance")]
-    signatures = drawn(run, encoders, seed)
+    signatures = draw_signatures(run, encoders, seed)
     folder = run.cache / f"scene_shards_{scenes}_{seed}"
     made = None
     if fresh or not (folder / HEAD).exists():

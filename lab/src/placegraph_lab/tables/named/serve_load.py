@@ -53,7 +53,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Served:
+class RunningServer:
     """A server that runs."""
 
     process: subprocess.Popen[str]
@@ -100,7 +100,7 @@ def _stat(process: int) -> list[str]:
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[Served]:
+def run_server(folder: Path) -> Iterator[RunningServer]:
     """`placegraph serve` of a folder, ready; raises `OptionError` where its CPU cannot be read."""
     if not Path("/proc/self/stat").exists():
         raise OptionError("The CPU of processes is read from /proc; measure on Linux.")
@@ -116,7 +116,7 @@ def served(folder: Path) -> Iterator[Served]:
             if time.monotonic() > end:
                 raise OptionError(f"The server of {folder} was not ready in {STARTING:g} s.")
             time.sleep(0.1)
-        yield Served(process, found[0])
+        yield RunningServer(process, found[0])
     finally:
         process.terminate()
         process.wait()
@@ -130,7 +130,7 @@ def _is_ready(url: str) -> bool:
         return False
 
 
-async def idle(server: Served, count: int, request: dict[str, Any]) -> dict[str, Any]:
+async def idle(server: RunningServer, count: int, request: dict[str, Any]) -> dict[str, Any]:
     """Open WebSockets that say nothing, and ask by the last; what they hold in memory."""
     from websockets.asyncio.client import connect
 
@@ -174,11 +174,11 @@ def serve_load(
         shutil.copy(run.cache / "maps" / f"{CITY}.city", folder / "maps")
         build_scene(world / f"{FLAT}.glb", folder / "maps" / f"{FLAT}.scene")
         texts = sentences(run.osm / EXTRACTS[CITY], seed)
-        with served(folder / "maps") as server:
+        with run_server(folder / "maps") as server:
             rows = list(loads(server, folder / "asked", texts, world / "walk", seconds))
             print(markdown(HEADER, map(line, rows)))
             sockets = asyncio.run(idle(server, 1000, {"id": 1, "text": texts[0], "map": CITY}))
-            memory = watched(server, folder / "asked", texts, requests, seconds)
+            memory = watch_memory(server, folder / "asked", texts, requests, seconds)
     print(f"\n{summarize(sockets, memory)}")
     run.save({"rows": rows, "sockets": sockets, "memory": memory, "busy": os.getloadavg()})
 
@@ -192,7 +192,7 @@ def sentences(extract: Path, seed: int) -> list[str]:
 
 
 def loads(
-    server: Served, file: Path, texts: list[str], walk: Path, seconds: int
+    server: RunningServer, file: Path, texts: list[str], walk: Path, seconds: int
 ) -> Iterator[dict[str, Any]]:
     """Sentences and pictures, few and many at once; the first seconds warm up and do not count."""
     asked = [Request.of("/v1/locate", text=text, map=CITY) for text in texts]
@@ -217,8 +217,8 @@ def picture(path: Path, gravity: list[list[float]] | None = None) -> Request:
     return Request("POST", "/v1/localize", data, f"multipart/form-data; boundary={EDGE}")
 
 
-def watched(
-    server: Served, file: Path, texts: list[str], requests: int, seconds: int
+def watch_memory(
+    server: RunningServer, file: Path, texts: list[str], requests: int, seconds: int
 ) -> list[dict[str, Any]]:
     """Memory before, and from time to time, of many requests: of 20 one is a sentence, others cheap."""
     mixed = [

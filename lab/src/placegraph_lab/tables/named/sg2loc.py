@@ -40,7 +40,7 @@ from placegraph_lab.tables.scene.places import FIRST, HOMES, NOISY, Place, Walk,
 from placegraph_lab.tables.scene.search import Cosines, Scenes, Study
 
 
-def published(table: int) -> list[tuple[str, list[list[float | None]]]]:
+def read_published(table: int) -> list[tuple[str, list[list[float | None]]]]:
     """Rows of a table: name, and published by sequence length; None where there is none."""
     text = Path(at_hand.__file__).with_suffix(".txt").read_text("utf-8")
     lines = [line.split(";") for line in text.splitlines() if not line.startswith("#")]
@@ -183,7 +183,7 @@ def _filed(scene: SceneMap) -> tuple[SceneMap, int]:
 def _printed(table: int, heads: Sequence[str]) -> list[dict[str, Any]]:
     return [
         {"row": f"*paper, {row}*"} | dict(zip(heads, numbers, strict=True))
-        for row, (numbers,) in published(table)
+        for row, (numbers,) in read_published(table)
     ]
 
 
@@ -207,9 +207,11 @@ COLUMNS = {
 _STATES = {False: "unchanged", True: "changed", None: ""}
 
 
-def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[dict[str, Any]]:
+def list_published(
+    table: int, columns: Sequence[str], lengths: Sequence[int]
+) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    for name, by_length in published(table):
+    for name, by_length in read_published(table):
         for length, part in zip(lengths, by_length, strict=False):
             left = iter(part)
             told = {c: [next(left) for _ in range(COLUMNS[c])] for c in columns}
@@ -217,7 +219,7 @@ def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[
     return rows
 
 
-def measured(
+def summarize_set(
     name: str, row: str, replies: Sequence[Reply], *, refined: bool
 ) -> list[dict[str, Any]]:
     """Rows of a set, one for each state that its scenes were in; `refined`: with the final fit."""
@@ -272,7 +274,7 @@ MERGED = {"homes": (2, 5, 10), "3RScan": (3,), "ScanNet": (3,)}
 
 def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[str, list[Any]]:
     by = {6: _keyframes, 11: _merged, 14: _drifting}.get(table, _plain)
-    rows = printed(table, spec.columns, SPECS[table].lengths)
+    rows = list_published(table, spec.columns, SPECS[table].lengths)
     rows += [row for its in of for row in by(spec, asking, its)]
     return report(rows, spec.columns), rows
 
@@ -280,7 +282,9 @@ def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[st
 def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
     for length in spec.lengths:
         for name, recipe, refined in spec.rows:
-            yield from measured(of.name, name, asking.replies(of, recipe, length), refined=refined)
+            yield from summarize_set(
+                of.name, name, asking.replies(of, recipe, length), refined=refined
+            )
 
 
 def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
@@ -291,7 +295,9 @@ def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
             pace = spec.pace or _pace(asking, of, recipe)
             step = max(1, math.ceil(pace * of.rate))
             replies = asking.replies(of, recipe, length, step=step)
-            yield from measured(of.name, f"{name}, one frame in {step}", replies, refined=refined)
+            yield from summarize_set(
+                of.name, f"{name}, one frame in {step}", replies, refined=refined
+            )
 
 
 def _pace(asking: Asking, of: Set, recipe: str) -> float:
@@ -313,7 +319,9 @@ def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
                     } | told
             for name, recipe, refined in spec.rows:
                 replies = asking.replies(of, recipe, length, merged=count)
-                yield from measured(of.name, f"{count} scenes, {name}", replies, refined=refined)
+                yield from summarize_set(
+                    of.name, f"{count} scenes, {name}", replies, refined=refined
+                )
 
 
 def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) -> list[bool]:
@@ -334,7 +342,9 @@ def _drifting(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
         for length in spec.lengths:
             for name, recipe, refined in spec.rows:
                 replies = asking.replies(of, recipe, length, drift=drift)
-                yield from measured(of.name, f"{name}, {title} odometry", replies, refined=refined)
+                yield from summarize_set(
+                    of.name, f"{name}, {title} odometry", replies, refined=refined
+                )
 
 
 _OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace"}
@@ -401,7 +411,7 @@ def select_part(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
     )
 
 
-def numbered(table: int) -> lab.Table:
+def make_table(table: int) -> lab.Table:
     """Table of the paper by its number."""
     spec = SPECS[table]
 
@@ -443,4 +453,4 @@ def numbered(table: int) -> lab.Table:
     return lab.Table(measure, f"SG2Loc, Table {table}")
 
 
-TABLES = {f"sg2loc-{table}": numbered(table) for table in SPECS}
+TABLES = {f"sg2loc-{table}": make_table(table) for table in SPECS}

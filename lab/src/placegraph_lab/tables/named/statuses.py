@@ -184,7 +184,7 @@ class Filler:
     @classmethod
     def of(cls, city: CityMap, foreign: Sequence[str], made: Sequence[str]) -> Filler:
         """Names of the map, and of another town those that it does not know."""
-        unknown = [n for n in foreign if not city.name_index.named(n)]
+        unknown = [n for n in foreign if not city.name_index.find_rows(n)]
         return cls(
             {
                 "name": _names(city),
@@ -330,7 +330,7 @@ def rates(verdicts: Sequence[Verdict], radius: float) -> dict[str, float]:
     sure = np.array([v.status == "OK" for v in verdicts])
     lost = np.array([v.status == "LOST" for v in verdicts])
     right = np.array([v.off <= radius for v in verdicts])
-    bins = calibrated(verdicts)
+    bins = measure_reliability(verdicts)
     found = {
         "texts": len(verdicts),
         "ok": sure.mean(),
@@ -345,11 +345,13 @@ def rates(verdicts: Sequence[Verdict], radius: float) -> dict[str, float]:
     return {k: round(float(v), 4) for k, v in found.items()}
 
 
-def calibrated(verdicts: Sequence[Verdict]) -> Reliability:
+def measure_reliability(verdicts: Sequence[Verdict]) -> Reliability:
     return reliability([v.probability for v in verdicts], [v.off <= HIT for v in verdicts])
 
 
-def merged(outcomes: Iterable[SetOutcome]) -> dict[tuple[str, str], dict[str, list[Verdict]]]:
+def merge_outcomes(
+    outcomes: Iterable[SetOutcome],
+) -> dict[tuple[str, str], dict[str, list[Verdict]]]:
     rows: dict[tuple[str, str], dict[str, list[Verdict]]] = {}
     for one in outcomes:
         halves = rows.setdefault(one.key, {})
@@ -369,7 +371,7 @@ def render_kind(outcomes: Sequence[SetOutcome], kind: str) -> str:
     of_kind = [j for j in outcomes if j.text_set.kind == kind]
     rows = [
         line(name, half, verdicts, RADIUS[kind])
-        for (_, name), halves in merged(of_kind).items()
+        for (_, name), halves in merge_outcomes(of_kind).items()
         for half, verdicts in halves.items()
     ]
     for half in (TUNED, HELD_OUT):
@@ -418,7 +420,7 @@ def statuses(
     for kind, title in KINDS.items():
         print(f"### {title}\n\n{render_kind(outcomes, kind)}\n")
     panels = {
-        f"{title}, {half}": calibrated(verdicts)
+        f"{title}, {half}": measure_reliability(verdicts)
         for kind, title in list(KINDS.items())[:2]
         for half in (TUNED, HELD_OUT)
         if (verdicts := [v for j in outcomes if (j.text_set.kind, j.text_set.half) == (kind, half)

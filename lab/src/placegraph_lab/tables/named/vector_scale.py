@@ -22,7 +22,7 @@ from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import TextGraphs
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.stores import Vectors, load_store
-from placegraph_lab.tables.named.outdoor_vectors import clustered
+from placegraph_lab.tables.named.outdoor_vectors import draw_clusters
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
@@ -176,7 +176,9 @@ def on_disk(folder: Path) -> int:
     return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
 
 
-def embedded(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
+def measure_embedded(
+    vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path
+) -> Row:
     """Our own file, of 8 bits a number."""
     start = time.perf_counter()
     # of length one already: `Vectors.of` would hold them twice
@@ -252,15 +254,15 @@ def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder:
 
 
 MEASURES = {
-    "": embedded,
+    "": measure_embedded,
     "milvus_lite": on_lite,
     "milvus": on_server,
 }  # by the module that each needs
 
 
-def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Row:
+def measure_store(module: str, size: int, queries: int, seed: int, cache: Path) -> Row:
     """One store of so many vectors, in this fresh process."""
-    vectors, queried = clustered(np.random.default_rng(seed), size, queries)
+    vectors, queried = draw_clusters(np.random.default_rng(seed), size, queries)
     with TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as folder:
         best = np.full((len(queried), NEIGHBOURS), -np.inf, np.float32)
         rows = np.zeros((len(queried), NEIGHBOURS), np.int64)
@@ -276,7 +278,7 @@ def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Ro
     return replace(row, peak=peak())
 
 
-def printed(rows: Sequence[Row]) -> str:
+def format_rows(rows: Sequence[Row]) -> str:
     header = ["store", "vectors", "rows/s", "p50", "p95", "processor", "recall of ten",
               "bytes a row", "at most"]  # fmt: skip
     lines = [
@@ -311,10 +313,10 @@ def vector_scale(
             if module and not find_spec(module):
                 run.log(f"{module} is not installed")
                 continue
-            rows.append(apart(measured, module, size, queries, seed, run.cache))
+            rows.append(apart(measure_store, module, size, queries, seed, run.cache))
             run.log(str(rows[-1]))
             run.save({"rows": rows})  # a server may never answer
-    print(printed(rows))
+    print(format_rows(rows))
     words: list[dict[str, Any]] = []
     if city and not find_spec("milvus_lite"):
         run.log("milvus-lite is not installed: words beside vectors are left out")

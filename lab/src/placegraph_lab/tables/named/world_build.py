@@ -111,7 +111,7 @@ def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str
     } | (split or {})
 
 
-def killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
+def build_killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
     first = build(osm, world, workers, kill_after=AFTER)
     again = build(osm, world, workers)
     summed = ("seconds", "cpu_s")
@@ -153,14 +153,14 @@ def world_build(
     rows: list[dict[str, Any]] = []
     for n in map(int, parts(copies)):
         osm = run.cache / f"country_{n}.osm.pbf"
-        nodes, before = written(run, osm, n, seed), None
+        nodes, before = write_extract(run, osm, n, seed), None
         world = run.cache / "world"
         for many in map(int, parts(workers)):
             run.log(f"{n} x: building with {many}")
             shutil.rmtree(world, ignore_errors=True)
             size = osm.stat().st_size
             row: dict[str, Any] = {"copies": n, "nodes": nodes, "pbf_bytes": size, "workers": many}
-            row |= killed(osm, world, many) if once else build(osm, world, many)
+            row |= build_killed(osm, world, many) if once else build(osm, world, many)
             made = shards(world)
             row |= {"shards": len(made), "same": before in {None, tuple(made.items())}}
             row["bytes"] = sum(path.stat().st_size for path in (world / "shards").glob("*"))
@@ -177,7 +177,7 @@ def world_build(
     run.save({"extracts": CITIES, "load": float(np.mean(os.getloadavg())), "rows": rows})
 
 
-def written(run: Run, osm: Path, copies: int, seed: int) -> int:
+def write_extract(run: Run, osm: Path, copies: int, seed: int) -> int:
     """Nodes of the extract of so many copies, which is written where it is not there yet."""
     count = osm.with_suffix(".nodes")
     if not count.exists():

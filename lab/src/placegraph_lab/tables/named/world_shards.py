@@ -133,7 +133,7 @@ def count_touched(reason: str) -> int:
     return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
 
 
-def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
+def compare_texts(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
     """One map against its shards, text by text."""
     whole, planet, rows = pg.CityMap.open(city), pg.open_world(world), []
     for kind, queries in texts.items():
@@ -249,7 +249,7 @@ def world_shards(
     base = made.pop(0)
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.log("asking both")
-    rows = apart(compared, map_file, base, texts)
+    rows = apart(compare_texts, map_file, base, texts)
     print(lab.render(EQUAL, rows))
     kept = {
         "common words": texts["common words"],

@@ -87,7 +87,7 @@ class Bag:
     def scores(self, query: Query) -> Floats:
         """Sum (C,) of the idf of the query's words that a cell holds."""
         total = self.tie_breaks.copy()
-        words = spoken(query, self.kind, self.label_number)
+        words = list_words(query, self.kind, self.label_number)
         at = np.searchsorted(self.words, words)
         held = at < len(self.words)
         held[held] = self.words[at[held]] == words[held]
@@ -102,7 +102,7 @@ class Bag:
         return self.plane.to_lonlat(self.centers[best[np.argsort(-scores[best])]])
 
 
-def spoken(query: Query, kind: Words, number: dict[str, int]) -> Ints:
+def list_words(query: Query, kind: Words, number: dict[str, int]) -> Ints:
     """Distinct words of a query, rising; `number` counts the labels."""
     if kind == "labels":
         ends = {end for s in query.statements for end in (s.source, s.target) if end}

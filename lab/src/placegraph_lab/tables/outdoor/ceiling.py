@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
+from placegraph_lab.tables.outdoor.baselines import Words, list_words, words_around
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins
 from placegraph_lab.tables.outdoor.outdoor_kernels import _likeliest, _rank
 from placegraph_lab.tables.outdoor.places import Ints
@@ -56,7 +56,7 @@ class Contest:
         label = city.named if names else city.label
         number = {name: i for i, name in enumerate(city.labels)}
         kind: Words = "triples" if queries[0].statements[0].target else "speaker"
-        wanted = [spoken(q, kind, number) for q in queries]
+        wanted = [list_words(q, kind, number) for q in queries]
         words = np.concatenate(wanted)
         labels = len(city.labels) + 1
         head, target = np.divmod(words, labels)

@@ -21,7 +21,7 @@ from placegraph.outdoor.map.objects import CityObjects
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.places import Bounds
 from placegraph_lab.tables.outdoor.queries import FEWEST, JITTER, Query, Setting, make_queries
-from placegraph_learn.city.descriptions import TILE, evaluated, held_out
+from placegraph_learn.city.descriptions import TILE, held_out, is_evaluation
 
 Where = Callable[[Floats], NDArray[np.bool_]]
 TRAINED = {
@@ -256,7 +256,7 @@ def in_held_out_tiles(city: CityMap) -> Where:
     """Predicate for `make_queries`: whether positions (n, 2) [deg] lie in tiles for evaluation."""
 
     def where(lonlat: Floats) -> NDArray[np.bool_]:
-        return evaluated(*city.plane.to_plane(lonlat).T)
+        return is_evaluation(*city.plane.to_plane(lonlat).T)
 
     return where
 

@@ -52,13 +52,13 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
         points = encoded.store.search(embedding, candidates).ids[0]
         rows = np.searchsorted(city.cells.points, points[points >= 0])
     clock.append(time.perf_counter())
-    found = matched(encoded, said, rows)
+    found = match_cells(encoded, said, rows)
     ranked = rows[np.argsort(-found.cosine, kind="stable")]
     clock.append(time.perf_counter())
     return Run(dict(zip(STAGES, np.diff(clock).tolist(), strict=True)), ranked)
 
 
-def matched(encoded: EncodedCity, text: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
+def match_cells(encoded: EncodedCity, text: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
     """Match a text with cells `rows` (K,) (Eq. 14-17), some thousands at once."""
     found = [
         encoded.match(text, encoded.cells, rows[i : i + AT_ONCE])

@@ -154,7 +154,9 @@ class Teller:
 
     def describe(self, viewpoint: Floats, rng: Generator) -> Query | None:
         """Text for a viewpoint (2,), or None where there is too little to say."""
-        told = self.from_here(viewpoint) if self.setting == "speaker" else self.between(viewpoint)
+        told = (
+            self.from_here(viewpoint) if self.setting == "speaker" else self.relate_pairs(viewpoint)
+        )
         # no sentence is said twice, whichever objects it is true of
         told = list({(s.source, s.direction, s.target): s for s in told}.values())
         if len(told) < self.statements:
@@ -164,7 +166,7 @@ class Teller:
         longitude, latitude = self.city.plane.to_lonlat(viewpoint).tolist()
         return Query(self.write(statements, rng), longitude, latitude, statements)
 
-    def between(self, viewpoint: Floats) -> list[SpokenStatement]:
+    def relate_pairs(self, viewpoint: Floats) -> list[SpokenStatement]:
         """All true statements about two objects of different labels in sight of a viewpoint (2,)."""
         around = self.bins.around(viewpoint[None], SIGHT)
         triples = Triples.of(around)

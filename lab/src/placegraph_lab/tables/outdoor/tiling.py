@@ -59,7 +59,7 @@ class Extract:
         return extract
 
 
-def shuffled(tags: list[Tags], groups: list[object], rng: Generator) -> list[Tags]:
+def shuffle_tags(tags: list[Tags], groups: list[object], rng: Generator) -> list[Tags]:
     """Exchange tags among the objects of a group; what is no object keeps its tags."""
     rows: dict[object, list[int]] = {}
     for i, (own, group) in enumerate(zip(tags, groups, strict=True)):
@@ -100,7 +100,7 @@ def tile(paths: Sequence[Path], out: Path, copies: int, seed: int) -> int:
         extract, which = turns[k]
         own = (extract.node_tags, extract.way_tags, extract.relation_tags)[kind]
         rng = np.random.default_rng([seed, k, kind])
-        return own if k == 0 else shuffled(own, list(groups[which][kind]), rng)
+        return own if k == 0 else shuffle_tags(own, list(groups[which][kind]), rng)
 
     # an extract lists all nodes, then all ways, then all relations, each by rising id
     with osmium.SimpleWriter(str(out), overwrite=True) as writer:

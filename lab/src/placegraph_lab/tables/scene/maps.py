@@ -28,8 +28,8 @@ from placegraph_lab.tables.indoor.bench import Job, ask, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.maps import COARSE, coarse, with_mesh
 from placegraph_lab.tables.indoor.metrics import Answer, score
 from placegraph_lab.tables.indoor.refine import (
-    Refined,
     RefineJob,
+    RefineOutcome,
     RefineScore,
     refine_jobs,
     refine_score,
@@ -39,8 +39,8 @@ from placegraph_lab.tables.indoor.windows import (
     HALVES,
     OFFICE_LENGTH,
     Window,
-    covered,
     house_windows,
+    measure_coverage,
     office_windows,
 )
 from placegraph_lab.tables.runner import INDOOR, Journal, code_key
@@ -340,7 +340,7 @@ class Asking:
                 made = office_windows(
                     data / "office", place, length=length, every=self.office_every
                 )
-                made = [covered(full, w) for w in made]
+                made = [measure_coverage(full, w) for w in made]
                 made = [w for w in made if w.coverage is not None and w.coverage >= COVERED]
             else:
                 made = house_windows(data / "house", length, every=self.every)
@@ -348,25 +348,25 @@ class Asking:
         return self._windows[place, length]
 
     def answers(self, row: Row, size: Size) -> list[Any]:
-        """Answers of a row on a map: `Answer`, or `Refined`."""
+        """Answers of a row on a map: `Answer`, or `RefineOutcome`."""
         windows, journal, job = self.windows(row.place, row.length), self.maps.journal, row.job
         digest = self.maps.made(row.place, size).digest
         keys = [f"{digest} {job.key(w, self.seed, self._code)} {self.device}" for w in windows]
         if asked := len(journal.missing(keys)):
             self.maps.tell(f"{size.name}: {row.name}, {asked} windows")
 
-        def once(window: Window, seed: int) -> Answer | Refined:
+        def once(window: Window, seed: int) -> Answer | RefineOutcome:
             scene, how = self.maps.scene(row.place, size), {"seed": seed, "device": self.device}
             if isinstance(job, Job):
                 return ask(job, scene, window, **how)  # type: ignore[arg-type]
             return indoor_refine.ask(job, scene, window, matcher=job.matcher, **how)  # type: ignore[arg-type]
 
-        found = journal.filled(
+        found = journal.fill(
             keys,
             lambda i: once(windows[i], self.seed),
             warm=lambda: once(windows[0], self.seed + 1),
         )
-        return [Answer(**a) if isinstance(job, Job) else Refined.from_dict(a) for a in found]
+        return [Answer(**a) if isinstance(job, Job) else RefineOutcome.from_dict(a) for a in found]
 
 
 @dataclass(frozen=True)

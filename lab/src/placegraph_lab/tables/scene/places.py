@@ -37,7 +37,7 @@ from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.change import SYNONYMS
-from placegraph_lab.worlds.home.home import STYLES, changed, home, record, scene_of, visit
+from placegraph_lab.worlds.home.home import STYLES, change_home, home, record, scene_of, visit
 
 LENGTH = 50  # frames of a walk through a home
 RATE = 5.0  # frames a second
@@ -45,10 +45,10 @@ QUALITY = 92  # of the JPEG images, as in capture folders
 _NOTHING = 255  # in label images
 
 
-def filmed(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture:
+def film_walk(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture:
     """Walk through a home at any time of the day."""
     rng = np.random.default_rng([seed, 1 + later])
-    state = changed(interior, rng) if later else interior
+    state = change_home(interior, rng) if later else interior
     walk = visit(flat, state, rng, frames=LENGTH, rate=RATE)
     daylight = float(rng.uniform())
     plain: dict[str, set[str]] = {}
@@ -184,7 +184,7 @@ def homes(seeds: Sequence[int], cache: Path) -> Iterator[tuple[Place, list[Walk]
         walks = []
         for later in (False, True):
             kind = "later" if later else "same"
-            made = partial(filmed, flat, interior, seed, later=later)
+            made = partial(film_walk, flat, interior, seed, later=later)
             path = folder / f"{seed} {kind}.npz"
             if not path.exists():
                 write(path, made())
@@ -445,7 +445,7 @@ def noisy(encoder: Encoder, part: str, vocabulary: Sequence[str], walk: Walk) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Encoded:
+class EncodedWalk:
     walk: Walk  # its frames bring the vectors that `Replay` says
     seconds: float  # of encoding a frame; the median
 
@@ -473,7 +473,7 @@ def replay(encoder: Encoder) -> Encoder:
 
 def _said_of(image: Frame, key: str) -> NDArray[np.float32] | None:
     if not isinstance(image.images, _EncodedImages):
-        raise OptionError(f"frame {image.index} has not been encoded; see `encoded`.")
+        raise OptionError(f"frame {image.index} has not been encoded; see `encode_walk`.")
     return image.images.vectors.get(key)
 
 
@@ -500,19 +500,19 @@ def all_encoded(
     encoders: Sequence[Encoder],
     vocabulary: Sequence[str],
     cache: Path,
-) -> Encoded | None:
+) -> EncodedWalk | None:
     """Encode a walk by all encoders of a row; None where none has anything for its frames."""
     seconds, known = 0.0, False
     for part, encoder in zip(parts, encoders, strict=True):
-        found = encoded(walk, part, encoder, vocabulary, cache)
+        found = encode_walk(walk, part, encoder, vocabulary, cache)
         if found is not None:
             walk, seconds, known = found.walk, seconds + found.seconds, True
-    return Encoded(walk, seconds) if known else None
+    return EncodedWalk(walk, seconds) if known else None
 
 
-def encoded(
+def encode_walk(
     walk: Walk, row: str, encoder: Encoder, vocabulary: Sequence[str], cache: Path
-) -> Encoded | None:
+) -> EncodedWalk | None:
     """Encode a walk; None where the encoder has nothing for its frames.
 
     Answers are kept in a file under `cache` for as long as code, data and the encoder's key stay.
@@ -531,7 +531,7 @@ def encoded(
         replace(frame, images=_added(frame.images, encoder.key, table[of].astype(np.float32)))
         for frame, of in zip(walk.capture, rows, strict=True)
     ]
-    return Encoded(replace(walk, capture=replace(walk.capture, frames=tuple(frames))), seconds)
+    return EncodedWalk(replace(walk, capture=replace(walk.capture, frames=tuple(frames))), seconds)
 
 
 def _added(images: Images, key: str, vectors: NDArray[np.float32]) -> _EncodedImages:

@@ -29,7 +29,7 @@ from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
 from placegraph_lab.tables.scene.places import (
     NOISY,
     ROWS,
-    Encoded,
+    EncodedWalk,
     Place,
     Walk,
     all_encoded,
@@ -283,7 +283,7 @@ class Study:
         code = code_key((*INDOOR, *WORLDS, "placegraph_lab/tables/scene"))
         base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
         answers: dict[tuple[str, str, int], list[Answer]] = {}
-        by_place: dict[str, list[Encoded]] = {}
+        by_place: dict[str, list[EncodedWalk]] = {}
         for known in walks:
             by_place.setdefault(known.walk.place, []).append(known)
         for place, own in by_place.items():
@@ -307,7 +307,7 @@ class Study:
         self.tell(f"{name}: {scenes:,} scenes")
         return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
 
-    def _encode_walks(self, name: str) -> tuple[list[Encoder], list[Encoded]]:
+    def _encode_walks(self, name: str) -> tuple[list[Encoder], list[EncodedWalk]]:
         encoders = [encoder_of(part) for part in ROWS[name]]
         self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
         for encoder in encoders:
@@ -323,7 +323,7 @@ class Study:
         return [p.name for p in self.places if p.name == place or not room or p.room != room]
 
     def _of(
-        self, walks: Sequence[Encoded], library: SceneLibrary, base: str, method: str
+        self, walks: Sequence[EncodedWalk], library: SceneLibrary, base: str, method: str
     ) -> Iterable[Answer]:
         asked = None
         for walk in (known.walk for known in walks):
@@ -367,7 +367,7 @@ class Scale:
     vectors: tuple[int, ...]  # distinct ones of the library, by encoder
 
 
-def varied(
+def draw_variations(
     signatures: Mapping[str, Signature], count: int, rng: np.random.Generator
 ) -> dict[str, Signature]:
     """Further scenes by name: like those there are, but turned, and a share of their objects others."""
@@ -396,7 +396,7 @@ class Stock:
 
     def variation(self, signature: Signature, rng: np.random.Generator) -> Signature:
         """A scene like this, but turned, and a share of its objects others."""
-        base = turned(signature, rng)
+        base = turn_signature(signature, rng)
         named = list(base.graph.labels)
         rows = np.flatnonzero(rng.random(len(base)) < VARIED)
         others = rng.integers(len(self.labels), size=len(rows))
@@ -418,7 +418,7 @@ def _astray(vectors: NDArray[np.float32], rng: np.random.Generator) -> NDArray[n
     return (moved / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
-def turned(signature: Signature, rng: np.random.Generator) -> Signature:
+def turn_signature(signature: Signature, rng: np.random.Generator) -> Signature:
     """Signature of the same scene turned by a quarter or more, its objects moved and in any order.
 
     A library's file that holds both can then not save what they have in common.
@@ -458,7 +458,7 @@ def measure(
     row: str,
     signatures: Mapping[str, Signature],
     encoders: Sequence[Encoder],
-    walks: Sequence[Encoded],
+    walks: Sequence[EncodedWalk],
     rng: np.random.Generator,
     *,
     scenes: int = SCENES,
@@ -470,7 +470,7 @@ def measure(
         name: replace(s, vectors={key: s.vectors[key] for key in keys})
         for name, s in signatures.items()
     }
-    library = library_of({**own, **varied(own, scenes - len(own), rng)}, encoders)
+    library = library_of({**own, **draw_variations(own, scenes - len(own), rng)}, encoders)
     objects = float(np.mean([len(library.entry(name).signature) for name in library]))
     distinct = tuple(len(library.index.vocabularies[key].vectors) for key in keys)
     found = []

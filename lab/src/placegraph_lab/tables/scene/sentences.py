@@ -249,7 +249,7 @@ _LEAST = 6  # rays that meet a thing that is spoken of
 
 
 @dataclass(frozen=True)
-class Spoken:
+class SentenceOutcome:
     """One localization."""
 
     terms: str
@@ -291,7 +291,7 @@ def describe_pose(scene: SceneMap, map_from_camera: Floats, rng: Generator, fact
 
 def ask_pose(
     scene: SceneMap, windows: Sequence[Window], rng: Generator, *, seed: int = 0
-) -> list[Spoken]:
+) -> list[SentenceOutcome]:
     """Localize every window without a sentence, with a true one, and with a wrong one."""
     texts = [describe_pose(scene, w.truth, rng, POSE_FACTS) for w in windows]
     others = [(i + int(rng.integers(1, len(windows)))) % len(windows) for i in range(len(windows))]
@@ -310,11 +310,11 @@ def ask_pose(
                     frames=len(window.capture), window=window.name, place=window.place,
                     changed=window.changed,
                 )  # fmt: skip
-                out.append(Spoken(terms, said, text, answer))
+                out.append(SentenceOutcome(terms, said, text, answer))
     return out
 
 
-def pose_figures(spoken: Sequence[Spoken]) -> dict[str, dict[str, dict[str, float]]]:
+def pose_figures(spoken: Sequence[SentenceOutcome]) -> dict[str, dict[str, dict[str, float]]]:
     """By terms and sentence: recall at 0.5 m and 10 degrees, held by any mode, wrong OK, seconds."""
     out: dict[str, dict[str, dict[str, float]]] = {}
     for terms in TERMS:
@@ -333,7 +333,7 @@ def pose_figures(spoken: Sequence[Spoken]) -> dict[str, dict[str, dict[str, floa
     return out
 
 
-def report_poses(spoken: Sequence[Spoken]) -> str:
+def report_poses(spoken: Sequence[SentenceOutcome]) -> str:
     """Markdown table of `pose_figures`."""
     header = ["terms", "sentence", "recall", "held", "OK and wrong", "s"]
     rows = [

@@ -57,7 +57,7 @@ from PIL import ImageColor
 
 from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import Cell, Drawing, blots, legend_line, load, page, sections
-from placegraph_lab.worlds.drawing import shipped as drawings
+from placegraph_lab.worlds.drawing import list_shipped as drawings
 from placegraph_lab.worlds.flat.furniture import MODELS
 from placegraph_lab.worlds.flat.textures import PAINTERS, Material
 
@@ -311,7 +311,7 @@ class Flat(Drawing):
         _ = self.objects  # says what stands in nothing
 
 
-def shipped() -> tuple[str, ...]:
+def list_shipped() -> tuple[str, ...]:
     """Names of the flats that ship with the package."""
     return drawings("flats")
 

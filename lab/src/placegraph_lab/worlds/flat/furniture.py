@@ -34,7 +34,7 @@ class Part:
     material: Material
     size: Size
 
-    def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> Part:
+    def transform(self, rotation: ArrayLike, translation: ArrayLike) -> Part:
         """Part turned by a rotation (3, 3), then moved by a translation (3,) [m]."""
         turned = self.vertices @ np.asarray(rotation, np.float64).T + np.asarray(translation)
         return replace(self, vertices=turned)
@@ -137,7 +137,7 @@ def frustum(
     )
 
 
-def joined(parts: Iterable[Part]) -> list[Part]:
+def join_parts(parts: Iterable[Part]) -> list[Part]:
     """Parts of the same material and texture size, joined to one each, in order of appearance."""
     groups: dict[tuple[Material, Size], list[Part]] = {}
     for part in parts:
@@ -324,7 +324,7 @@ def _basin(b: Body) -> list[Part]:
 def _washstand(b: Body) -> list[Part]:
     """Basin on a column."""
     bowl = Body(b.width, b.depth, 0.18, b.material, b.trim)
-    raised = [p.transformed(np.eye(3), (0, 0, b.height - 0.18)) for p in _basin(bowl)]
+    raised = [p.transform(np.eye(3), (0, 0, b.height - 0.18)) for p in _basin(bowl)]
     x, y = b.width / 2, b.depth / 2
     return [*raised, frustum((x, y), (0.11, 0.08), (0, b.height - 0.18), b.material)]
 

@@ -17,7 +17,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph_lab.worlds.drawing import Cell
 from placegraph_lab.worlds.flat.flat import COMPASS, SOLID, Blot, Flat
-from placegraph_lab.worlds.flat.furniture import MODELS, Body, Floats, Part, joined
+from placegraph_lab.worlds.flat.furniture import MODELS, Body, Floats, Part, join_parts
 from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.flat.walls import Piece, rectangles, shell
 
@@ -58,7 +58,7 @@ class FlatObject:
         points = np.concatenate([surface.vertices for surface in self.surfaces])
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
-    def moved(self, shift: tuple[float, float], yaw: float = 0.0) -> FlatObject:
+    def move(self, shift: tuple[float, float], yaw: float = 0.0) -> FlatObject:
         """Return the object turned by `yaw` [rad] about its middle and moved by `shift` x, y [m]."""
         rotation = rotation_z(yaw)
         middle = self.bounds.mean(axis=0)
@@ -105,7 +105,7 @@ class Interior:
         gone = self.find_object(name)
         return replace(self, objects=tuple(item for item in self.objects if item is not gone))
 
-    def moved(self, name: str, shift: tuple[float, float], yaw: float = 0.0) -> Interior:
+    def move_object(self, name: str, shift: tuple[float, float], yaw: float = 0.0) -> Interior:
         """Return the flat with an object moved by `shift` x, y [m] and turned by `yaw` [rad].
 
         What stands on it stays where it was.
@@ -113,7 +113,7 @@ class Interior:
         Raises `OptionError`: there is no such object.
         """
         old = self.find_object(name)
-        new = old.moved(shift, yaw)
+        new = old.move(shift, yaw)
         return replace(self, objects=tuple(new if t is old else t for t in self.objects))
 
     def write_glb(self, path: str | Path) -> Path:
@@ -144,7 +144,7 @@ def furnish(flat: Flat, rng: np.random.Generator) -> Interior:
         name = f"{piece.label} {counts[piece.label]}" if several else piece.label
         surfaces = tuple(
             Surface(p.vertices, p.triangles, p.uv, paint(p.material, p.size, source))
-            for p in joined(piece.parts)
+            for p in join_parts(piece.parts)
         )
         things.append(
             FlatObject(
@@ -198,7 +198,7 @@ def _stand(
     rotation = np.array([[fy, fx, 0], [-fx, fy, 0], [0, 0, 1]])  # y of the frame faces the front
     origin = {(0, 1): (x0, y0), (0, -1): (x1, y1), (1, 0): (x0, y1), (-1, 0): (x1, y0)}[facing]
     shift = rotation @ (GAP, GAP / 2, 0) + np.array([*origin, base])
-    return [part.transformed(rotation, shift) for part in parts]
+    return [part.transform(rotation, shift) for part in parts]
 
 
 def _facing(flat: Flat, blot: Blot, rectangle: Rectangle) -> tuple[int, int]:

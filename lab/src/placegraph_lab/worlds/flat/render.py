@@ -216,7 +216,7 @@ def develop(
     return np.rint(encoded * 255.0).astype(np.uint8)
 
 
-def measured(geometry: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16]:
+def simulate_depth(geometry: GeometryImage, rng: np.random.Generator) -> NDArray[np.uint16]:
     """Depth image (h, w) uint16 [mm], 0 = no reading.
 
     The error grows with the square of the distance and is partly common to neighbours; holes are

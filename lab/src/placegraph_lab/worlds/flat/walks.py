@@ -26,7 +26,7 @@ from placegraph.errors import OptionError
 from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.flat.render import develop, measured
+from placegraph_lab.worlds.flat.render import develop, simulate_depth
 
 Floats64 = NDArray[np.float64]
 
@@ -254,7 +254,7 @@ def _hold(
 # ------------------------------------------------------------------------------------- captures
 
 
-def drifted(
+def add_drift(
     map_from_camera: Floats,
     rng: np.random.Generator,
     *,
@@ -290,7 +290,7 @@ def write_walk(
 ) -> Path:
     """Render a walk into a capture folder; depth and labels have half the camera's size.
 
-    `interior`: the flat as it is now: `Interior.without` and `Interior.moved` change it; `walk`:
+    `interior`: the flat as it is now: `Interior.without` and `Interior.move_object` change it; `walk`:
     poses of the camera; `folder`: where to write; made if it is missing, and an older walk's images
     there go; `rng`: draws the light, the noise and the drift; `camera`: of the colour images;
     `daylight`: from 0, evening with lamps on, to 1, day with lamps off; `labels`: write the ids of
@@ -303,7 +303,7 @@ def write_walk(
     for kind, wanted in (("rgb", True), ("depth", depth), (str(labels), labels)):
         if wanted:
             (folder / kind).mkdir(parents=True, exist_ok=True)
-    half = camera.resized(camera.width // 2, camera.height // 2)
+    half = camera.resize(camera.width // 2, camera.height // 2)
     light, sensor, motion = rng.spawn(3)
     stage = Stage(interior, light, daylight=daylight)
     numbers = _numbers(interior, labels)
@@ -313,7 +313,7 @@ def write_walk(
         Image.fromarray(picture).save(folder / f"rgb/{i:06d}.jpg", quality=92)
         geometry = stage.geometry(half, pose)
         if depth:
-            Image.fromarray(measured(geometry, sensor)).save(folder / f"depth/{i:06d}.png")
+            Image.fromarray(simulate_depth(geometry, sensor)).save(folder / f"depth/{i:06d}.png")
         if labels:
             ids = np.append(numbers, 0)[geometry.ids]  # -1 is the last
             Image.fromarray(ids.astype(np.uint16)).save(folder / f"{labels}/{i:06d}.png")
@@ -323,7 +323,7 @@ def write_walk(
     if labels == "instances":
         content |= {"instances_offset": 1}
     (folder / "camera.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
-    write_tum(folder / "odometry.tum", walk.stamps, drifted(walk.map_from_camera, motion))
+    write_tum(folder / "odometry.tum", walk.stamps, add_drift(walk.map_from_camera, motion))
     write_tum(folder / "trajectory.tum", walk.stamps, walk.map_from_camera)
     felt = gravity(walk.map_from_camera, motion)
     rows = zip(walk.stamps.tolist(), felt.tolist(), strict=True)

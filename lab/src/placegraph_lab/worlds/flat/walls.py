@@ -259,7 +259,7 @@ def _opening(flat: Flat, hole: Hole, levels: list[float]) -> Piece:
             )
     inner = [flat.rooms[r].name for r in hole.rooms if r >= 0]
     origin, rotation = _frame(hole)
-    turned = [part.transformed(rotation, origin) for part in parts]
+    turned = [part.transform(rotation, origin) for part in parts]
     if symbol.kind != WINDOW:
         return Piece(symbol.label, inner[0] if inner else "", turned)
     light = (wide / 2, -0.4 if hole.rooms[0] >= 0 else thick + 0.4, (low + high) / 2)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph_lab.worlds.flat.flat import read_material
-from placegraph_lab.worlds.flat.furniture import MODELS, Body, joined
+from placegraph_lab.worlds.flat.furniture import MODELS, Body, join_parts
 from placegraph_lab.worlds.flat.interior import FlatObject, Interior, Surface
 from placegraph_lab.worlds.flat.textures import paint
 
@@ -404,7 +404,7 @@ SILL = 0.85  # higher things do not stand before windows [m]
 _TURNS = np.pi / 2 * np.array([0, 0, 0, 1, 2, 3])
 
 
-def changed(
+def change_home(
     interior: Interior,
     rng: np.random.Generator,
     *,
@@ -472,13 +472,13 @@ def _moved(interior: Interior, item: FlatObject, rng: np.random.Generator) -> In
     middle = item.bounds.mean(axis=0)
     for _ in range(TRIES):
         shift, yaw = _somewhere(item.bounds, floor, rng)
-        there = item.moved((float(shift[0]), float(shift[1])), yaw)
+        there = item.move((float(shift[0]), float(shift[1])), yaw)
         if _has_space(there, others, floor):
             carried = {item.id: there}
             for load in cargo:
                 arm = load.bounds.mean(axis=0) - middle
                 step = (rotation_z(yaw) @ arm - arm)[:2] + shift
-                carried[load.id] = load.moved((float(step[0]), float(step[1])), yaw)
+                carried[load.id] = load.move((float(step[0]), float(step[1])), yaw)
             lamps = tuple(
                 replace(lamp, position=(*(np.array(lamp.position[:2]) + shift).tolist(),
                                         lamp.position[2]))
@@ -555,7 +555,7 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
     )
     surfaces = tuple(
         Surface(part.vertices, part.triangles, part.uv, paint(part.material, part.size, rng))
-        for part in joined(model.made(body))
+        for part in join_parts(model.made(body))
     )
     fresh = FlatObject(number, f"{label} {number}", label, room, surfaces, model.emission)
     others = [t for t in interior.objects if t.label != words[0]] + [
@@ -567,7 +567,7 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
         half = (fresh.bounds[1] - fresh.bounds[0])[:2] / 2
         to = rng.uniform(floor[0] + half, np.maximum(floor[1] - half, floor[0] + half))
         shift = to - fresh.bounds.mean(axis=0)[:2]
-        there = fresh.moved((float(shift[0]), float(shift[1])), float(rng.choice(_TURNS)))
+        there = fresh.move((float(shift[0]), float(shift[1])), float(rng.choice(_TURNS)))
         if _has_space(there, others, floor):
             return replace(interior, objects=(*interior.objects, there))
     return interior

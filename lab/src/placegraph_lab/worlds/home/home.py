@@ -1,7 +1,7 @@
 """Procedural homes: any number of small worlds that look alike, as flats of a housing estate do.
 
 `home` draws a floor plan of one to three rooms, furnishes it in one of a few styles and returns it
-as a `Flat`, as if somebody had drawn it in ASCII; `Flat.furnish` makes it an `Interior`. `changed`
+as a `Flat`, as if somebody had drawn it in ASCII; `Flat.furnish` makes it an `Interior`. `change_home`
 is the same home months later, `record` a capture of a walk through it, in memory, and `scene_of`
 its scene map::
 
@@ -26,11 +26,11 @@ from placegraph.errors import OptionError
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.home.change import STYLES, changed
+from placegraph_lab.worlds.home.change import STYLES, change_home
 from placegraph_lab.worlds.home.plan import CELL, Furnisher, plan, rooms_of
 from placegraph_lab.worlds.home.visit import CAMERA, record, visit
 
-__all__ = ["CAMERA", "STYLES", "changed", "home", "record", "scene_of", "visit"]
+__all__ = ["CAMERA", "STYLES", "change_home", "home", "record", "scene_of", "visit"]
 
 QUALITY = 85  # of the textures' JPEG images
 
@@ -46,10 +46,10 @@ def home(rng: np.random.Generator, *, style: str | None = None) -> Flat:
     name = str(rng.choice(list(STYLES))) if style is None else style
     if name not in STYLES:
         raise OptionError(f"There is no style {name!r}; there are {', '.join(STYLES)}.")
-    return Flat.parse(drawn(rng, name), source=f"a home of style {name}")
+    return Flat.parse(draw_home(rng, name), source=f"a home of style {name}")
 
 
-def drawn(rng: np.random.Generator, style: str) -> str:
+def draw_home(rng: np.random.Generator, style: str) -> str:
     """Text of a home as `Flat.parse` reads it."""
     of = STYLES[style]
     layout = plan(rooms_of(style, rng), rng)

@@ -10,8 +10,8 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.home.home import CAMERA, changed, home, record, scene_of, visit
-from placegraph_learn.scenegraphloc.lessons import Material, Surveyed, World, place_capture
+from placegraph_lab.worlds.home.home import CAMERA, change_home, home, record, scene_of, visit
+from placegraph_learn.scenegraphloc.lessons import Material, SurveyedScene, World, place_capture
 
 
 def homes(
@@ -41,7 +41,7 @@ def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes:
     rng = np.random.default_rng([seed, index])
     flat = home(rng)
     then = flat.furnish(rng)
-    now = changed(then, rng) if changes else then
+    now = change_home(then, rng) if changes else then
 
     def walk(interior: Interior) -> Capture:
         way = visit(flat, interior, rng, frames=frames)
@@ -51,5 +51,5 @@ def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes:
         )  # fmt: skip
         return place_capture(taken, way.map_from_camera)
 
-    earlier = Surveyed(scene_of(then), (walk(then),)) if changes else None
-    return Material(Surveyed(scene_of(now), (walk(now),)), (walk(now),), earlier)
+    earlier = SurveyedScene(scene_of(then), (walk(then),)) if changes else None
+    return Material(SurveyedScene(scene_of(now), (walk(now),)), (walk(now),), earlier)

@@ -59,7 +59,7 @@ class Box(NamedTuple):
         """Box outside of this one, beyond a side."""
         return self.inward(side, at, width, depth, gap=-gap - depth)
 
-    def grown(self, cells: int) -> Box:
+    def grow(self, cells: int) -> Box:
         """Larger box."""
         return Box(self.top - cells, self.left - cells, self.bottom + cells, self.right + cells)
 
@@ -72,7 +72,7 @@ class Box(NamedTuple):
             and other.left < self.right
         )
 
-    def moved(self, down: int, right: int) -> Box:
+    def move(self, down: int, right: int) -> Box:
         """Box elsewhere on the page."""
         return Box(self.top + down, self.left + right, self.bottom + down, self.right + right)
 
@@ -117,13 +117,13 @@ def plan(kinds: tuple[str, ...], rng: np.random.Generator) -> Plan:
         floors.append(floor)
     top, left = (min(f[k] for f in floors) - 1 for k in (0, 1))
     areas = tuple(
-        Area(kind, floor.moved(-top, -left)) for kind, floor in zip(kinds, floors, strict=True)
+        Area(kind, floor.move(-top, -left)) for kind, floor in zip(kinds, floors, strict=True)
     )
     page = np.full(
         (max(a.floor.bottom for a in areas) + 1, max(a.floor.right for a in areas) + 1), " "
     )
     for area in areas:
-        page[area.floor.grown(1).rows, area.floor.grown(1).columns] = "#"
+        page[area.floor.grow(1).rows, area.floor.grow(1).columns] = "#"
     for area in areas:
         page[area.floor.rows, area.floor.columns] = " "
     for one, side, other in doors:
@@ -168,7 +168,7 @@ def _beside(floors: list[Box], fresh: Box, rng: np.random.Generator) -> tuple[Bo
         width, depth = (fresh.right, fresh.bottom) if across else (fresh.bottom, fresh.right)
         at = int(rng.integers(first + SHARED - width, last - SHARED + 1))
         found = floors[which].outward(side, at, width, depth, gap=1)
-        if not any(found.grown(1).meets(floor) for i, floor in enumerate(floors) if i != which):
+        if not any(found.grow(1).meets(floor) for i, floor in enumerate(floors) if i != which):
             return found, (which, side)
 
 
@@ -205,7 +205,7 @@ def _outer(
         hole = area.floor.outward(side, at, width, 1)
         behind = area.floor.outward(side, at - 1, width + 2, 3)
         taken = [o.box for o in area.openings] + [a.floor for a in areas]
-        if any(behind.grown(CORNER).meets(box) for box in taken if box != area.floor):
+        if any(behind.grow(CORNER).meets(box) for box in taken if box != area.floor):
             continue
         page[hole.rows, hole.columns] = glyph
         area.openings.append(Opening(glyph, side, hole))
@@ -307,7 +307,7 @@ class Furnisher:
         hung = kind.place == "hung"
         if not hung and self.kept[box.rows, box.columns].any():
             return False
-        near = [o for o in area.openings if o.box.grown(1).meets(box)]
+        near = [o for o in area.openings if o.box.grow(1).meets(box)]
         return not near if hung else all(o.glyph == "=" and height <= LOW for o in near)
 
     def _walkable(self, kind: Kind, box: Box) -> bool:

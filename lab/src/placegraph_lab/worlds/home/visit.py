@@ -15,8 +15,8 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame, LabelKind
 from placegraph_lab.worlds.flat.flat import DOOR, HEADROOM, WINDOW, Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.flat.render import Stage, develop, measured
-from placegraph_lab.worlds.flat.walks import TURN, Walk, drifted, exposures, gravity, stroll
+from placegraph_lab.worlds.flat.render import Stage, develop, simulate_depth
+from placegraph_lab.worlds.flat.walks import TURN, Walk, add_drift, exposures, gravity, stroll
 from placegraph_lab.worlds.home.change import SHELL, STANDS
 
 CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)  # 70 degrees wide
@@ -55,9 +55,9 @@ def record(
     value = np.full(max(t.id for t in interior.objects) + 2, -1, np.int32)  # the last is nothing
     for thing in interior.objects:
         value[thing.id] = names.index(said[thing.label]) if labels == "labels" else thing.id
-    half = camera.resized(camera.width // 2, camera.height // 2)
+    half = camera.resize(camera.width // 2, camera.height // 2)
     shared = _SharedScene(interior, light, daylight, camera, half, value if labels else None)
-    odometry = drifted(walk.map_from_camera, motion)
+    odometry = add_drift(walk.map_from_camera, motion)
     down = gravity(walk.map_from_camera, motion)
     factors = exposures(len(walk), sensor)
     frames = [
@@ -137,7 +137,7 @@ class _Rendered:
     @cached_property
     def _depth(self) -> NDArray[np.float32]:
         geometry = self._shared.stage.geometry(self._shared.half, self._pose)
-        millimetres = measured(geometry, self._depth_noise)
+        millimetres = simulate_depth(geometry, self._depth_noise)
         return np.where(millimetres > 0, millimetres / np.float32(1000.0), np.nan).astype("f4")
 
     @cached_property

@@ -66,7 +66,7 @@ from placegraph_lab.worlds.drawing import (
     page,
     sections,
 )
-from placegraph_lab.worlds.drawing import shipped as drawings
+from placegraph_lab.worlds.drawing import list_shipped as drawings
 
 Tags = dict[str, str]
 
@@ -222,7 +222,7 @@ class Town(Drawing):
                 )
 
 
-def shipped() -> tuple[str, ...]:
+def list_shipped() -> tuple[str, ...]:
     """Names of the towns that ship with the package."""
     return drawings("towns")
 

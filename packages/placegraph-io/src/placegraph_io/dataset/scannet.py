@@ -139,7 +139,7 @@ def camera_of_matrix(
     k = intrinsic
     try:
         camera = Camera(*(calibrated_size or size), k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
-        camera = camera.resized(*size)
+        camera = camera.resize(*size)
     except (OptionError, ZeroDivisionError) as error:
         raise InputError(f"{name}: {error} Export the intrinsics again.") from error
     if not (0 < camera.cx < camera.width and 0 < camera.cy < camera.height):
@@ -314,7 +314,7 @@ def find_labels(
             )
             return LabelImages(notes=(note,))
         size = image_size(next(iter(files.values())))
-        view = camera if size == (camera.width, camera.height) else camera.resized(*size)
+        view = camera if size == (camera.width, camera.height) else camera.resize(*size)
         names, table = _read_meanings(folder, kind, label_column)
         return LabelImages(files, view, kind, names, table)
     return LabelImages()

@@ -84,7 +84,7 @@ class File:
         """Size [bytes]."""
         return self.path.stat().st_size
 
-    def unpacked(self, chunk: Chunk, offset: int, count: int) -> bytes:
+    def unpack_chunk(self, chunk: Chunk, offset: int, count: int) -> bytes:
         """Return at most `count` bytes of a compressed chunk; the last chunks are cached."""
         with self._lock:
             packed = self._unpacked.pop(chunk.start, None)
@@ -118,7 +118,7 @@ class Chunk:
     def peek(self, offset: int, count: int) -> bytes:
         """Return `count` bytes of the unpacked chunk, fewer at its end."""
         if self.compression:
-            return self.file.unpacked(self, offset, count)
+            return self.file.unpack_chunk(self, offset, count)
         return self.file.read(self.start + offset, max(0, min(count, self.size - offset)))
 
     def read(self, offset: int, most: int | None = None) -> bytes:

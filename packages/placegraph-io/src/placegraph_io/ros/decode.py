@@ -335,7 +335,7 @@ class Registration:
         self.colour, self.depth = colour, depth
         part = min(1.0, depth.fx / colour.fx, depth.fy / colour.fy)
         size = (max(1, round(colour.width * part)), max(1, round(colour.height * part)))
-        self.camera = colour.resized(*size)
+        self.camera = colour.resize(*size)
         """Camera of the registered images."""
 
     def __reduce__(self) -> tuple[type[Registration], tuple[Camera, Camera]]:

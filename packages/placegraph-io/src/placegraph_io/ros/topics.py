@@ -228,7 +228,7 @@ def camera_from_info(info: Any, size: tuple[int, int], name: str, *, rectified: 
             f'{size[1]}, with another aspect ratio; give their intrinsics as "camera" in the JSON '
             "file beside the bag."
         )
-    return camera if size == full_size else camera.resized(*size)
+    return camera if size == full_size else camera.resize(*size)
 
 
 def camera_from_dict(content: Mapping[str, Any], size: tuple[int, int], name: str) -> Camera:

@@ -50,7 +50,7 @@ def held_out(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(_tile(east, north) % 4 == 0)
 
 
-def evaluated(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
+def is_evaluation(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
     """Return whether positions [m] lie in tiles kept for evaluation: every other tile of `held_out`.
 
     The rest of these serves training's curves and its last two weights (`recalls.best_prior`).
@@ -108,12 +108,12 @@ class Speaker:
     city: CityMap
     vocabulary: Vocabulary
     held_out: bool = False
-    """Whether it speaks in tiles that are `held_out`, but not `evaluated`, or in those that are not."""
+    """Whether it speaks in tiles that are `held_out`, but not `is_evaluation`, or in those that are not."""
 
     def mine(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether positions (n, 2) [m] lie in its tiles."""
         held = held_out(*positions.T)
-        return held & ~evaluated(*positions.T) if self.held_out else ~held
+        return held & ~is_evaluation(*positions.T) if self.held_out else ~held
 
     def may_see(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether places at positions (n, 2) [m] may stand beside its own to be told from them."""
@@ -169,12 +169,12 @@ class Speaker:
         """Return the word that this speaker uses for a label."""
         key, _, value = label.partition("=")
         if habits.words == "foreign":
-            return self.vocabulary.spoken(label, language=habits.language)
+            return self.vocabulary.name_label(label, language=habits.language)
         if habits.words == "everyday" and rng.random() < 0.8:
             known = self.vocabulary.english.get(label, ())
             if known and rng.random() < 0.7:
                 return str(known[int(len(known) * rng.random() ** 2)])
-            return self.vocabulary.spoken(label)
+            return self.vocabulary.name_label(label)
         return key if value == "yes" else value
 
 

@@ -100,7 +100,7 @@ def seen_objects(scene: Scene, frame: Frame, *, longest: int = LONGEST) -> NDArr
     shrink = longest / max(camera.width, camera.height)
     if shrink < 1.0:
         width, height = (max(1, round(side * shrink)) for side in (camera.width, camera.height))
-        camera = camera.resized(width, height)
+        camera = camera.resize(width, height)
     pose = frame.odometry
     hits = scene.caster.cast(pose[:3, 3], _rays(camera) @ pose[:3, :3].T)
     objects = np.append(scene.mesh.object_of, np.int32(-1))[hits.triangle]

@@ -33,7 +33,7 @@ _ARRAYS = ("points", "offsets", "edges", "relations", "attributes", "owner", "vi
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
+class SurveyedScene:
     """A scene map with captures in it, whose odometry is map_from_camera."""
 
     scene: SceneMap
@@ -52,11 +52,11 @@ class World:
 class Material:
     """Maps and captures of one place."""
 
-    now: Surveyed
+    now: SurveyedScene
     """The map, and images from which its objects are known."""
     pictures: tuple[Capture, ...]
     """Other images of it, whose patches are learned."""
-    earlier: Surveyed | None = None
+    earlier: SurveyedScene | None = None
     """The same place at another time; what is still there has the same ids."""
 
 
@@ -120,7 +120,7 @@ class Teacher:
         room = self._room(material.now, world.name)
         return Lesson(world.name, room, earlier, tuple(features), tuple(marks))
 
-    def _room(self, place: Surveyed, name: str) -> Room:
+    def _room(self, place: SurveyedScene, name: str) -> Room:
         views = object_views(place.scene, place.captures, self.features, rotate=self.rotate)
         rooms = rooms_of(
             place.scene, views, attributes=self.attributes, count=self.attribute_count,
@@ -236,7 +236,7 @@ def _open_material(file: Path) -> Material:
             f"{at}: it has a single image; give at least two, one of them to encode objects."
         )
     scene = SceneMap.open(file)
-    return Material(Surveyed(scene, (captures[0],)), tuple(captures[1:]))
+    return Material(SurveyedScene(scene, (captures[0],)), tuple(captures[1:]))
 
 
 def _with_poses(path: Path) -> Capture:

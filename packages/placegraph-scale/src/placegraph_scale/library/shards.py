@@ -30,7 +30,7 @@ from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, score
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Columns, Postings
-from placegraph.indoor.language.score import compared, of_scenes
+from placegraph.indoor.language.score import of_scenes, score_statements
 from placegraph.indoor.library.library import Entry, SceneLibrary, hash_file, match_encoders
 from placegraph.indoor.library.search import (
     Query,
@@ -539,7 +539,9 @@ class SceneShards(SceneCollection):
         self.check()
         background = self.background.columns
         parts = [
-            of_scenes(sentence, s.columns, compared(sentence, s.columns, background).sum(axis=0))[0]
+            of_scenes(
+                sentence, s.columns, score_statements(sentence, s.columns, background).sum(axis=0)
+            )[0]
             for s in self.shards
         ]
         return np.concatenate(parts)

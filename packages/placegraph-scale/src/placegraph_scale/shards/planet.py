@@ -298,7 +298,7 @@ class Planet:
     def is_street(self, name: str) -> bool:
         """Return whether a name means streets only, by a few of the shards that have the name."""
         table = self.words.table
-        tokens = [len(table.labels) + token for token in self.words.name_index.named(name)]
+        tokens = [len(table.labels) + token for token in self.words.name_index.find_rows(name)]
         things = self._gather(self._search(), np.array(tokens, np.int64), MOST_STREETS)
         return bool(things) and all(
             t.kind == LINE and t.label.startswith("highway") for t in things

@@ -189,7 +189,7 @@ class CloserLook(NamedTuple):
     """(B, 9) log-likelihood ratios."""
 
 
-class Ranked(NamedTuple):
+class CandidateRanking(NamedTuple):
     """Candidates that count: the most promising first, then those that stand for all others."""
 
     shard: NDArray[np.int64]
@@ -241,7 +241,7 @@ class CandidatePool:
         self.scores[row][at], self.positions[row][at] = scores
 
     @cached_property
-    def ranked(self) -> Ranked:
+    def ranked(self) -> CandidateRanking:
         """Candidates of largest bound among those of all shards, and some that stand for all others."""
         given = sorted(self.proposals.items())
         highest = max((p.highest for _, p in given), default=-np.inf)
@@ -249,7 +249,7 @@ class CandidatePool:
         rows, multiplicity = select_by_bound(
             bounds, join_columns([p.multiplicity for _, p in given]), MAX_CANDIDATES
         )
-        return Ranked(
+        return CandidateRanking(
             join_columns([np.full(len(p.rows), r) for r, p in given], np.int64)[rows],
             join_columns([np.arange(len(p.rows)) for _, p in given], np.int64)[rows],
             rows, join_columns([p.log_prior for _, p in given])[rows], multiplicity,

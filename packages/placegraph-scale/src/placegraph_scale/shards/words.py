@@ -34,7 +34,14 @@ from placegraph.core.mapfile import (
 )
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.outdoor.map.index import Core
-from placegraph.outdoor.map.names import CROWDED, LONGEST, NameIndex, is_alphabetic, spoken, stems
+from placegraph.outdoor.map.names import (
+    CROWDED,
+    LONGEST,
+    NameIndex,
+    is_alphabetic,
+    list_spoken_forms,
+    stems,
+)
 from placegraph_scale.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
 from placegraph_scale.shards.columns import (
     OFFSETS,
@@ -186,7 +193,7 @@ def write_names(
     for row, name in enumerate(names):
         n_rows += 1
         made.add_text("name", name)
-        for way, said in enumerate(spoken(name)):
+        for way, said in enumerate(list_spoken_forms(name)):
             key = " ".join(said)
             made.add("key", "<u8", _hash(key).to_bytes(8, "little"))
             made.add("entry", "<u4", (2 * row + way).to_bytes(4, "little"))
@@ -323,7 +330,7 @@ class WorldNames(NameIndex):
                 return None
             called = []
             for entry in by[slice(*found)].tolist():
-                ways = spoken(_find_name(self.names, by, entry // 2))
+                ways = list_spoken_forms(_find_name(self.names, by, entry // 2))
                 if entry % 2 >= len(ways):
                     where = f"column {by.name!r} points to a way in which no name is called"
                     raise damage_error(by.path, where)
@@ -355,7 +362,7 @@ def _find_called(
     first, last = (columns["said"].find(k) for k in (key, key + 1))
     found = [
         row for row in by[first:last].tolist()
-        if words in map(" ".join, spoken(_find_name(names, by, row)))
+        if words in map(" ".join, list_spoken_forms(_find_name(names, by, row)))
     ]  # fmt: skip
     return found or None
 
@@ -423,7 +430,7 @@ class WordCounts(NamedTuple):
 
 def count_words(city: City, key: str) -> WordCounts:
     """Count the words of a shard in its core; `City.views` are those about the core afterwards."""
-    objects, plane, box = city.objects, city.plane, tile_bounds(key).widened(AROUND)
+    objects, plane, box = city.objects, city.plane, tile_bounds(key).expand(AROUND)
     low, high = plane.to_plane(np.array([box[:2], box[2:]]))
     seen = city.look_around(
         Core(low, high, lambda places: are_in_tile(plane.to_lonlat(places), key))

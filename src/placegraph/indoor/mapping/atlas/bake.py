@@ -34,7 +34,7 @@ class Charts:
     """(T, 3, 2) corners on the chart's plane, from the lowest corner of its rectangle [m]."""
     sizes: Floats  # (C, 2) width and height of each chart's rectangle [m]
 
-    def grouped(self) -> tuple[Ints, Ints]:
+    def group_triangles(self) -> tuple[Ints, Ints]:
         """Group triangles by chart; also where each chart starts (C + 1,)."""
         return _group_rows(self.of, len(self.sizes), None)
 
@@ -432,7 +432,7 @@ def _paint_charts(
 ) -> ChartImages:
     extents = charts.sizes / step[:, None]
     grids = np.maximum(np.ceil(extents - 1e-6), 1).astype(np.int64) + 2 * MARGIN
-    rows, starts = charts.grouped()
+    rows, starts = charts.group_triangles()
     corners = charts.corners / step[charts.of][:, None, None]
     count, ends = len(grids), np.cumsum(grids.prod(axis=1))
     sheets = ChartImages(

@@ -118,7 +118,7 @@ def _make_pinhole(camera: Camera) -> Camera:
     if scale >= 1.0:
         return camera
     width, height = (max(1, round(s * scale)) for s in (camera.width, camera.height))
-    return camera.resized(width, height)
+    return camera.resize(width, height)
 
 
 def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
@@ -129,7 +129,7 @@ def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
     if camera.width > 1.5 * plain.width:  # averaged first, so that nothing aliases
         size = (plain.width, round(camera.height * plain.width / camera.width))
         colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
-        camera = camera.resized(*size)
+        camera = camera.resize(*size)
     out = np.empty((plain.height, plain.width, 3), np.uint8)
     kernels.resample_image(colours, _map_pixels(camera, plain), out)
     return out
@@ -158,7 +158,7 @@ def _read_depth(
     """
     scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
     width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
-    small = plain.resized(width, height)
+    small = plain.resize(width, height)
     hits = caster.cast(
         pose[:3, 3], _pixel_rays(small) @ pose[:3, :3].T
     )  # z is 1: distance is depth

@@ -43,7 +43,7 @@ class SurfaceSamples:
             self.points[::step], self.normals[::step], self.colours[::step], self.rows[::step]
         )
 
-    def moved(self, motion: Floats) -> SurfaceSamples:
+    def transform(self, motion: Floats) -> SurfaceSamples:
         """Return the samples after a motion (4, 4)."""
         return SurfaceSamples(
             transform_points(motion, self.points),
@@ -274,7 +274,7 @@ def _measure_overlap(
     """
     shares = []
     for points, scene, way in ((ours, b, motion), (theirs, a, invert_rigid(motion))):
-        there = points.moved(way)
+        there = points.transform(way)
         one, other = find_touched(there.points, there.normals, scene.caster, within)
         lies = (one >= 0) | (other >= 0)
         walls = lies[np.abs(there.normals[:, 2]) < _UPRIGHT]

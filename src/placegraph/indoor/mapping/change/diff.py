@@ -92,7 +92,7 @@ def sample_objects(
     for row in range(len(scene)):
         triangles = order[starts[row] : starts[row + 1]]
         count = options.points * (10 if built_in[row] else 1)
-        surface = sample_surface(mesh, triangles, count, rng, _DENSITY).moved(motion)
+        surface = sample_surface(mesh, triangles, count, rng, _DENSITY).transform(motion)
         flat = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
         corners = transform_points(motion, flat)
         box = np.stack([corners.min(axis=0), corners.max(axis=0)])
@@ -189,7 +189,7 @@ def fit_motion(
 
 
 def _measure_share(ours: SurfaceSamples, theirs: MapObject, motion: Floats, within: float) -> float:
-    there = ours.moved(motion)
+    there = ours.transform(motion)
     one, other = find_touched(there.points, there.normals, theirs.caster, within)
     return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
 

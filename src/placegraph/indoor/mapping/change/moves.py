@@ -27,7 +27,7 @@ from placegraph.indoor.mapping.change.align import (
 )
 from placegraph.indoor.mapping.change.change_kernels import BITS, label_connected
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
-from placegraph.indoor.mapping.fuse import Fused
+from placegraph.indoor.mapping.fuse import FusedSurface
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -60,7 +60,7 @@ class Cluster:
         return np.asarray(self.points.max(axis=0))
 
 
-def gather_clusters(unexplained: observe.Unexplained) -> list[Cluster]:
+def gather_clusters(unexplained: observe.UnexplainedReadings) -> list[Cluster]:
     """Gather clusters of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
@@ -111,7 +111,7 @@ def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def find_appeared(
-    unexplained: observe.Unexplained,
+    unexplained: observe.UnexplainedReadings,
     clusters: Sequence[Cluster],
     used: Sequence[tuple[Floats, Floats, Floats]],
     frames: Sequence[Frame],
@@ -163,7 +163,7 @@ def _describe_cluster(cluster: Cluster, pixels: int, piece: Piece) -> Change:
 
 
 def _find_carved(
-    unexplained: observe.Unexplained, points: Floats, views: NDArray[np.int64]
+    unexplained: observe.UnexplainedReadings, points: Floats, views: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Find points (V, 3) that are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
@@ -178,7 +178,7 @@ def _find_carved(
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 
 
-def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
+def _cut_piece(cluster: Cluster, fused: FusedSurface | None, voxel: float) -> Piece:
     """Cut the fused surface in a cluster's cells; a box where there is none."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
@@ -197,7 +197,7 @@ def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
     return Piece.box(points.min(axis=0) - half, points.max(axis=0) + half, colour)
 
 
-def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
+def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> FusedSurface | None:
     from placegraph.indoor.mapping.fuse import fuse
 
     try:
@@ -271,7 +271,7 @@ class MovableObject:
 
 
 def find_placements(
-    unexplained: observe.Unexplained, movable: MovableObject, cluster: Floats, every: Floats
+    unexplained: observe.UnexplainedReadings, movable: MovableObject, cluster: Floats, every: Floats
 ) -> list[Placement]:
     """Find placements of an object at a cluster of unexplained points (N, 3), best first.
 
@@ -300,7 +300,10 @@ def find_placements(
 
 
 def _refine_placement(
-    unexplained: observe.Unexplained, movable: MovableObject, every: Floats, placement: Placement
+    unexplained: observe.UnexplainedReadings,
+    movable: MovableObject,
+    every: Floats,
+    placement: Placement,
 ) -> Placement:
     """Refine a placement: by fits from a little beside it, or at its old height."""
     best = placement
@@ -326,7 +329,7 @@ def _refine_placement(
 
 
 def score_placement(
-    unexplained: observe.Unexplained, movable: MovableObject, motion: Floats
+    unexplained: observe.UnexplainedReadings, movable: MovableObject, motion: Floats
 ) -> Placement:
     """Score how well an object at a placement (4, 4) explains all frames, by rays at its mesh."""
     back = invert_rigid(motion)
@@ -360,7 +363,7 @@ def score_placement(
     return Placement(motion, ends, fit, min(ends / max(new_readings, 1), 1.0), frames)
 
 
-def _select_frames(unexplained: observe.Unexplained, cluster: Floats) -> list[int]:
+def _select_frames(unexplained: observe.UnexplainedReadings, cluster: Floats) -> list[int]:
     counts = []
     for observation, left in zip(unexplained.observations, unexplained.depths, strict=True):
         rows, columns, depth = observe.project(observation, cluster)
@@ -396,7 +399,10 @@ def _list_starts(movable: MovableObject, cluster: Floats) -> Floats:
 
 
 def _score_starts(
-    unexplained: observe.Unexplained, chosen: list[int], movable: MovableObject, starts: Floats
+    unexplained: observe.UnexplainedReadings,
+    chosen: list[int],
+    movable: MovableObject,
+    starts: Floats,
 ) -> Floats:
     """Score starts (S,): readings on the object, less those behind it, by points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
@@ -464,7 +470,7 @@ class _Bid(NamedTuple):
 
 def find_moved(
     scene: Scene,
-    unexplained: observe.Unexplained,
+    unexplained: observe.UnexplainedReadings,
     clusters: Sequence[Cluster],
     suspects: NDArray[np.int64],
     counts: observe.Evidence,
@@ -484,7 +490,7 @@ def find_moved(
 
 
 def _find_better_placements(
-    unexplained: observe.Unexplained, movable: MovableObject, clusters: Sequence[Cluster]
+    unexplained: observe.UnexplainedReadings, movable: MovableObject, clusters: Sequence[Cluster]
 ) -> list[Placement]:
     """Find the good placements of an object that explain the frames better than its staying does."""
     every = np.concatenate([np.zeros((0, 3)), *(cluster.points for cluster in clusters)])
@@ -560,7 +566,9 @@ _LOOKS = 8
 _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
-def slide_on_wall(unexplained: observe.Unexplained, movable: MovableObject) -> Placement | None:
+def slide_on_wall(
+    unexplained: observe.UnexplainedReadings, movable: MovableObject
+) -> Placement | None:
     """Find the placement of a flat object along its wall; None where nothing there looks like it."""
     spread = movable.many.normals.T @ movable.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
@@ -622,7 +630,7 @@ def _shift_points(across: Floats, shifts: Floats) -> Floats:
 
 
 def _select_near(
-    unexplained: observe.Unexplained, movable: MovableObject, across: Floats
+    unexplained: observe.UnexplainedReadings, movable: MovableObject, across: Floats
 ) -> list[int]:
     worth = []
     for observation in unexplained.observations:
@@ -634,7 +642,7 @@ def _select_near(
 
 
 def _score_slides(
-    unexplained: observe.Unexplained,
+    unexplained: observe.UnexplainedReadings,
     chosen: Sequence[int],
     face: _Face,
     across: Floats,
@@ -655,7 +663,7 @@ def _score_slides(
 
 
 def _correlate_background(
-    unexplained: observe.Unexplained, chosen: Sequence[int], face: _Face, moves: Floats
+    unexplained: observe.UnexplainedReadings, chosen: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
     """Correlate the object's colours with the map behind; also frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
@@ -674,7 +682,10 @@ def _correlate_background(
 
 
 def _find_visible(
-    unexplained: observe.Unexplained, observation: observe.Observation, face: _Face, moves: Floats
+    unexplained: observe.UnexplainedReadings,
+    observation: observe.Observation,
+    face: _Face,
+    moves: Floats,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Find the pixel rows and columns (S, P) of a face, and whether a surface is seen there."""
     rows, columns, depth = observe.project(observation, face.points[None] + moves[:, None])

@@ -68,7 +68,7 @@ def observe_frame(scene: Scene, frame: Frame, map_from_camera: Floats) -> Observ
     camera = (frame.depth_camera or frame.camera) if depth is not None else frame.camera
     if camera.width > WIDTH:
         factor = -(-camera.width // WIDTH)
-        camera = camera.resized(-(-camera.width // factor), -(-camera.height // factor))
+        camera = camera.resize(-(-camera.width // factor), -(-camera.height // factor))
         if depth is not None:
             h, w = depth.shape
             y = ((np.arange(camera.height) + 0.5) * h / camera.height).astype(int)
@@ -136,7 +136,7 @@ def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
     from PIL import Image
 
     rgb, own = frame.rgb(), frame.camera
-    if own.resized(camera.width, camera.height) == camera:
+    if own.resize(camera.width, camera.height) == camera:
         size = camera.width, camera.height
         picture = Image.fromarray(rgb).resize(size, Image.Resampling.BOX)
         return np.asarray(picture, np.float32) / 255.0
@@ -341,7 +341,7 @@ def _count_pixels(observation: Observation, mask: Mask, count: int) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unexplained:
+class UnexplainedReadings:
     """Map without all that may be gone, frame by frame, and readings it does not explain."""
 
     observations: Sequence[Observation]
@@ -357,7 +357,7 @@ def explain_without(
     observations: Sequence[Observation],
     suspects: NDArray[np.int64],
     options: DiffOptions,
-) -> Unexplained:
+) -> UnexplainedReadings:
     """Remove the suspects from the map, and find the readings that it does not explain."""
     suspected = np.zeros(len(scene) + 1, np.bool_)
     suspected[suspects] = True
@@ -374,7 +374,7 @@ def explain_without(
             depth[gone] = caster.cast(origin, rays).distance if caster else np.inf
         depths.append(depth)
         new.append(_find_unexplained(observation, depth, options))
-    return Unexplained(observations, depths, new, options)
+    return UnexplainedReadings(observations, depths, new, options)
 
 
 def _find_unexplained(

@@ -91,7 +91,7 @@ class MapEdit(Generic[S]):
         place = np.cumsum(kept) - 1
         mesh, encoded = self._mesh()
         mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
-        mesh = sort_triangles(mesh.snapped())
+        mesh = sort_triangles(mesh.quantize())
         labels = [self._labels[i] for i in rows]
         attributes = [self._attributes[i] for i in rows]
         room_of = None

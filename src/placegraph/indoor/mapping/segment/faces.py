@@ -80,7 +80,7 @@ class Faces:
             of_triangle=of_triangle,
         )
 
-    def smoothed(self, rounds: int) -> tuple[Floats, Floats]:
+    def smooth(self, rounds: int) -> tuple[Floats, Floats]:
         """Return normals (F, 3) and colours (F, 3) CIELAB, levelled over neighbours that bend little."""
         return kernels.smooth(self.normals, self.lab, self.areas, self.pairs, self.turned, rounds)
 

@@ -401,7 +401,7 @@ class Cut:
 
 def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str], None]) -> Cut:
     """Cut faces, at least one, into floor, ceiling, walls and objects."""
-    normals, lab = faces.smoothed(ROUNDS)
+    normals, lab = faces.smooth(ROUNDS)
     tell("planes")
     structure = find_structure(faces, normals, options)
     tell("patches")

@@ -285,7 +285,7 @@ class _Pieces:
 
 def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions) -> NamedGroups:
     """Cut faces into objects by votes; `cut` decides where there are none."""
-    normals, lab = faces.smoothed(ROUNDS)
+    normals, lab = faces.smooth(ROUNDS)
     outward = cut.structure.outward
     steps = step_weights(faces, normals, lab, outward, options)
     object_of = cut.groups[cut.patches.of_face]

@@ -61,7 +61,7 @@ class GuidedMatcher(ViewByView):
         self.radius, self.half, self.cell = int(radius), int(half), int(cell)
         self.least, self.lead = least, lead
 
-    def matched(
+    def match_view(
         self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
         """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""

@@ -97,14 +97,14 @@ class ViewByView:
     ) -> list[Matches]:
         """Return matches of the query with each view; see `Matcher.match`."""
         shown = pairs(views, masks)
-        ours = self.prepared(colours(query, "query"))
-        return [self.matched(ours, view, mask) for view, mask in shown]
+        ours = self.prepare_query(colours(query, "query"))
+        return [self.match_view(ours, view, mask) for view, mask in shown]
 
-    def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # the matcher's own
-        """Return the input of `matched` from a query (H, W, 3) uint8: features, or the image itself."""
+    def prepare_query(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # the matcher's own
+        """Return the input of `match_view` from a query (H, W, 3) uint8: features, or the image itself."""
         return query
 
-    def matched(
+    def match_view(
         self,
         ours: Any,  # noqa: ANN401  # the matcher's own
         view: NDArray[np.uint8],
@@ -205,7 +205,7 @@ class Features:
         keep = inside(mask, self.points, margin)
         return self if keep.all() else Features(self.points[keep], self.vectors[keep])
 
-    def matched(
+    def match(
         self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
     ) -> Matches:
         """Match with the features of a view; parameters: see `mutual`."""
@@ -298,7 +298,7 @@ def to_normalised(pixels: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(pixels, np.float64) * 2.0 / (width, height) - 1.0
 
 
-def thinned(
+def thin_matches(
     warps: Sequence[Warp],
     query: tuple[int, int],
     view: tuple[int, int],

@@ -68,22 +68,22 @@ class SiftMatcher(ViewByView):
         )
         self._clahe = cv2.createCLAHE(self.equalise, (8, 8)) if self.equalise else None
 
-    def prepared(self, query: NDArray[np.uint8]) -> Features:
+    def prepare_query(self, query: NDArray[np.uint8]) -> Features:
         """Return features of the query."""
         return self._features(query)
 
-    def matched(
+    def match_view(
         self, ours: Features, view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
         """Return matches of the query's features with one view; see `Matcher.match`."""
         theirs = self._features(view).within(mask, self.margin)
-        return ours.matched(theirs, ratio=self.ratio, apart=self.apart)
+        return ours.match(theirs, ratio=self.ratio, apart=self.apart)
 
     def _features(self, image: NDArray[np.uint8]) -> Features:
         """Return RootSIFT features of an image (H, W, 3) uint8."""
-        return self.described(image, 0.0 if self.upright else None)
+        return self.describe_image(image, 0.0 if self.upright else None)
 
-    def described(self, image: NDArray[np.uint8], turn: float | None) -> Features:
+    def describe_image(self, image: NDArray[np.uint8], turn: float | None) -> Features:
         """Return RootSIFT features of an image (H, W, 3) uint8, all taken to be turned clockwise by so much.
 
         `turn` in degrees; None: each as it looks.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from placegraph.errors import InputError, OptionError
 from placegraph.language.text import COUNTS, Phrases, Terminal, fold_case
 from placegraph.outdoor.language.description import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
-from placegraph.outdoor.language.words import folded
+from placegraph.outdoor.language.words import fold_diacritics
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -92,16 +92,18 @@ class Forms:
 
     def __init__(self, table: Mapping[str, Any]) -> None:
         endings = [
-            (folded(ending), tuple(key.split()))
+            (fold_diacritics(ending), tuple(key.split()))
             for key, listed in table.get("endings", {}).items()
             for ending in listed
         ]
         self.endings = sorted(endings, key=lambda entry: len(entry[0]))
-        self._nominative = [folded(ending) for ending in table.get("nominative", ())]
-        self._changes = [tuple(folded(change).split(">")) for change in table.get("changes", ())]
+        self._nominative = [fold_diacritics(ending) for ending in table.get("nominative", ())]
+        self._changes = [
+            tuple(fold_diacritics(change).split(">")) for change in table.get("changes", ())
+        ]
         self._irregular: dict[str, list[str]] = {}
         for pair in table.get("irregular", ()):
-            word, _, stem = folded(pair).partition(">")
+            word, _, stem = fold_diacritics(pair).partition(">")
             self._irregular.setdefault(word, []).append(stem)
         self.of = lru_cache(_MEMORY)(self._of)
         self.stems = lru_cache(_MEMORY)(self._stems)
@@ -207,11 +209,11 @@ class Language(Phrases):
 
     def has_thing(self, word: str) -> bool:
         """Tell whether a word is one of its everyday words of things, in any form."""
-        return any(form.stem in self._thing_stems for form in self.forms.of(folded(word)))
+        return any(form.stem in self._thing_stems for form in self.forms.of(fold_diacritics(word)))
 
     @cached_property
     def _thing_stems(self) -> frozenset[str]:
-        words = {folded(word) for listed in self.things.values() for word in listed}
+        words = {fold_diacritics(word) for listed in self.things.values() for word in listed}
         return frozenset(stem for word in words for stem in self.forms.stems(word))
 
     def is_road(self, name: Sequence[str]) -> bool:

@@ -16,7 +16,7 @@ from placegraph.outdoor.language.words import (
     beginnings,
     correct_word,
     find_similar,
-    folded,
+    fold_diacritics,
     normal,
     singular,
 )
@@ -63,11 +63,11 @@ class LanguageWords:
         for meaning, words in language.things.items():
             senses = vocabulary.senses(meaning)
             for word in words:
-                spelt = self._own.setdefault(folded(normal(word)), {})
+                spelt = self._own.setdefault(fold_diacritics(normal(word)), {})
                 merged = {s.label: s.weight for s in (*senses, *spelt.get(normal(word), ()))}
-                spelt[normal(word)] = sources.ranked(merged)
+                spelt[normal(word)] = sources.rank_senses(merged)
         for word, labels in sources.words.tongues.get(language.code, {}).items():
-            self._own.setdefault(folded(word), {word: sources.ranked(labels)})
+            self._own.setdefault(fold_diacritics(word), {word: sources.rank_senses(labels)})
         self._letters = self._world.letters(language.code)
         self._articles = language.lists["articles"].intersection(language.prefixes)
         self._prefixes = frozenset(language.prefixes)
@@ -113,7 +113,7 @@ class LanguageWords:
         del phrase, cutoff
         return None
 
-    def unknown(self, phrase: str) -> str:
+    def explain_unknown(self, phrase: str) -> str:
         """Say why a phrase has no senses."""
         del phrase
         return "unknown word"
@@ -124,12 +124,12 @@ class LanguageWords:
 
     def begins(self, word: str) -> bool:
         """Tell whether a phrase for a thing begins with a word, in any form."""
-        forms = self.language.forms.of(folded(normal(word)))
+        forms = self.language.forms.of(fold_diacritics(normal(word)))
         return any(self._beginning(form.stem) for form in forms)
 
     def _find(self, phrase: str) -> DictionaryEntry | None:
         """Look a phrase up: as it stands, then by its stems, the longest first."""
-        words = folded(normal(phrase)).split(" ")
+        words = fold_diacritics(normal(phrase)).split(" ")
         if not words[0]:
             return None
         forms = [self.language.forms.of(word) for word in words]
@@ -173,7 +173,11 @@ class LanguageWords:
         key = stem[:_KEY]
         if key not in self._bins:
             letters, world = self._letters, self._world
-            words = {folded(word) for word in world.beginning(key, letters)} if letters else set()
+            words = (
+                {fold_diacritics(word) for word in world.beginning(key, letters)}
+                if letters
+                else set()
+            )
             bins: dict[str, list[str]] = {}
             for word in sorted({*words, *self._own_bins.get(key, ())}):
                 for first in self.language.forms.stems(word.partition(" ")[0]):
@@ -192,7 +196,7 @@ class LanguageWords:
             return spelt[max(spelt, key=lambda word: Prefix.similarity(word, phrase))]
         sources = self.vocabulary.sources
         found = self._world.senses(entry, letters=self._letters)
-        return sources.ranked(sources.objects.by_rank(found))
+        return sources.rank_senses(sources.objects.by_rank(found))
 
 
 _ASIDE = 0.6
@@ -232,7 +236,7 @@ class Vocabulary:
         for label in labels:
             value = label.partition("=")[2]
             if value not in ("yes", "*"):
-                self._own.setdefault(singular(folded(normal(value))), {})[label] = 1.0
+                self._own.setdefault(singular(fold_diacritics(normal(value))), {})[label] = 1.0
         self._starts = beginnings((*self._own, *self._objects.undrawn))
         self._known = lru_cache(_MEMORY)(self._look_up)
         self._meant = lru_cache(_MEMORY)(self._guess)
@@ -309,21 +313,25 @@ class Vocabulary:
         At most one letter may differ, two in words of eight letters or more; words of up to
         three letters and ordinary English words are left alone.
         """
-        found = self._near(folded(normal(phrase)))
+        found = self._near(fold_diacritics(normal(phrase)))
         return found if found and found[1] >= cutoff else None
 
-    def unknown(self, phrase: str) -> str:
+    def explain_unknown(self, phrase: str) -> str:
         """Say why a phrase has no senses: "unknown word; did you mean beach or bench?"."""
         if self._undrawn(phrase) or self._undrawn(phrase.rpartition(" ")[2]):
             return NOT_DRAWN
-        near = find_similar(singular(folded(normal(phrase))), [*self.sources.choices, *self._own])
+        near = find_similar(
+            singular(fold_diacritics(normal(phrase))), [*self.sources.choices, *self._own]
+        )
         return f"{UNKNOWN}; did you mean {' or '.join(near)}?" if near else UNKNOWN
 
     def _undrawn(self, phrase: str) -> bool:
         """Tell whether a phrase is only known as a tag value that no city map draws."""
-        return singular(folded(normal(phrase))) in self._objects.undrawn and not self._known(phrase)
+        return singular(
+            fold_diacritics(normal(phrase))
+        ) in self._objects.undrawn and not self._known(phrase)
 
-    def spoken(self, label: str, *, language: str = "en") -> str:
+    def name_label(self, label: str, *, language: str = "en") -> str:
         """Return the everyday name of a label: ``amenity=cafe`` -> "cafe".
 
         Lower case, in the singular. Where the language has none, English is used.
@@ -357,7 +365,7 @@ class Vocabulary:
     def _begins(self, phrase: str) -> bool:
         """Tell whether a longer known phrase may begin with this one."""
         form = normal(phrase)
-        forms = dict.fromkeys((form, singular(folded(form))))
+        forms = dict.fromkeys((form, singular(fold_diacritics(form))))
         return any(
             form in self._starts
             or form in self.sources.prefixes
@@ -369,20 +377,20 @@ class Vocabulary:
         """Return the senses that the tables give a phrase."""
         tag = _TAG.fullmatch(phrase.strip())
         if tag:
-            return self.sources.ranked({tag[0]: 1.0})
+            return self.sources.rank_senses({tag[0]: 1.0})
         form = normal(phrase)
         if not form:
             return ()
-        plain = folded(form)
+        plain = fold_diacritics(form)
         for word in dict.fromkeys((plain, singular(plain))):
             if senses := self._in_english(word):
                 return senses
         forms = dict.fromkeys((form, plain, singular(form)))
         for word in forms:
-            if senses := self.sources.ranked(self._words.foreign.get(word, {})):
+            if senses := self.sources.rank_senses(self._words.foreign.get(word, {})):
                 return senses
         for word in () if self._is_stop(plain) else forms:
-            if senses := self.sources.ranked(
+            if senses := self.sources.rank_senses(
                 self._objects.by_rank(self.sources.world.senses(word))
             ):
                 return senses
@@ -406,11 +414,11 @@ class Vocabulary:
         for label in self._own.get(word, ()):
             if aside == 1.0 or label.partition("=")[2] in values:
                 found.setdefault(label, aside)
-        return self.sources.ranked(found)
+        return self.sources.rank_senses(found)
 
     def _find_single_word(self, token: str) -> tuple[Sense, ...]:
         """Return the senses of a single word of a text: no ordinary word, no mere English search term."""
-        form = folded(normal(token))
+        form = fold_diacritics(normal(token))
         if self._is_stop(form):
             return ()
         senses = self._known(token)
@@ -436,7 +444,7 @@ class Vocabulary:
         first, _, rest = form.partition(" ")
         if rest and first in ARTICLES:
             return self._meant(rest)
-        joined = folded(form).replace(" ", "")
+        joined = fold_diacritics(form).replace(" ", "")
         if rest and joined in self.sources.solid:
             return self._known(self.sources.solid[joined])
         return self._built(form)
@@ -451,7 +459,7 @@ class Vocabulary:
                 if sense.label.partition("=")[0] in KIN.get(key, (key,))
             }
             found |= inner or {f"{key}={value.replace(' ', '_')}": _GUESS, f"{key}=*": _GUESS / 2}
-        return self.sources.ranked(found)
+        return self.sources.rank_senses(found)
 
     def _nearest(self, form: str) -> tuple[str, float] | None:
         if self._known(form) and not self._is_stop(form):

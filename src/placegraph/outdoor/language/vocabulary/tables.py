@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from placegraph.core.cache import load_or_make
 from placegraph.errors import InputError
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.words import beginnings, folded, normal, singular
+from placegraph.outdoor.language.words import beginnings, fold_diacritics, normal, singular
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -158,7 +158,7 @@ class Entry(NamedTuple):
     """One letter for each language of the lexicon."""
 
 
-def weighted(text: str) -> list[tuple[str, float]]:
+def parse_weighted_labels(text: str) -> list[tuple[str, float]]:
     """Read labels with weights: ``"leisure=pitch@0.4 sport=tennis"``; no weight means 1.
 
     Raises
@@ -218,7 +218,7 @@ class Lexicon:
 
     def starts(self, word: str) -> bool:
         """Tell whether any entry is this word or starts with it and a space."""
-        key = folded(word)
+        key = fold_diacritics(word)
         first = next(self._lines_from(key), ("", ""))[0]
         return bool(first) and (first == key or first.startswith(key + " "))
 
@@ -227,7 +227,7 @@ class Lexicon:
 
         `letters`: in the languages of these letters only, if any are given.
         """
-        key = folded(word)
+        key = fold_diacritics(word)
         near: list[Entry] = []
         for other, line in self._lines_from(key):
             if other != key:
@@ -258,7 +258,7 @@ class Lexicon:
                     continue
                 # a term shared by many presets is weak, and weaker if it is another's name
                 weight *= (0.5 if named else 1.0) / len(terms) ** 0.5
-            for label, share in weighted(self.presets[entry.preset]):
+            for label, share in parse_weighted_labels(self.presets[entry.preset]):
                 found[label] = max(found.get(label, 0.0), weight * share)
         return found
 
@@ -298,7 +298,7 @@ class Lexicon:
         found: dict[tuple[str, str], str] = {}
         names = self.names(language)
         for preset in sorted(names, key=lambda preset: preset.count("=")):
-            label, weight = weighted(preset)[-1]
+            label, weight = parse_weighted_labels(preset)[-1]
             if weight == 1.0:
                 found.setdefault((language, label), names[preset])
         return found
@@ -325,7 +325,7 @@ def _word(line: str) -> str:
 
 
 def _key(line: str) -> str:
-    return folded(line[: line.index("\t")])
+    return fold_diacritics(line[: line.index("\t")])
 
 
 def _entries(line: str) -> list[Entry]:
@@ -554,7 +554,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
         for form in [normal(word) for word in words.split(",")]:
             if not form:
                 raise InputError(f"{where}: the field 'words' is {words!r}; it contains no word.")
-            for key in dict.fromkeys((form, folded(form))):
+            for key in dict.fromkeys((form, fold_diacritics(form))):
                 for book in books:
                     known = book.setdefault(key, {})
                     known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
@@ -565,7 +565,7 @@ def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
         _read_meaning(where, label, objects)
         spoken[language, label] = word
     stops = frozenset(
-        folded(normal(word.replace("_", " ")))
+        fold_diacritics(normal(word.replace("_", " ")))
         for _, (line,) in rows(find("stop.tsv", folder), ("words",))
         for word in line.split()
     )
@@ -586,7 +586,7 @@ def _labelled_rows(name: str, folder: Path | None) -> Iterator[tuple[str, str, s
 def _read_meaning(where: str, labels: str, objects: ObjectTable) -> dict[str, float]:
     """Read labels and weights of a row, as far as objects.tsv makes them worth naming."""
     try:
-        meaning = dict(weighted(labels))
+        meaning = dict(parse_weighted_labels(labels))
     except ValueError as error:
         raise InputError(
             f"{where}: in the field 'labels', {error}, or an English phrase of a row above."
@@ -616,7 +616,7 @@ class Sources:
         """Names of spoken.tsv."""
         for (language, label), name in self.words.spoken.items():
             if language == "en" and not label.endswith("*"):
-                self.called.setdefault(folded(normal(name)), {})[label] = CALLED
+                self.called.setdefault(fold_diacritics(normal(name)), {})[label] = CALLED
 
     @cached_property
     def world(self) -> Lexicon:
@@ -640,7 +640,7 @@ class Sources:
         words = {*self.words.english, *self.english.words(strong=True)} - self.words.stops
         return sorted(word for word in words if len(word) >= SHORTEST)
 
-    def ranked(self, weights: Mapping[str, float]) -> tuple[Sense, ...]:
+    def rank_senses(self, weights: Mapping[str, float]) -> tuple[Sense, ...]:
         """Return senses of nameable labels, likeliest first, otherwise in the given order."""
         senses = [
             Sense(label, round(weight, 3))
