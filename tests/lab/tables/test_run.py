@@ -82,5 +82,5 @@ def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatc
 
 def test_what_is_said_of_rows():
     assert check_names([], ("a", "b"), "row") == ["a", "b"]
-    with pytest.raises(typer.BadParameter, match="there are a; b"):
+    with pytest.raises(typer.BadParameter, match="choose from a; b"):
         check_names(["c"], ("a", "b"), "row")

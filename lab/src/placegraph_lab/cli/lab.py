@@ -43,11 +43,37 @@ tables = typer.Typer(
 def table(
     context: typer.Context,
     list_only: Annotated[bool, typer.Option("--list", help="What there is, and exit.")] = False,
+    verify: Annotated[
+        bool,
+        typer.Option(
+            "--verify", help="Run samples of the tables on benchmark pages, compare them, and exit."
+        ),
+    ] = False,
+    page: Annotated[
+        list[Path] | None, typer.Option(help="With --verify: a page; all of docs/benchmarks.")
+    ] = None,
+    only: Annotated[str, typer.Option(help="With --verify: the name of a table.")] = "",
+    every: Annotated[
+        bool, typer.Option("--every", help="With --verify: whole tables, which takes hours.")
+    ] = False,
+    data: Annotated[Path, typer.Option(help="With --verify: as of a table.")] = Path("../shared"),
+    cache: Annotated[Path, typer.Option(help="With --verify: as of a table.")] = Path(
+        ".benchmark-cache"
+    ),
 ) -> None:
     """Measure: print a table as Markdown, write its rows as JSON.
 
     Example: placegraph-lab table outdoor_recall --quick
     """
+    if verify:
+        from placegraph_lab.tables.runner import render
+        from placegraph_lab.tables.verify import COLUMNS
+        from placegraph_lab.tables.verify import verify as rerun_and_compare
+
+        pages = page or sorted((ROOT / "docs/benchmarks").glob("*.md"))
+        found = list(rerun_and_compare(pages, data, cache, only=only, every=every))
+        typer.echo(render(COLUMNS, found))
+        raise typer.Exit(any(agreement.differences for agreement in found))
     if list_only or context.invoked_subcommand is None:
         for name in names():
             one = load(name)

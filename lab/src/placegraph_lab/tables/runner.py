@@ -9,10 +9,12 @@ import math
 import os
 import pkgutil
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from datetime import UTC, datetime
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -349,19 +351,36 @@ class Table:
         own = list(inspect.signature(self.measure, eval_str=True).parameters.values())[1:]
         shared = list(inspect.signature(_shared, eval_str=True).parameters.values())
 
-        def command(**given: Any) -> None:
+        def command(context: typer.Context, **given: Any) -> None:
+            print(provenance(self.name, context), flush=True)
             where = {p.name: given.pop(p.name) for p in shared}
             run = Run(self.name, where["data"], where["cache"], where["out"], given)
             self.measure(run, **given)
 
         keyword = inspect.Parameter.KEYWORD_ONLY
-        parameters = [p.replace(kind=keyword) for p in (*own, *shared)]
+        context = inspect.Parameter("context", keyword, annotation=typer.Context)
+        parameters = [context, *(p.replace(kind=keyword) for p in (*own, *shared))]
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {p.name: p.annotation for p in parameters}
         command.__doc__ = self.measure.__doc__
         app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
         app.command(self.name)(command)
         return app
+
+
+def provenance(name: str, context: typer.Context) -> str:
+    """Comment above a printed table: its command, commit and date; `verify` reads it on a page."""
+    words = [name]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if value in (None, parameter.default) or parameter.name in ("data", "cache", "out"):
+            continue
+        if parameter.param_type_name == "option":
+            words.append(parameter.opts[0])
+        if not isinstance(value, bool):
+            words.append(str(value))
+    today = datetime.now(tz=UTC).date()
+    return f"<!-- placegraph-lab table {shlex.join(words)} ({_commit()}, {today}) -->"
 
 
 def table(paper: str = "") -> Callable[[Callable[..., None]], Table]:
