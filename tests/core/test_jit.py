@@ -21,7 +21,7 @@ from numba import typeof
 from numba.core import config, types
 
 from placegraph import cli
-from placegraph.cli.compiling import Compiling
+from placegraph.cli.compiling import CompileListener
 from placegraph.core import cache, warm
 from placegraph.core.jit import Kernel, cache_key, defer_signals, kernel
 from placegraph.errors import OptionError
@@ -361,7 +361,7 @@ def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):
     monkeypatch.setattr(
         warm, "compile_calls", lambda calls, told: (asked.append(calls), told(calls[0]), [])[-1]
     )
-    listener = Compiling(["scene", "build", "house.glb"])
+    listener = CompileListener(["scene", "build", "house.glb"])
     build = warm.list_calls()["scene build"]
     listener(_name(build[0]), done=True)
     listener("placegraph.no.such.kernel", done=False)
@@ -379,7 +379,7 @@ def test_where_no_process_can_be_started_kernels_are_compiled_where_they_are_cal
 
     monkeypatch.setattr(warm, "compile_calls", refused)
     build = warm.list_calls()["scene build"]
-    Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
+    CompileListener(["scene", "build", "house.glb"])(_name(build[0]), done=False)
 
 
 def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, capsys):
@@ -387,7 +387,7 @@ def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, ca
     monkeypatch.setattr(warm, "compile_calls", None)
     build = warm.list_calls()["scene build"]
     with pytest.warns(UserWarning, match="so every process compiles again"):
-        Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
+        CompileListener(["scene", "build", "house.glb"])(_name(build[0]), done=False)
     monkeypatch.setattr("sys.argv", ["placegraph", "warm"])
     with pytest.raises(SystemExit) as end:
         cli.main()

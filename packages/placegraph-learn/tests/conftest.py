@@ -23,10 +23,10 @@ class Notes(Progress):
     def __init__(self, stop=None):
         self.stop, self.filled, self.prepared, self.steps, self.rows = stop, [], [], [], []
 
-    def filling(self, *made):
+    def report_descriptions(self, *made):
         self.filled.append(made)
 
-    def preparing(self, *prepared):
+    def report_place(self, *prepared):
         self.prepared.append(prepared)
 
     def step(self, epoch, done, total, losses):

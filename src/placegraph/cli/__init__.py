@@ -14,7 +14,7 @@ import click
 
 from placegraph.cli.command import Group, extensions
 from placegraph.cli.common import INTERRUPTED, bare, guard_streams, harmless, interruptible
-from placegraph.cli.compiling import Compiling
+from placegraph.cli.compiling import CompileListener
 from placegraph.core import cache
 from placegraph.core.cache import listen_to_compilation
 from placegraph.errors import InputError, PlacegraphError
@@ -93,7 +93,7 @@ def main() -> NoReturn:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
     warnings.formatwarning = lambda message, *_: f"{NAME}: {message}\n"
     words = sys.argv[1:]
-    with guard_streams(), interruptible(), listen_to_compilation(Compiling(words)):
+    with guard_streams(), interruptible(), listen_to_compilation(CompileListener(words)):
         sys.exit(_run(words))
 
 

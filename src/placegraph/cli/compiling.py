@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-class Compiling:
+class CompileListener:
     """Listens for a kernel that is not found, and has all that the command will need compiled at once.
 
     `words` are those of the command line, without the program's name.

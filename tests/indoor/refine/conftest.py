@@ -58,7 +58,7 @@ def _problem(scene, capture, options=None, *, matches=None, blind=(), gravity=No
     return Problem(
         Surfaces.of(scene),
         seen,
-        matches or [PointMatches.none()] * len(capture),
+        matches or [PointMatches.empty()] * len(capture),
         np.stack([f.odometry for f in capture]),
         np.stack([f.gravity for f in capture]) if gravity is None else gravity,
         np.array([f.stamp for f in capture]),

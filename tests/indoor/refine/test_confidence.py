@@ -146,7 +146,7 @@ SOME = SimpleNamespace(poses=None, lags=None)  # a solution: its numbers are not
 
 def fitted(poses, matches=0):
     """A trajectory as if it had been fitted, with some matches in its first frame."""
-    seen = [PointMatches.none()] * len(poses)
+    seen = [PointMatches.empty()] * len(poses)
     camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0)
     seen[0] = PointMatches.of(np.zeros((matches, 3)), np.zeros((matches, 2)), camera, 1.0)
     return FittedTrajectory(poses, SOME, seen, np.eye(6))

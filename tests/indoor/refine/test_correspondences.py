@@ -170,7 +170,7 @@ def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
 def test_a_rig_is_found_among_seventy_percent_outliers(kit, seed, frames, blind):
     poses, matches = fabricated(seed, frames)
     blind = blind if len(blind & set(range(frames))) < frames else set()
-    matches = [PointMatches.none() if t in blind else s for t, s in enumerate(matches)]
+    matches = [PointMatches.empty() if t in blind else s for t, s in enumerate(matches)]
     mounts = list(np.linalg.inv(poses[-1]) @ poses)
     found = solve_rig(matches, mounts, OPTIONS)
     metres, degrees = kit.off(found.pose, poses[-1])
@@ -193,7 +193,7 @@ def test_what_agrees_on_nothing_is_no_pose(seed):
 def test_too_few_are_no_pose():
     poses, matches = fabricated(1, frames=2, count=5, wrong=0.0)
     assert solve_rig(matches, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) is None
-    assert solve_rig([PointMatches.none()], [np.eye(4)], OPTIONS) is None
+    assert solve_rig([PointMatches.empty()], [np.eye(4)], OPTIONS) is None
 
 
 def test_without_poselib_it_says_what_to_install(monkeypatch):
@@ -226,7 +226,7 @@ def test_true_pixels_have_no_error_whatever_the_lens(seed):
 
 def test_errors_by_hand():
     assert len(PointMatches.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0)) == 0
-    assert PointMatches.none().errors(np.eye(4)).shape == (0,)
+    assert PointMatches.empty().errors(np.eye(4)).shape == (0,)
     matches = PointMatches.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
     assert matches.errors(np.eye(4))[0] == pytest.approx(5.0, rel=0.03)  # pixels
     behind = np.array([[0, 0, -2.0], [0, 0, 0.0]])

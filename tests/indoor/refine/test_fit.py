@@ -270,7 +270,7 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
         found.append(shift)
     assert found[0] < found[1] < found[2]
     assert found[2] / found[1] == pytest.approx(3.0, rel=0.25)
-    nothing = PointMatches.none()
+    nothing = PointMatches.empty()
     bare = kit.problem(hall, walked, matches=[nothing] * 5, blind=range(5))
     assert common_error(bare, made) == (pytest.approx(LEAST), 1.0)
 

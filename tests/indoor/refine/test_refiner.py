@@ -24,7 +24,7 @@ class Nowhere:
         assert query.dtype == np.uint8
         assert len(masks) == len(views)
         self.views.append(len(views))
-        return [Matches.none() for _ in views]
+        return [Matches.empty() for _ in views]
 
 
 def test_matches_in_held_back_blocks_take_no_part(refiner, exact):

@@ -86,8 +86,8 @@ def test_points_that_are_no_numbers_end(room, walk, start, options, which):
     [
         (lambda _, views: [(1, 2)] * views, "returned tuple"),
         (lambda *_: None, "one Matches object for each"),
-        (lambda _, views: [Matches.none()] * (views + 1), "one Matches object for each"),
-        (lambda _, views: (Matches.none() for _ in range(views)), "one Matches object for each"),
+        (lambda _, views: [Matches.empty()] * (views + 1), "one Matches object for each"),
+        (lambda _, views: (Matches.empty() for _ in range(views)), "one Matches object for each"),
     ],
     ids=["other things", "None", "too many", "a generator"],
 )

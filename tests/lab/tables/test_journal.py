@@ -28,12 +28,12 @@ def test_what_is_missing_is_asked_and_written_down_at_once(tmp_path):
         return 10 * (i + 1)
 
     keys = ["a", "b", "c", "d"]
-    assert kept.missing(keys) == [0, 2, 3]
+    assert kept.find_missing(keys) == [0, 2, 3]
     with pytest.raises(KeyboardInterrupt):
         kept.fill(keys, ask, warm=lambda: told.append("warm"), tick=lambda: told.append("tick"))
     assert told == ["warm", 0, "tick", 2, "tick", 3]
     again = Journal(tmp_path / "a.jsonl")
-    assert again.missing(keys) == [3]
+    assert again.find_missing(keys) == [3]
     assert again.fill(keys, lambda i: 10 * (i + 1)) == [10, 20, 30, 40]
     assert again.fill(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
 

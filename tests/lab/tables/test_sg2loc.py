@@ -8,7 +8,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.indoor.sg2loc import LAYOUT, Asking, How, Set, Walk, recipes
+from placegraph_lab.tables.indoor.sg2loc import LAYOUT, How, Set, Walk, WindowRunner, recipes
 from placegraph_lab.tables.named.sg2loc import SPECS
 from placegraph_lab.tables.named.sg2loc import read_published as figures
 from placegraph_lab.tables.runner import Run, load, names
@@ -139,7 +139,9 @@ def test_a_map_is_made_ready_before_time_is_taken(name, tmp_path, monkeypatch):
     """What is visible from where is mapping (Table 4), of every recipe and of every scene."""
     (scene, capture, truth), _ = room(0)
     of = Set("one", (Walk("w", "m", lambda: (capture, truth)),), lambda _: scene, {"m": "m"}, 5.0)
-    asking = Asking(Run("sg2loc-4", tmp_path, tmp_path), How(5, "", "sift", 0, "cpu"), fresh=False)
+    asking = WindowRunner(
+        Run("sg2loc-4", tmp_path, tmp_path), How(5, "", "sift", 0, "cpu"), fresh=False
+    )
     built, steps = visibility.build_table, []
     monkeypatch.setattr(visibility, "build_table", lambda *a: (steps.append("map"), built(*a))[1])
     monkeypatch.setattr(SceneMap, "localize", lambda *_, **__: 1 / 0)

@@ -27,7 +27,7 @@ def test_furniture_keeps_to_its_body(name, width, depth, stretch):
     model = MODELS[name]
     looks = (read_material(look, "") for look in (model.material, model.trim))
     body = Body(width, depth, model.height * stretch, *looks)
-    parts = model.made(body)
+    parts = model.make_parts(body)
     points = np.concatenate([part.vertices for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     assert (low >= 0.0).all()

@@ -194,7 +194,7 @@ class Limits:
 
 
 @dataclass
-class Running:
+class RunningCommand:
     """A running command."""
 
     process: Any
@@ -240,12 +240,12 @@ class Commands:
 
     def start(
         self, words: tuple[str, ...], folder: Path, room: Path, limits: Limits | None = None
-    ) -> Running:
+    ) -> RunningCommand:
         """Run `placegraph WORDS` in a folder; `room` is for its errors and temporary files."""
         errors = room / "errors.txt"
         errors.unlink(missing_ok=True)
         process = self.process(command, words, folder, room, errors, limits or Limits())
-        return Running(process, errors)
+        return RunningCommand(process, errors)
 
     def process(self, work: Callable[..., None], *given: object) -> Any:  # noqa: ANN401  # its process
         """Run a function in a process of its own."""
@@ -284,7 +284,7 @@ def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limi
     main()
 
 
-def wait_until(moment: Callable[[], bool], seconds: float, running: Running) -> bool:
+def wait_until(moment: Callable[[], bool], seconds: float, running: RunningCommand) -> bool:
     """Wait until `moment` holds, the command ends, or `seconds` pass; return whether it holds."""
     end = time.perf_counter() + seconds
     while time.perf_counter() < end and running.process.exitcode is None:

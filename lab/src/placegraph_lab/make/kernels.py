@@ -102,11 +102,15 @@ def list_kernels(data: Path, report: Callable[[str], None]) -> str:
             report(f"{len(found):4} {label}")
     lines = [f"{name} = {text}" for text, name in names.items()]
     for label, found in calls.items():
-        lines += ["", f"[{label}]", *apart(sorted(found, key=lambda call: (-found[call], call)))]
+        lines += [
+            "",
+            f"[{label}]",
+            *sort_calls(sorted(found, key=lambda call: (-found[call], call))),
+        ]
     return HEAD + "\n".join(lines) + "\n"
 
 
-def apart(calls: list[str]) -> list[str]:
+def sort_calls(calls: list[str]) -> list[str]:
     """Move calls that share parts with earlier ones to the end."""
     first: list[str] = []
     later: list[str] = []

@@ -90,7 +90,7 @@ class Journal:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def missing(self, keys: Iterable[str]) -> list[int]:
+    def find_missing(self, keys: Iterable[str]) -> list[int]:
         return [i for i, key in enumerate(keys) if key not in self]
 
     def fill(
@@ -106,7 +106,7 @@ class Journal:
         Each is written down at once, and `tick` called. `warm` is called before the first, so that
         what is timed is compiled.
         """
-        for n, i in enumerate(self.missing(keys)):
+        for n, i in enumerate(self.find_missing(keys)):
             if not n:
                 warm()
             self.put(keys[i], ask(i))

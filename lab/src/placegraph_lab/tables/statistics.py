@@ -100,7 +100,7 @@ def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reli
     )
 
 
-def apart(work: Callable[..., Any], *given: object, cores: int = 0) -> Any:
+def run_apart(work: Callable[..., Any], *given: object, cores: int = 0) -> Any:
     """Run a function in a fresh process that has seen only some cores from its start; 0: all."""
     mine = os.sched_getaffinity(0)
     if cores:

@@ -238,12 +238,12 @@ class ShownProgress(Progress):
         self.preparation = bars.add_task("preparing", total=None, losses="", visible=False)
         self.learning = bars.add_task("learning", total=None, losses="", visible=False)
 
-    def filling(self, epoch: int, city: str, done: int, total: int) -> None:
+    def report_descriptions(self, epoch: int, city: str, done: int, total: int) -> None:
         """Show how many descriptions of a city are made."""
         when = f" for epoch {epoch + 1}" if epoch < self.epochs else ""
         self._update(self.preparation, f"describing {city}{when}", done, total)
 
-    def preparing(self, name: str, done: int, total: int) -> None:
+    def report_place(self, name: str, done: int, total: int) -> None:
         """Show how many places were looked at."""
         self._update(self.preparation, f"looked at {name}", done, total)
 

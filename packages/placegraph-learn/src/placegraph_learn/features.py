@@ -106,7 +106,7 @@ class Backbone:
         except Exception as error:  # timm's networks fail in many ways
             raise OptionError(
                 f"{self.name} (layer {self._layer}) gives no grid of features of an image that is no "
-                f"square ({why(error)}); take a ViT or a convolutional network, and a layer it has."
+                f"square ({format_error(error)}); take a ViT or a convolutional network, and a layer it has."
             ) from error
         if not np.isfinite(found).all():
             raise InputError(f"{weights}: its numbers are not finite; download it again.")
@@ -125,7 +125,7 @@ def import_timm() -> Any:  # noqa: ANN401  # the module
     except (ImportError, RuntimeError) as error:  # RuntimeError: torchvision of another PyTorch
         raise MissingExtraError(
             "Image features need timm and the torchvision that belongs to your PyTorch: pip install "
-            f"'placegraph[learn]' ({why(error)})."
+            f"'placegraph[learn]' ({format_error(error)})."
         ) from error
     return timm
 
@@ -142,9 +142,11 @@ def _made(timm: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
                     raise
             except Exception as error:
                 if not pretrained:
-                    raise OptionError(f"timm cannot make {model} ({why(error)}).") from error
+                    raise OptionError(
+                        f"timm cannot make {model} ({format_error(error)})."
+                    ) from error
                 raise ServiceError(
-                    f"The weights of {model} cannot be fetched ({why(error)}); download them where "
+                    f"The weights of {model} cannot be fetched ({format_error(error)}); download them where "
                     f"there is a network, and give weights=FILE."
                 ) from error
     raise AssertionError
@@ -163,7 +165,7 @@ def _state(path: Path, model: str) -> dict[str, Any]:
         ) from error
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"{path} cannot be read as weights of {model!r} ({why(error)}); download it again."
+            f"{path} cannot be read as weights of {model!r} ({format_error(error)}); download it again."
         ) from error
 
 
@@ -176,7 +178,7 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
         missing, over = network.load_state_dict(fitting, strict=False)
     except Exception as error:  # of shapes, and of whatever the filter did not expect
         raise InputError(
-            f"{path} holds weights of another network than {model!r} ({why(error)}); give its own."
+            f"{path} holds weights of another network than {model!r} ({format_error(error)}); give its own."
         ) from error
     over = [key for key in over if not key.startswith(_HEADS)]
     for what, keys in (("lacks", missing), ("holds besides", over)):
@@ -187,7 +189,7 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
             )
 
 
-def why(error: Exception) -> str:
+def format_error(error: Exception) -> str:
     """Return an error's message in one line."""
     return " ".join((str(error).strip() or type(error).__name__).split())[:160]
 

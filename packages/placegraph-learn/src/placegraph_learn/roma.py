@@ -88,7 +88,7 @@ class _DenseMatcher(ViewByView):
         """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         sizes = ours.shape[:2], view.shape[:2]
         if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
-            return Matches.none()
+            return Matches.empty()
         found = self._warps(ours, view)
         return thin_matches(
             found, *sizes, count=self.count, least=self.least, mask=mask, margin=self.margin

@@ -22,10 +22,10 @@ PLAN = "plan.json"
 class Progress:
     """Receiver of a training's progress; override the methods of interest."""
 
-    def filling(self, epoch: int, city: str, done: int, total: int) -> None:
+    def report_descriptions(self, epoch: int, city: str, done: int, total: int) -> None:
         """Take note of descriptions made of a city."""
 
-    def preparing(self, name: str, done: int, total: int) -> None:
+    def report_place(self, name: str, done: int, total: int) -> None:
         """Take note of a place that was looked at."""
 
     def step(self, epoch: int, done: int, total: int, losses: Mapping[str, float]) -> None:

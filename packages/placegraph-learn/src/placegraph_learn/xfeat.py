@@ -117,7 +117,7 @@ class XFeatMatcher(ViewByView):
     def _points(self, image: NDArray[np.uint8]) -> Features:
         """Return features at points of an image (H, W, 3) uint8."""
         if blank(image):
-            return Features.none(64)
+            return Features.empty(64)
         tensor, step = self._tensor(image)
         found = self._xfeat.detectAndCompute(
             tensor, top_k=self.features, detection_threshold=self.threshold
@@ -140,7 +140,7 @@ class XFeatMatcher(ViewByView):
     def _cells(self, image: NDArray[np.uint8]) -> _Cells:
         """Return features of cells of an image; their points are the cells' centres."""
         if blank(image):
-            return _Cells(Features.none(64), None, np.empty((0, 2)))
+            return _Cells(Features.empty(64), None, np.empty((0, 2)))
         tensor, step = self._tensor(image)
         found = self._xfeat.detectAndComputeDense(tensor, top_k=self.features)
         raw = found["descriptors"][0]
@@ -154,13 +154,13 @@ class XFeatMatcher(ViewByView):
     ) -> Matches:
         theirs = self._cells(view)
         if not len(ours.features) or not len(theirs.features):
-            return Matches.none()
+            return Matches.empty()
         theirs = theirs.at(np.flatnonzero(inside(mask, theirs.features.points, self.margin)))
         rows, columns, _ = mutual(
             ours.features, theirs.features, ratio=self.ratio, least=self.least
         )
         if not len(rows):
-            return Matches.none()
+            return Matches.empty()
         offsets, sure = self._offsets(ours.raw[rows], theirs.raw[columns])
         query = ours.features.points[rows] + (offsets + _LEFT) * ours.scales[rows]
         keep = sure > self.sure

@@ -117,7 +117,7 @@ class WaitPolicy:
         self._seconds, self._pause = seconds, pause or self.over.wait
         self._since = monotonic()
 
-    def more(self, *, came: bool) -> bool:
+    def should_poll(self, *, came: bool) -> bool:
         """Return, after a pause, whether to poll again; `came`: data arrived now."""
         if came:
             self._since = monotonic()
@@ -196,7 +196,7 @@ def _follow_folder(path: Path, policy: WaitPolicy) -> Iterator[Frame | None]:
             for frame in frames:
                 yield frame
                 last, came = frame.stamp, True
-        more = policy.more(came=came)
+        more = policy.should_poll(came=came)
         yield None
     if error is not None:
         raise error
@@ -224,7 +224,7 @@ def _follow_file(path: Path, policy: WaitPolicy) -> Iterator[Packet | Fault]:
             while len(data) < count:
                 part = file.read(count - len(data))
                 data += part
-                if not policy.more(came=bool(part)):
+                if not policy.should_poll(came=bool(part)):
                     break
             return data
 

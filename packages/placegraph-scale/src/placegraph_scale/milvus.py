@@ -515,7 +515,7 @@ class _Loader:
             self.tell("indexing", 0, len(self.content))
             self.server.index(self.collection, kind, parameters)
             self.server.load(self.collection)
-            absent = self.missing()
+            absent = self.find_missing()
             if not absent:
                 return
             self.send(absent, replace=True)
@@ -529,7 +529,7 @@ class _Loader:
         count = len(self.content)
         return [(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
 
-    def missing(self) -> list[tuple[int, int]]:
+    def find_missing(self) -> list[tuple[int, int]]:
         """Return batches that are not there, there in part, or there twice.
 
         Each is counted: a row sent twice by a client that lost the answer must not make up for one

@@ -46,14 +46,14 @@ def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
 
     monkeypatch.setattr(shards_of(planet).pool, "ask", asked)
     tasks = [workers.ShardTask("name", shard, ([],)) for shard in shards_of(planet).sources]
-    assert shards_of(planet).pool.each(tasks) == {row: [] for row in range(len(tasks))}
+    assert shards_of(planet).pool.run_tasks(tasks) == {row: [] for row in range(len(tasks))}
     assert len(sent) == 2 < len(tasks) == sum(map(len, sent))
     planet.close()
 
 
 def test_a_text_takes_a_few_trips(scheduler, sharded, monkeypatch):
     planet, trips = pg.open_world(sharded, scheduler=scheduler), []
-    real = shards_of(planet).pool.each
+    real = shards_of(planet).pool.run_tasks
     monkeypatch.setattr(
         shards_of(planet).pool, "each", lambda *told: trips.append(told) or real(*told)
     )

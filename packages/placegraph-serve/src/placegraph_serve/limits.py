@@ -123,7 +123,7 @@ class HeldBytes:
     def __init__(self, guard: Guard) -> None:
         self._guard, self.bytes = guard, 0
 
-    def more(self, count: int) -> None:
+    def hold(self, count: int) -> None:
         """Hold some more; `RequestError` (503) where all bodies together would be too much."""
         self.bytes += count
         self._guard.held_bytes += count
@@ -216,7 +216,7 @@ class Guard:
         while True:
             message = await counted()
             body += message.get("body", b"")
-            holds.more(len(message.get("body", b"")))
+            holds.hold(len(message.get("body", b"")))
             if message["type"] != "http.request" or not message.get("more_body", False):
                 break
         check_depth(body, self.options.depth)

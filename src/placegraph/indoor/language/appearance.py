@@ -138,7 +138,7 @@ def is_look(words: str) -> bool:
     return words in _words()
 
 
-def leading(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
+def parse_attributes(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
     """Return attributes that words begin with, and how many words they take; the last word is a thing."""
     found: list[str] = []
     at = 0
@@ -152,7 +152,7 @@ def leading(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
     return tuple(found), at
 
 
-def trailing(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
+def parse_trailing_colours(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
     """Return colours that words end in ("sideboard pale green"), and how many words stand before."""
     end = len(words)
     while end > 1 and words[end - 1] in appearance_words().colours:

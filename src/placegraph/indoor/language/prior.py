@@ -97,7 +97,7 @@ def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> Floats32:
 def find_unused(sentence: Sentence, scene: Scene) -> tuple[IgnoredText, ...]:
     """Return the statements that say nothing on this map, with reasons."""
     things = Referents(sentence, scene)
-    reasons = [(s, things.missing(s)) for s in sentence.statements]
+    reasons = [(s, things.explain_missing(s)) for s in sentence.statements]
     return tuple(IgnoredText(s.text, reason) for s, reason in reasons if reason)
 
 
@@ -114,7 +114,7 @@ def evidence(
     out = []
     for s, ratio in _ratios(sentence, scene, table):
         if ratio is None:
-            out.append(Evidence(s.text, "silent", 0.0, note=things.missing(s)))
+            out.append(Evidence(s.text, "silent", 0.0, note=things.explain_missing(s)))
             continue
         weight = float(ratio[row, heading % ratio.shape[1]])
         verdict = "for" if weight > TOLD else "against" if weight < -TOLD else "silent"
@@ -131,7 +131,9 @@ def _ratios(
     """Return the log-likelihood ratio (K, A) or (K, 1) of each statement; None where it is silent."""
     found: list[tuple[Statement, Floats32 | None]] = [(s, None) for s in sentence.statements]
     things = Referents(sentence, scene)
-    useful = [i for i, s in enumerate(sentence.statements) if len(table) and not things.missing(s)]
+    useful = [
+        i for i, s in enumerate(sentence.statements) if len(table) and not things.explain_missing(s)
+    ]
     if not useful:
         return found
     fits_of = PoseFits(things, table)
@@ -247,7 +249,7 @@ class Referents:
         share = np.append(kinds[:, table().kinds.index(kind)], 0.0)
         return np.where(share > _NO_ROOM, share, 0.0)[of].astype(np.float32)
 
-    def missing(self, s: Statement) -> str:
+    def explain_missing(self, s: Statement) -> str:
         """Return why a statement says nothing on this map, or an empty string."""
         if s.kind is Kind.ROOM:
             mention = self.sentence.mentions[s.mentions[0]]

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from placegraph.indoor.language.appearance import appearance_words, is_look, leading, trailing
+from placegraph.indoor.language.appearance import (
+    appearance_words,
+    is_look,
+    parse_attributes,
+    parse_trailing_colours,
+)
 from placegraph.indoor.language.grammar import (
     Item,
     NounPhrase,
@@ -475,15 +480,15 @@ def looks_of(noun: NounPhrase) -> tuple[str, ...]:
         return ()
     if len(words) == 1 and words[0] in _THINGS_TOO:
         return ()
-    found, first = leading([*words, ""])
+    found, first = parse_attributes([*words, ""])
     return found if first == len(words) else ()
 
 
 def _mention(noun: NounPhrase, text: str) -> Mention:
     """Return the mention of a noun phrase."""
     words = [chunk.words for chunk in noun.words]
-    before, first = leading(words)
-    after, last = trailing(words[first:])
+    before, first = parse_attributes(words)
+    after, last = parse_trailing_colours(words[first:])
     owner = noun.owner if noun.owner is not None and noun.owner.kind == "thing" else None
     if owner is not None and words[-1] in _MADE and len(words) > first + 1:
         after, last, owner = looks_of(owner), len(words) - first - 1, None

@@ -289,7 +289,7 @@ def _facets_of(depth, eye, reach, edges, out, first, last):
                 continue
             here = 1.0 / z
             allowed = (0.01 + 0.011 * z * z) * here * here  # of noise, at this depth
-            if edges and read and torn(depth, v, u, here, allowed):
+            if edges and read and is_depth_edge(depth, v, u, here, allowed):
                 continue
             n, su, sv, si = 0, 0.0, 0.0, 0.0
             suu, suv, svv, sui, svi = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -360,7 +360,7 @@ def interpolate_depth(depth, v, u):
 
 
 @kernel(error_model="numpy")
-def torn(depth, v, u, here, allowed):
+def is_depth_edge(depth, v, u, here, allowed):
     """Return whether a reading stands at a depth edge, where it may be a mean of both sides."""
     h, w = depth.shape
     for axis in range(2):

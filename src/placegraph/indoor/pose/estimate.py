@@ -101,7 +101,7 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
             image_fault=find_image_fault(judging),
             contradiction=find_contradiction(judging, frames),
             unnamed=any(s.patches is not None and not s.patches.named for s in observations),
-            unmet="" if prior is None else prior.against(modes[0].pose),
+            unmet="" if prior is None else prior.find_contradictions(modes[0].pose),
         )
         status, reason, found = decide_pose(found, modes)
         if status is not Status.OK and not (found.image_fault or found.contradiction):

@@ -93,7 +93,7 @@ class LogPrior:
 
         return evidence(self.sentence, self.scene, self.table, pose)
 
-    def against(self, pose: Floats) -> str:
+    def find_contradictions(self, pose: Floats) -> str:
         """Return the statements that a pose (4,) contradicts, if they outweigh the others; else empty."""
         told = self.evidence(pose)
         if sum(e.weight for e in told) >= 0:

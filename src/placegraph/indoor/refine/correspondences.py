@@ -179,7 +179,7 @@ class PointMatches:
         return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)[seen]
 
     @classmethod
-    def none(cls) -> PointMatches:
+    def empty(cls) -> PointMatches:
         """Make an empty set of matches."""
         return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
 
@@ -447,7 +447,7 @@ def _basis() -> NDArray[np.float32]:
 def match_features(landmarks: Landmarks, features: Features, frame: Frame) -> PointMatches:
     """Match features of a frame with landmarks: mutual nearest, and clearly so (Lowe's ratio)."""
     if not len(features) or not len(landmarks):
-        return PointMatches.none()
+        return PointMatches.empty()
     cosine, ranked = _rank_landmarks(features.vectors, landmarks.unit_vectors)
     sure, best = cosine[:, 0], ranked[:, 0]
     back = features.vectors @ landmarks.unit_vectors[best].T
@@ -495,7 +495,7 @@ def match_window(window: Window) -> list[PointMatches]:
 
     Empty for a map without landmarks, or if OpenCV is missing or images are switched off.
     """
-    landmarks, out = window.scene.landmarks, [PointMatches.none()] * len(window)
+    landmarks, out = window.scene.landmarks, [PointMatches.empty()] * len(window)
     if landmarks is None:
         return out
     try:

@@ -180,7 +180,7 @@ class Refiner:
         return Problem(
             self.surfaces,
             self.readings(),
-            matches or [PointMatches.none()] * len(self.frames),
+            matches or [PointMatches.empty()] * len(self.frames),
             np.stack([f.odometry for f in self.frames]),
             np.stack([f.gravity for f in self.frames]),
             np.array([f.stamp for f in self.frames], np.float64),
@@ -199,7 +199,7 @@ class Refiner:
         self.drift = drift_of(self.problem(), start)
         solution = self._align_depth(start)
         poses = start if solution is None else solution.poses
-        matches: list[PointMatches] = [PointMatches.none()] * len(self.frames)
+        matches: list[PointMatches] = [PointMatches.empty()] * len(self.frames)
         stages = self._stages(solution)
         by_depth = self._conclude(poses, solution, matches) if solution and stages else None
         for number, stage in enumerate(stages):
@@ -258,7 +258,7 @@ class Refiner:
         if stage.matcher is None:
             return drop_held_back(self.landmarks, self.frames, self.options)
         rows = [t for t in self.image_rows() if self.queries[t] is not None]
-        matcher, matches = stage.matcher, [PointMatches.none()] * len(self.frames)
+        matcher, matches = stage.matcher, [PointMatches.empty()] * len(self.frames)
         views = {
             t: turn_views(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
             for t in rows
@@ -294,9 +294,9 @@ class Refiner:
             mounts = np.linalg.inv(poses[-1]) @ poses
             consensus = solve_rig(matches, list(mounts), self.options)
         if consensus is None or consensus.count < stage.share * sum(map(len, matches)):
-            return [PointMatches.none()] * len(matches), poses
+            return [PointMatches.empty()] * len(matches), poses
         if stage.matcher is None and not is_near(consensus.pose, poses[-1]):
-            return [PointMatches.none()] * len(matches), poses
+            return [PointMatches.empty()] * len(matches), poses
         kept = [seen[inlier] for seen, inlier in zip(matches, consensus.inliers, strict=True)]
         # depth has said where the poses are; without it, or by many landmarks, the consensus does
         leads = not self.has_depth or (stage.matcher is None and has_plenty(kept))
@@ -317,11 +317,11 @@ class Refiner:
                 if found is not None and (best is None or found.count > best[0]):
                     best = found.count, found.pose, t
         if best is None:
-            return self._conclude(poses, None, [PointMatches.none()] * len(matches))
+            return self._conclude(poses, None, [PointMatches.empty()] * len(matches))
         _, pose, t = best
         odometry = np.stack([f.odometry for f in self.frames])
         led = pose @ np.linalg.inv(odometry[t]) @ odometry
-        kept = [PointMatches.none()] * len(matches)
+        kept = [PointMatches.empty()] * len(matches)
         kept[t] = matches[t][matches[t].errors(pose) < self.options.inlier * matches[t].unit]
         self.stats["decided_by"] = self.frames[t].index
         solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)

@@ -386,7 +386,7 @@ class Belief:
         """Keep the pose after an image without a result."""
         self._last = replace(self._last, reason=why)
 
-    def placing(self, frame: Frame) -> tuple[Sample | None, str]:
+    def find_odometry(self, frame: Frame) -> tuple[Sample | None, str]:
         """Return odometry at an image's time; or None, and the reason."""
         sample, newest = self.odometry.at(frame.stamp), self.odometry.newest
         if sample is None or newest is None:

@@ -143,7 +143,7 @@ class Worker:
         frame, self._inbox = self._inbox, None
         if frame is None:
             return None
-        sample, why = self._belief.placing(frame)
+        sample, why = self._belief.find_odometry(frame)
         if sample is not None:
             return replace(frame, odometry=sample.pose)
         self.dropped += 1

@@ -175,7 +175,7 @@ class Tracker:
 
         """
         observation = self._sighted(frame)
-        keyframe = not self.keyframes or apart(self.keyframes[-1].frame, frame)
+        keyframe = not self.keyframes or is_apart(self.keyframes[-1].frame, frame)
         estimate = self._follow(observation) if self.following else None
         if keyframe:
             self.keyframes.append(observation)
@@ -296,7 +296,7 @@ class Tracker:
         )
 
 
-def apart(frame: Frame, later: Frame) -> bool:
+def is_apart(frame: Frame, later: Frame) -> bool:
     """Return whether a frame is far enough from another to be a keyframe beside it."""
     step = _steps([frame, later])[1]
     return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap_angle(step[3])) >= TURNED)
@@ -623,6 +623,6 @@ class Follower:
         """Keep a frame to search, if it is far enough from the last."""
         self._waited += 1
         self._newest = frame
-        if not self._recent or apart(self._recent[-1], frame):
+        if not self._recent or is_apart(self._recent[-1], frame):
             self._recent.append(frame)
             self._is_new = True

@@ -68,7 +68,7 @@ class Lexicon(Protocol):
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Return the share of all objects in sight, over all viewpoints, that bear these tokens."""
 
-    def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
+    def count_bearers(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the number of objects (K,) that bear each token."""
 
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
@@ -319,7 +319,7 @@ def _find_distant(
     few = set()
     for m, (tokens, weights) in enumerate(mentions):
         certain = tokens[weights > KIND_WEIGHT]
-        if len(certain) and city.borne(certain).sum() <= MAX_DISTANT:
+        if len(certain) and city.count_bearers(certain).sum() <= MAX_DISTANT:
             few.add(m + 2)
     reaches = [
         s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
@@ -397,7 +397,7 @@ def _find_objects(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Find the objects of a mention and their weights; none where there are more than `most`."""
     tokens, weights = tokens[weights > KIND_WEIGHT], weights[weights > KIND_WEIGHT]
-    sizes = city.borne(tokens)
+    sizes = city.count_bearers(tokens)
     if not 0 < sizes.sum() <= most:
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
     bearers = city.bearers(tokens)

@@ -268,7 +268,7 @@ class City(PickleFields):
         """Return the share of tokens in all objects in sight, over all viewpoints."""
         return self.views.frequency(tokens, weights)
 
-    def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
+    def count_bearers(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the number of objects (K,) that bear each token."""
         starts, _ = self.token_objects
         return np.asarray(starts[tokens + 1] - starts[tokens])

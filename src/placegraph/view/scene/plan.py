@@ -228,7 +228,7 @@ def describe_pose(estimate: PoseEstimate) -> str:
     )
 
 
-def describe_error(estimate: PoseEstimate, truth: Floats) -> str:
+def format_error(estimate: PoseEstimate, truth: Floats) -> str:
     """Describe the error of the last frame's pose; empty where there is no pose."""
     if estimate.best is None or not len(truth):
         return ""
@@ -424,7 +424,7 @@ class Drawing:
         frames = f"{count} frame{'s' * (count != 1)} in {scene}"
         said = [describe_pose(estimate), f"{self.title}, {frames}" if self.title else frames]
         if self.truth is not None:
-            said.insert(1, describe_error(estimate, self.truth))
+            said.insert(1, format_error(estimate, self.truth))
         words = "     ".join(filter(None, said))
         sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
 

@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.network import EncodedCity
-from placegraph_lab.tables.named.outdoor_matchers import Asking
+from placegraph_lab.tables.named.outdoor_matchers import MatcherRunner
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     Extract,
@@ -63,7 +63,7 @@ def test_matchers_rank_cells(city, bins, town, name, setting):
 
 def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, tmp_path):
     shown, told = (PAPER_EDITS, PAPER_TRANSFORMER), []
-    asking = Asking(
+    asking = MatcherRunner(
         shown, 4, 2, ("monaco",), 0, Journal(tmp_path / "a.jsonl"), lambda: told.append(1)
     )
     protocols = [Protocol(anywhere=True), Protocol()]

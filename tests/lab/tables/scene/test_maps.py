@@ -14,11 +14,11 @@ from placegraph_lab.tables.scene import maps as scene_maps
 from placegraph_lab.tables.scene.maps import (
     FULL,
     VERTICES,
-    Asking,
     Maps,
     Place,
     Run,
     Size,
+    WindowRunner,
     findings,
     study,
 )
@@ -71,7 +71,7 @@ def maps(room, tmp_path, monkeypatch):
 
 
 def test_a_map_is_measured_once(maps):
-    made = maps.made("house", DEFAULT)
+    made = maps.measure_map("house", DEFAULT)
     assert [c[:2] for c in maps.commands] == [["scene", "build"]] * 4  # the first warms
     assert (made.build_seconds, made.command_seconds, made.peak_bytes) == (3.0, 6.0, 400)
     scene = SceneMap.open(maps.path("house", DEFAULT))
@@ -81,20 +81,20 @@ def test_a_map_is_measured_once(maps):
     assert sum(made.parts.values()) - made.parts["embeddings"] == made.bytes
     assert 440 * made.objects < made.parts["embeddings"] < 530 * made.objects
     assert made.open_seconds > 0
-    assert maps.made("house", DEFAULT) == made
+    assert maps.measure_map("house", DEFAULT) == made
     assert maps.scene("house", DEFAULT).graph.ids == scene.graph.ids
     assert len(maps.commands) == 4
 
 
 def test_smaller_maps_lie_near_the_full_one(maps):
-    small = maps.apart("house", Size("small", ("--detail", "small")))
+    small = maps.measure_distances("house", Size("small", ("--detail", "small")))
     assert 0 < small.mean <= small.most <= small.maximum < 0.05
     commands = len(maps.commands)
-    vertices = maps.made("house", VERTICES)
+    vertices = maps.measure_map("house", VERTICES)
     assert len(maps.commands) == commands  # made from the full map
     assert vertices.build_seconds is None
     assert vertices.textures == 1
-    assert maps.apart("house", VERTICES).mean < 0.01
+    assert maps.measure_distances("house", VERTICES).mean < 0.01
 
 
 def answer(name, position, rotation=1.0, place="seq00"):
@@ -128,7 +128,7 @@ def asking(maps, monkeypatch):
     monkeypatch.setattr(scene_maps, "house_windows", lambda *_, **__: windows)
     monkeypatch.setattr(scene_maps, "ask", ask)
     monkeypatch.setattr(scene_maps.indoor_refine, "ask", refine)
-    made = Asking(maps, 5, 9)
+    made = WindowRunner(maps, 5, 9)
     made.asked = asked
     return made
 
@@ -149,7 +149,7 @@ def test_both_maps_get_the_same_windows_and_go_on_where_they_were_cut(asking):
 
 
 def replaced(asking, **options):
-    return Asking(asking.maps, asking.every, asking.office_every, **options)
+    return WindowRunner(asking.maps, asking.every, asking.office_every, **options)
 
 
 @pytest.fixture

@@ -64,7 +64,7 @@ class Clip:
         whole = "" if step == ":1" else step
         return f"{self.recording.name} {self.rows[0]}:{self.rows[-1] + 1}{whole}"
 
-    def each(self, change: Callable[[Frame], Frame]) -> Self:
+    def map_frames(self, change: Callable[[Frame], Frame]) -> Self:
         """The clip with each frame changed."""
         return replace(self, frames=tuple(change(frame) for frame in self.frames))
 
@@ -148,7 +148,7 @@ def tilt(clip: Clip, degrees: float, rng: Generator) -> Clip:
     axis = rng.standard_normal(3)
     axis -= axis @ down * down
     turn = rotation_from_vector(np.radians(degrees) * axis / np.linalg.norm(axis))
-    return clip.each(lambda f: replace(f, gravity=turn @ f.gravity))
+    return clip.map_frames(lambda f: replace(f, gravity=turn @ f.gravity))
 
 
 def shake_gravity(clip: Clip, degrees: float, rng: Generator) -> Clip:
@@ -158,7 +158,7 @@ def shake_gravity(clip: Clip, degrees: float, rng: Generator) -> Clip:
         turn = rotation_from_vector(np.radians(degrees) * rng.standard_normal(3))
         return replace(frame, gravity=turn @ frame.gravity)
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def drop_frames(clip: Clip, percent: float, rng: Generator) -> Clip:
@@ -174,7 +174,7 @@ def drop_frames(clip: Clip, percent: float, rng: Generator) -> Clip:
     )
 
 
-def rolling(clip: Clip, milliseconds: float, rng: Generator) -> Clip:
+def shift_odometry(clip: Clip, milliseconds: float, rng: Generator) -> Clip:
     """Odometry and gravity of up to so much earlier or later than the image, frame by frame."""
     all_frames, frames = clip.recording.frames, []
     for frame, row in zip(clip.frames, clip.rows, strict=True):
@@ -201,7 +201,7 @@ def focal(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
             camera, fx=camera.fx * (1 + percent / 100), fy=camera.fy * (1 + percent / 100)
         )
 
-    return clip.each(
+    return clip.map_frames(
         lambda f: replace(
             f,
             camera=lengthened(f.camera),
@@ -212,7 +212,7 @@ def focal(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
 
 def depth_scale(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Readings so many % too long."""
-    return clip.each(lambda f: with_images(f, depth=_depth(f) * (1 + percent / 100)))
+    return clip.map_frames(lambda f: with_images(f, depth=_depth(f) * (1 + percent / 100)))
 
 
 def depth_late(clip: Clip, count: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -235,7 +235,7 @@ def depth_aside(clip: Clip, pixels: float, rng: Generator) -> Clip:  # noqa: ARG
         moved[k // 2 :, k:] = depth[: depth.shape[0] - k // 2, : depth.shape[1] - k]
         return with_images(frame, depth=moved)
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def crop(clip: Clip, shape: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -253,7 +253,7 @@ def crop(clip: Clip, shape: float, rng: Generator) -> Clip:  # noqa: ARG001
         depth_camera, depth = cut(frame.depth_camera, _depth(frame))
         return with_images(frame, rgb=rgb, depth=depth, camera=camera, depth_camera=depth_camera)
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def turn_images(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -277,7 +277,7 @@ def turn_images(clip: Clip, degrees: float, rng: Generator) -> Clip:  # noqa: AR
 
     truth = clip.truth.copy()
     truth[:, :3, :3] = truth[:, :3, :3] @ turn.T
-    return replace(clip.each(change), truth=truth)
+    return replace(clip.map_frames(change), truth=truth)
 
 
 def _depth(frame: Frame) -> NDArray[np.float32]:
@@ -288,7 +288,9 @@ def _depth(frame: Frame) -> NDArray[np.float32]:
 
 def dark(clip: Clip, percent: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Images of so much of the light."""
-    return clip.each(lambda f: with_images(f, rgb=(f.rgb() * (percent / 100.0)).astype(np.uint8)))
+    return clip.map_frames(
+        lambda f: with_images(f, rgb=(f.rgb() * (percent / 100.0)).astype(np.uint8))
+    )
 
 
 def noise(clip: Clip, deviation: float, rng: Generator) -> Clip:
@@ -299,7 +301,7 @@ def noise(clip: Clip, deviation: float, rng: Generator) -> Clip:
         noisy = rgb + deviation * rng.normal(size=rgb.shape)
         return with_images(frame, rgb=np.clip(noisy, 0, 255).astype(np.uint8))
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def blur(clip: Clip, pixels: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -310,7 +312,7 @@ def blur(clip: Clip, pixels: float, rng: Generator) -> Clip:  # noqa: ARG001
         image = Image.fromarray(frame.rgb()).filter(ImageFilter.GaussianBlur(pixels))
         return with_images(frame, rgb=np.asarray(image))
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 # ----------------------------------------------------------------------------------- bad input
@@ -325,13 +327,13 @@ def lens_cap(clip: Clip, _: float, rng: Generator) -> Clip:
         blind = None if depth is None else np.full_like(depth, np.nan)
         return with_images(frame, rgb=black.astype(np.uint8), depth=blind)
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def freeze_images(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """All images are the first, while odometry goes on."""
     first = with_images(clip.frames[0])
-    return clip.each(lambda f: with_images(f, rgb=first.rgb(), depth=first.depth()))
+    return clip.map_frames(lambda f: with_images(f, rgb=first.rgb(), depth=first.depth()))
 
 
 def mirror_images(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -342,17 +344,17 @@ def mirror_images(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
         flipped = None if depth is None else np.ascontiguousarray(depth[:, ::-1])
         return with_images(frame, rgb=np.ascontiguousarray(frame.rgb()[:, ::-1]), depth=flipped)
 
-    return clip.each(change)
+    return clip.map_frames(change)
 
 
 def gravity_up(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Gravity with the wrong sign, as of an accelerometer at rest."""
-    return clip.each(lambda f: replace(f, gravity=-f.gravity))
+    return clip.map_frames(lambda f: replace(f, gravity=-f.gravity))
 
 
 def without_odometry(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
     """Return the clip with the odometry of its first frame in all frames."""
-    return clip.each(lambda f: replace(f, odometry=clip.frames[0].odometry))
+    return clip.map_frames(lambda f: replace(f, odometry=clip.frames[0].odometry))
 
 
 def backwards(clip: Clip, _: float, rng: Generator) -> Clip:  # noqa: ARG001
@@ -395,4 +397,4 @@ def only(clip: Clip, senses: tuple[str, ...]) -> Clip:
             label_kind=frame.label_kind if labels else None,
         )
 
-    return clip.each(change)
+    return clip.map_frames(change)

@@ -84,7 +84,9 @@ def ask_windows(
             for n in lengths(job):
                 windows = bench.windows(job.place, n)
                 keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
-                task = bar.add_task(f"{job.name}, {n} frames", total=len(journal.missing(keys)))
+                task = bar.add_task(
+                    f"{job.name}, {n} frames", total=len(journal.find_missing(keys))
+                )
                 ask = partial(_ask_window, once, job, windows)
                 answers = journal.fill(
                     keys,

@@ -267,7 +267,7 @@ SPOILED = (
     Family("tilt", perturb.tilt, (1.0, 2.0, 4.0), "°"),
     Family("shaken tilt", perturb.shake_gravity, (1.0, 2.0, 4.0), "°"),
     Family("frames dropped", perturb.drop_frames, (10.0, 30.0, 50.0), " %"),
-    Family("rolling stamps", perturb.rolling, (50.0, 100.0, 200.0), " ms"),
+    Family("rolling stamps", perturb.shift_odometry, (50.0, 100.0, 200.0), " ms"),
     Family("focal length", perturb.focal, (-10.0, 5.0, 10.0), " %"),
     Family("depth scale", perturb.depth_scale, (-10.0, 5.0, 10.0), " %"),
     Family("depth late", perturb.depth_late, (1.0, 2.0, 3.0), " frames"),

@@ -354,7 +354,7 @@ class How:
     device: str
 
 
-class Asking:
+class WindowRunner:
     """Asks about windows that nobody asked about yet; all tables share one journal."""
 
     def __init__(self, run: Run, how: How, *, fresh: bool) -> None:
@@ -390,7 +390,7 @@ class Asking:
                 self.ask(of, its, of.scene(walk.map), short, walk.map)
             return self.ask(of, its, *self._place_window(of, walk, window, merged), walk.map)
 
-        left = len(self.journal.missing(keys))
+        left = len(self.journal.find_missing(keys))
         if left:
             self.run.log(f"{of.name}: {recipe}, {length} frames: {left} windows to ask")
         return [Reply.from_dict(row) for row in self.journal.fill(keys, ask)]

@@ -268,7 +268,7 @@ def indoor_robustness(
             asked = thin_windows(known[case.set, case.frames], windows, case.family)
             keys = [f"{code} {case.name} {a.clip.name} seed {seed} {device}" for a in asked]
             once = partial(_ask_window, places, case, asked, seed, device)
-            task = bar.add_task(case.name, total=len(journal.missing(keys)))
+            task = bar.add_task(case.name, total=len(journal.find_missing(keys)))
             outcomes = journal.fill(
                 keys, once, warm=partial(once, 0), tick=partial(bar.advance, task)
             )

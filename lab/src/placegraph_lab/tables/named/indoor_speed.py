@@ -34,7 +34,7 @@ from placegraph_lab.tables.runner import (
     share,
     table,
 )
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 
 FRAMES = 10  # frames of a sequence that are localized
 PARTS = ("localizing", "tracking", "start")
@@ -78,7 +78,9 @@ TRACKING = (
 )  # fmt: skip
 
 
-def localizing(scene: Path, folders: Sequence[Path], options: PoseSearchOptions) -> dict[str, Any]:
+def time_localization(
+    scene: Path, folders: Sequence[Path], options: PoseSearchOptions
+) -> dict[str, Any]:
     """Time a frame, by stage, of the first frames of each sequence; run in a fresh process."""
     opened = SceneMap.open(scene)
     stages: dict[str, float] = {}
@@ -114,7 +116,7 @@ def localizing(scene: Path, folders: Sequence[Path], options: PoseSearchOptions)
     }
 
 
-def tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
+def time_tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
     """Time of an update of the tracker before and after it first says OK; in a fresh process."""
     opened = SceneMap.open(scene)
     before: list[float] = []
@@ -146,7 +148,7 @@ def methods(run: Run, maps: dict[str, Path], folders: list[Path]) -> list[dict[s
         for method, options in METHODS.items():
             if name == "house" or method in {"all terms", "all terms, without polish"}:
                 run.log(f"{method}, {name}")
-                row = apart(localizing, path, folders, options)
+                row = run_apart(time_localization, path, folders, options)
                 rows.append({"method": method, "map": name} | row)
     return rows
 
@@ -193,6 +195,6 @@ def indoor_speed(
         text = render(LOCALIZING, [*record["localizing"], *paper])
         print(f"#### Localizing, first frame and images included\n\n{text}\n")
     if "tracking" in wanted:
-        record["tracking"] = apart(tracking, maps["house"], folders)
+        record["tracking"] = run_apart(time_tracking, maps["house"], folders)
         print(f"#### Tracking\n\n{render(TRACKING, [record['tracking']])}\n")
     run.save(record, complete=not only)

@@ -154,7 +154,7 @@ def train_variant(
 
 
 @dataclass(frozen=True)
-class Judging:
+class NetworkComparison:
     """Queries that networks are evaluated on; answers go to the journal as they come."""
 
     run: lab.Run
@@ -258,7 +258,7 @@ def outdoor_ablation(
     lab.check_names([name for name, _ in asked_for], every, "variant")
     wanted = [(n, s) for n, one in asked_for for s in ([one] if one else lab.parts(seeds))]
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
-    judging = Judging(run, cities, measured, queries, seed, run.journal())
+    judging = NetworkComparison(run, cities, measured, queries, seed, run.journal())
     shipped = GraphTransformer.default()
     silent = {"judge.2.weight": np.zeros_like(shipped.arrays["judge.2.weight"])}
     shape = replace(shipped.shape, crossings=0)

@@ -50,7 +50,7 @@ def open_dataset(path: Path, run: Run) -> Kitti360Pose:
 
 
 @dataclass(frozen=True)
-class Asking:
+class MatcherRunner:
     """Which matchers are asked, and how often."""
 
     names: list[str]
@@ -123,7 +123,7 @@ def outdoor_kitti360pose(
     chosen = check_names(parts(readings), ("honest", "paper"), "reading")
     kitti = open_dataset(dataset, run)
     run.one_core()
-    asking = Asking(names, network, queries, slow, candidates, seed)
+    asking = MatcherRunner(names, network, queries, slow, candidates, seed)
     sets = [kitti]
     if osm is not None:
         sets.append(on_osm(kitti, osm, Crop(reach, sight)))

@@ -205,7 +205,7 @@ def _line(head: str, rows: Sequence[Row]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Asking:
+class MatcherRunner:
     """Which matchers are asked, and how often; answers are written down as they come."""
 
     methods: Sequence[str]
@@ -284,7 +284,7 @@ def outdoor_matchers(
     cells = {}
     with run.progress() as progress:
         task = progress.add_task("asking", total=len(extracts) * len(protocols) * len(shown))
-        asking = Asking(
+        asking = MatcherRunner(
             shown, queries, slow, lab.parts(slow_cities), seed, run.journal(),
             lambda: progress.advance(task),
         )  # fmt: skip

@@ -36,7 +36,7 @@ from placegraph.outdoor.search.request import parse
 from placegraph_lab.tables.outdoor.extracts import CITY, Extract, extract_of, unseen_queries
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
-from placegraph_lab.tables.statistics import apart
+from placegraph_lab.tables.statistics import run_apart
 
 EVERYTHING = 1e9  # margin [nat] that leaves nothing out: every pair is scored in full
 TOGETHER_IN_TORCH = 250  # pairs a batch in PyTorch
@@ -263,7 +263,7 @@ def outdoor_pairs(
     for kind, name in WORKS.items():
         for n in counts if kind != "cuda" else counts[-1:]:
             if can_run(kind) and not (kind.startswith("edits") and n > 1):
-                found = apart(measure, kind, asked, cores=n)
+                found = run_apart(measure, kind, asked, cores=n)
                 rows.append({"kind": kind, "name": name, "cores": n} | found)
     header = ["pairs/s", "one core", "two cores", "two cores, times the paper's"]
     lines = [line(kind, rows) for kind in WORKS]

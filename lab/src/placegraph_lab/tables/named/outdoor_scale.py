@@ -19,7 +19,7 @@ from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.outdoor.tiling import tile
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, render, share, table
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 
 
 def build(osm: Path, city: Path, small: Path) -> dict[str, float]:
@@ -98,6 +98,8 @@ def outdoor_scale(
         run.log(f"{n} x: writing, building, asking")
         tiled, made = run.cache / f"tiled_{n}.osm.pbf", run.cache / f"tiled_{n}.city"
         tile([osm], tiled, n, seed)
-        rows.append({"copies": n} | apart(build, tiled, made, osm) | apart(ask, made, asked))
+        rows.append(
+            {"copies": n} | run_apart(build, tiled, made, osm) | run_apart(ask, made, asked)
+        )
     print(render(COLUMNS, rows))
     run.save({"extract": osm.name, "rows": rows})

@@ -78,7 +78,7 @@ def plain_numpy(vectors: Floats) -> tuple[Search, int]:
     return search, vectors.nbytes
 
 
-def ours(bits: int) -> Build:
+def build_store(bits: int) -> Build:
     """Build an `EmbeddedStore` of so many bits."""
 
     def build(vectors: Floats) -> tuple[Search, int]:
@@ -135,9 +135,9 @@ def faiss_index(kind: str) -> Build:
 def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
     """Name and builder of what is measured on so many vectors."""
     yield "numpy, float32", plain_numpy
-    yield "ours, exact, float32", ours(32)
-    yield "ours, exact, 16 bits", ours(16)
-    yield "ours, exact, 8 bits", ours(8)
+    yield "ours, exact, float32", build_store(32)
+    yield "ours, exact, 16 bits", build_store(16)
+    yield "ours, exact, 8 bits", build_store(8)
     large = count >= 50_000
     if find_spec("faiss"):
         yield "faiss, exact", faiss_index("exact")

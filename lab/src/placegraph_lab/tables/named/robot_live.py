@@ -36,7 +36,7 @@ from placegraph_lab.tables.indoor.perturb import Clip, Recording, drift
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.named.serve_load import RunningServer, run_server
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.statistics import apart
+from placegraph_lab.tables.statistics import run_apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
@@ -497,7 +497,7 @@ def robot_live(
         if "paced" in wanted:
             file = folder / "maps/house.scene"
             every = [
-                apart(play_walks, run.data, run.cache, file, r, SECONDS, cores=2) for r in RATES
+                run_apart(play_walks, run.data, run.cache, file, r, SECONDS, cores=2) for r in RATES
             ]
             lab.show("", PACED, every)
             record["paced"] = every

@@ -25,7 +25,7 @@ from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, number, render, table
 from placegraph_lab.tables.scene.surface import distances, spread
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 
 Fuser = Callable[[Sequence[Frame], Floats], Mesh]
 SEQUENCES = ("seq00", "seq03", "seq04", "seq07")  # of the house, in which nothing was moved
@@ -266,9 +266,9 @@ def scene_fusion(run: Run, *, quick: Quick = False) -> None:
     cores = os.cpu_count() or 1
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     place = run.data / "office"
-    speed = [apart(time_fusion, place, n, "own") for n in (1, 2) if n <= cores]
+    speed = [run_apart(time_fusion, place, n, "own") for n in (1, 2) if n <= cores]
     if rival:
-        speed.append(apart(time_fusion, place, min(2, cores), "Open3D"))
+        speed.append(run_apart(time_fusion, place, min(2, cores), "Open3D"))
     print(
         f"#### Office, all frames; the machine's load was {number(load, 1)}\n\n{render(SPEED, speed)}\n"
     )

@@ -24,18 +24,18 @@ from placegraph_lab.tables.scene.maps import (
     OFFICE_SIZES,
     PLACES,
     VERTICES,
-    Asking,
-    Made,
+    MapMeasurement,
     Maps,
     PairedAnswers,
     Size,
+    WindowRunner,
     difference,
     findings,
     refinement,
     refinings,
     study,
 )
-from placegraph_lab.tables.scene.surface import Apart
+from placegraph_lab.tables.scene.surface import SurfaceDistances
 
 ROOM = 30  # objects of a usual room
 STORAGE = {
@@ -46,7 +46,7 @@ STORAGE = {
 ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED)}
 
 
-def _distances(off: Apart | None) -> str:
+def _distances(off: SurfaceDistances | None) -> str:
     if off is None:
         return "–"
     return " / ".join(lab.number(1e3 * d, 1) for d in (off.mean, off.most, off.maximum))
@@ -68,8 +68,8 @@ REFINED = (
 
 
 def report(
-    made: Sequence[Made],
-    apart: dict[str, Apart],
+    made: Sequence[MapMeasurement],
+    apart: dict[str, SurfaceDistances],
     pairs: Sequence[PairedAnswers],
     refined: Sequence[tuple[str, str, RefineScore]],
 ) -> str:
@@ -153,14 +153,14 @@ def scene_maps(
     if not (weights.exists() and find_spec("ai_edge_litert")):
         run.log("No labelled maps: they need the network's weights and the extra `segment`.")
         wanted = {place: [s for s in of if s != LABELLED] for place, of in wanted.items()}
-    made = [maps.made(place, size) for place, of in wanted.items() for size in of]
+    made = [maps.measure_map(place, size) for place, of in wanted.items() for size in of]
     apart = {
-        maps.made(place, size).name: maps.apart(place, size)
+        maps.measure_map(place, size).name: maps.measure_distances(place, size)
         for place, of in wanted.items()
         for size in of
         if size not in (FULL, LABELLED)
     }
-    asking = Asking(maps, every, office_every, seed=seed, device=device)
+    asking = WindowRunner(maps, every, office_every, seed=seed, device=device)
     pairs = [] if build_only else study(asking, rows, wanted)
     refined = [] if build_only else refinement(asking, refining, wanted)
     print(report(made, apart, pairs, refined))

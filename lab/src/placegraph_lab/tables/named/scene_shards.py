@@ -33,7 +33,7 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.scene.search import Stock
 from placegraph_lab.tables.scene.sentences import Scene, describe
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 from placegraph_scale.library.shards import HEAD, SceneShards
 from placegraph_scale.library.write import SIZE, NamedEntry, write_shards
@@ -251,8 +251,8 @@ def scene_shards(
         every = run.track(draw_scenes(signatures, scenes, seed), "scenes", total=scenes)
         write_shards(folder, every, encoders, size)
         made = {"s": time.perf_counter() - start, "cpu_s": time.process_time() - cpu}
-    told = apart(ask, folder, signatures, queries, seed)
-    read_ = apart(ask_read, signatures, min(READ, scenes), min(queries, 20), seed)
+    told = run_apart(ask, folder, signatures, queries, seed)
+    read_ = run_apart(ask_read, signatures, min(READ, scenes), min(queries, 20), seed)
     size_ = sum(f.stat().st_size for f in folder.rglob("*.shard"))
     objects = float(np.mean([len(s) for s in signatures]))
     print(

@@ -23,7 +23,7 @@ class EpochLines(Progress):
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report
 
-    def preparing(self, name: str, done: int, total: int) -> None:
+    def report_place(self, name: str, done: int, total: int) -> None:
         self._report(f"looked at {name}, {done} of {total}")
 
     def epoch(self, row: Mapping[str, float]) -> None:

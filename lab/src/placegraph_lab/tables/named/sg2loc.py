@@ -27,10 +27,10 @@ from placegraph_lab.tables.indoor.scan3r import Split
 from placegraph_lab.tables.indoor.sg2loc import (
     IMAGES,
     LAYOUT,
-    Asking,
     How,
     Reply,
     Set,
+    WindowRunner,
     group,
     recipes,
 )
@@ -114,7 +114,7 @@ SPECS = {
 Made = tuple[str, list[Any]]
 
 
-def storage(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+def storage(_: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
     """Table 3: megabytes of a map's file."""
     rows = _printed(3, ("3RScan [MB]", "ScanNet [MB]"))
     for its in of:
@@ -130,7 +130,7 @@ def storage(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
     return _written(rows), rows
 
 
-def seconds(spec: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+def seconds(spec: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
     """Table 4: seconds of mapping (rays, panoramas, embeddings), of a frame, of the final fit."""
     heads = ("mapping [s]", "a frame [s]", "final fit [s]")
     rows = _printed(4, heads)
@@ -154,7 +154,7 @@ def seconds(spec: Spec, asking: Asking, of: Sequence[Set]) -> Made:
     return _written(rows), rows
 
 
-def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+def retrieval(_: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
     """Table 5: which scene it is, by the paper's sum and by ours, with the time it takes."""
     text, rows = [], []
     for its in of:
@@ -272,14 +272,14 @@ MERGED = {"homes": (2, 5, 10), "3RScan": (3,), "ScanNet": (3,)}
 """Scenes that are one map; the paper has 3."""
 
 
-def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[str, list[Any]]:
+def poses(table: int, spec: Spec, asking: WindowRunner, of: Sequence[Set]) -> tuple[str, list[Any]]:
     by = {6: _keyframes, 11: _merged, 14: _drifting}.get(table, _plain)
     rows = list_published(table, spec.columns, SPECS[table].lengths)
     rows += [row for its in of for row in by(spec, asking, its)]
     return report(rows, spec.columns), rows
 
 
-def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+def _plain(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any]]:
     for length in spec.lengths:
         for name, recipe, refined in spec.rows:
             yield from summarize_set(
@@ -287,7 +287,7 @@ def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
             )
 
 
-def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+def _keyframes(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any]]:
     for length in spec.lengths:
         for name, recipe, refined in spec.rows:
             if length > of.longest:
@@ -300,12 +300,12 @@ def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
             )
 
 
-def _pace(asking: Asking, of: Set, recipe: str) -> float:
+def _pace(asking: WindowRunner, of: Set, recipe: str) -> float:
     replies = asking.replies(of, recipe, 5)
     return float(np.median([r.filter.seconds / r.filter.frames for r in replies]))
 
 
-def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+def _merged(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any]]:
     for count in MERGED[of.name]:
         for length in spec.lengths:
             for title, frames in (("SGL, one frame", 1), ("Seq. SGL", length)):
@@ -324,7 +324,7 @@ def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
                 )
 
 
-def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) -> list[bool]:
+def _retrieved(asking: WindowRunner, of: Set, length: int, frames: int, count: int) -> list[bool]:
     """Whether the paper's sum (Sec. 4) names the right one of the scenes that are merged."""
     found = []
     for walk, window in of.windows(length, asking.how.frames, asking.how.seed):
@@ -337,7 +337,7 @@ def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) ->
     return found
 
 
-def _drifting(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+def _drifting(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any]]:
     for title, drift in ODOMETRY.items():
         for length in spec.lengths:
             for name, recipe, refined in spec.rows:
@@ -352,7 +352,7 @@ UNUSED = {3: {*_OF_POSES, "encoder"}, 5: _OF_POSES, 6: set[str]()}
 """Options that a table does not have; of those not named here, the pace."""
 
 
-def there(run: lab.Run, names: list[str], split: Split) -> Iterator[Set]:
+def find_sets(run: lab.Run, names: list[str], split: Split) -> Iterator[Set]:
     """The sets named, or all whose data there are; `InputError` where they are not."""
     data, cache = run.data, run.cache
     sources: dict[str, tuple[Path, Callable[[], Set]]] = {
@@ -438,8 +438,8 @@ def make_table(table: int) -> lab.Table:
         of = select_part(spec, lengths, only, pace)
         if quick:
             frames, of = 10, of._replace(lengths=of.lengths[:1])
-        chosen = answerable(run, of, list(there(run, lab.parts(sets), split)))
-        asking = Asking(run, How(frames, encoder, matcher, seed, device), fresh=fresh)
+        chosen = answerable(run, of, list(find_sets(run, lab.parts(sets), split)))
+        asking = WindowRunner(run, How(frames, encoder, matcher, seed, device), fresh=fresh)
         costs = {3: storage, 4: seconds, 5: retrieval}.get(table)
         text, rows = costs(of, asking, chosen) if costs else poses(table, of, asking, chosen)
         print(f"Table {table}. {spec.asks}\n\n{text}")

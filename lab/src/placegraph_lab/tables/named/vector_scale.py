@@ -26,7 +26,7 @@ from placegraph_lab.tables.named.outdoor_vectors import draw_clusters
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 
 WORD_BATCH = 10_000
 HIT = 50.0  # A cell whose centre is no farther from the place than this is right [m]
@@ -313,7 +313,7 @@ def vector_scale(
             if module and not find_spec(module):
                 run.log(f"{module} is not installed")
                 continue
-            rows.append(apart(measure_store, module, size, queries, seed, run.cache))
+            rows.append(run_apart(measure_store, module, size, queries, seed, run.cache))
             run.log(str(rows[-1]))
             run.save({"rows": rows})  # a server may never answer
     print(format_rows(rows))

@@ -25,7 +25,7 @@ from placegraph.outdoor.search.request import Hints, Matching, Request, make_req
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, tile
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 
 SAME = 40.0  # best places nearer than this are one [m]: as far apart as modes are at least
 COMMONER = (
@@ -184,9 +184,9 @@ def world_scale(
         made = _made(run, folder / f"{city}.city", path, n, seed)
         run.log(f"{n} x: asking")
         load_ = os.getloadavg()[0]
-        found = apart(ask, path, folder / f"{city}.city", texts)
+        found = run_apart(ask, path, folder / f"{city}.city", texts)
         run.log(f"{n} x: comparing")
-        same = apart(equal, path, texts, compared if n <= compare_up_to else 0)
+        same = run_apart(equal, path, texts, compared if n <= compare_up_to else 0)
         rows.append({"copies": n, "load": load_} | made | found | {"equal": same})
         if maps is None:
             path.unlink()
@@ -201,7 +201,7 @@ def _made(run: Run, small: Path, path: Path, copies: int, seed: int) -> dict[str
     told = path.with_suffix(".json")
     if not (path.exists() and told.exists()):
         run.log(f"{copies} x: building")
-        told.write_text(json.dumps(apart(build, small, path, copies, seed)))
+        told.write_text(json.dumps(run_apart(build, small, path, copies, seed)))
     made: dict[str, Any] = json.loads(told.read_text())
     return made
 

@@ -18,7 +18,7 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.statistics import apart, peak
+from placegraph_lab.tables.statistics import peak, run_apart
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
 from placegraph_scale.shards import WorldFile
 
@@ -50,8 +50,10 @@ def work_rows(timed: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def time_workers(world: Path, texts: list[str]) -> dict[str, Any]:
     """One process, one worker, two, and two of which one is killed; whether all answer alike."""
-    found = {f"{n} workers" if n else ALONE: apart(together, world, texts, n) for n in (0, 1, 2)}
-    found["2 workers, one killed"] = apart(_killed, world, texts)
+    found = {
+        f"{n} workers" if n else ALONE: run_apart(together, world, texts, n) for n in (0, 1, 2)
+    }
+    found["2 workers, one killed"] = run_apart(_killed, world, texts)
     answers = [one.pop("answers") for one in found.values()]
     alike = all(one == answers[0] for one in answers)
     return {
@@ -92,13 +94,13 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     town: Any = planet.planets[name]
     crew = town.pool
     client: Any = getattr(crew, "client", None)
-    each = crew.each
+    each = crew.run_tasks
 
     def counted(*told: Any) -> Any:
         trips.append(len(told[0]))
         return each(*told)
 
-    crew.each = counted
+    crew.run_tasks = counted
     before = client.run(time.process_time) if client else {}
     start, cpu, answers = time.perf_counter(), time.process_time(), []
     for k, text in enumerate(texts):
@@ -245,11 +247,11 @@ def world_shards(
     run.log("building")
     if not map_file.exists():
         pg.build_city(osm, map_file)
-    made = built(map_file, folder, zoom, [int(n) for n in numbers], seed)
+    made = build_worlds(map_file, folder, zoom, [int(n) for n in numbers], seed)
     base = made.pop(0)
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.log("asking both")
-    rows = apart(compare_texts, map_file, base, texts)
+    rows = run_apart(compare_texts, map_file, base, texts)
     print(lab.render(EQUAL, rows))
     kept = {
         "common words": texts["common words"],
@@ -259,7 +261,7 @@ def world_shards(
     grown = []
     for n, world in zip(numbers, made, strict=True):
         run.log(f"{n} copies")
-        grown.append({"copies": int(n)} | sizes(world) | apart(time_texts, world, kept))
+        grown.append({"copies": int(n)} | sizes(world) | run_apart(time_texts, world, kept))
         print(lab.render(GROWN, [grown[-1] | grown[-1][kind] | {"kind": kind} for kind in kept]))
     run.log("workers")
     said = [q.text for q in texts["common words"][:20]]
@@ -276,7 +278,7 @@ def _sources(town: Any) -> int:
     return len(town.sources)
 
 
-def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
+def build_worlds(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
     """Folders of a city's shards and of worlds of copies of them; those that are finished stay."""
     base, large = folder / "base", folder / "large"
     if not is_world(base):

@@ -208,12 +208,12 @@ class Teller:
             direction = str(rng.choice([d for d in DIRECTIONS if d != statement.direction]))
             return replace(statement, direction=direction, noisy=True)
         if rng.random() < 0.5:
-            source = self.absent(viewpoint, rng, statement.target)
+            source = self.draw_absent(viewpoint, rng, statement.target)
             return replace(statement, source=source, source_osm="", noisy=True)
-        target = self.absent(viewpoint, rng, statement.source)
+        target = self.draw_absent(viewpoint, rng, statement.source)
         return replace(statement, target=target, target_osm="", noisy=True)
 
-    def absent(self, viewpoint: Floats, rng: Generator, other: str) -> str:
+    def draw_absent(self, viewpoint: Floats, rng: Generator, other: str) -> str:
         """Draw a label as often as the city has it, but none that is near a viewpoint (2,)."""
         around = self.bins.around(viewpoint[None], NOWHERE)
         near = set(self.label[around.objects].tolist())

@@ -44,7 +44,7 @@ from placegraph_lab.tables.indoor.windows import (
     office_windows,
 )
 from placegraph_lab.tables.runner import INDOOR, Journal, code_key
-from placegraph_lab.tables.scene.surface import Apart, compare
+from placegraph_lab.tables.scene.surface import SurfaceDistances, compare
 
 EMBEDDING = 512  # length of the embeddings whose bytes are measured
 CHEAP = 30.0  # what takes less than this is built three times, and the median told [s]
@@ -95,7 +95,7 @@ OFFICE_SIZES = ("full", "default", "small", "labelled")
 
 
 @dataclass(frozen=True)
-class Made:
+class MapMeasurement:
     """Sizes and times of a map."""
 
     place: str
@@ -148,11 +148,11 @@ class Maps:
     def path(self, place: str, size: Size) -> Path:
         return self.folder / f"{place} {size.name}.scene".replace(" ", "_")
 
-    def made(self, place: str, size: Size) -> Made:
+    def measure_map(self, place: str, size: Size) -> MapMeasurement:
         """Measure a map; it is built if this code has not done so yet."""
         key, path = f"made {self._code} {place} {size}", self.path(place, size)
         if key in self.journal and path.exists():
-            row = Made(**self.journal[key])
+            row = MapMeasurement(**self.journal[key])
             if digest(path) == row.digest:
                 return row
         self._opened = None
@@ -179,23 +179,23 @@ class Maps:
             | built
         )
         self.journal.put(key, facts)
-        return Made(**facts)
+        return MapMeasurement(**facts)
 
     def scene(self, place: str, size: Size) -> SceneMap:
         path = self.path(place, size)
         if self._opened is None or self._opened[0] != path:
-            self.made(place, size)
+            self.measure_map(place, size)
             self._opened = path, SceneMap.open(path)
         return self._opened[1]
 
-    def apart(self, place: str, size: Size) -> Apart:
-        codes = [self.made(place, s).digest for s in (FULL, size)]
+    def measure_distances(self, place: str, size: Size) -> SurfaceDistances:
+        codes = [self.measure_map(place, s).digest for s in (FULL, size)]
         key = f"apart {self._code} {' '.join(codes)}"
         if key not in self.journal:
             self.tell(f"{place}: how far {size.name} is from full")
             one, other = (SceneMap.open(self.path(place, s)).mesh for s in (FULL, size))
             self.journal.put(key, compare(one, other, np.random.default_rng(0)))
-        return Apart(**self.journal[key])
+        return SurfaceDistances(**self.journal[key])
 
     def command(self, place: str, size: Size, out: Path, more: Sequence[str] = ()) -> list[str]:
         """Arguments of `placegraph` that build a map."""
@@ -315,7 +315,7 @@ def refinings() -> list[Row]:
     return [Row(j, LENGTHS[-1]) for j in refine_jobs(("auto",)) if j.name in REFINED_ROWS]
 
 
-class Asking:
+class WindowRunner:
     """Asks about windows on maps of any size, what was answered before not again.
 
     `maps`: the maps; their journal holds the answers, too; `every`, `office_every`: frames from the
@@ -350,9 +350,9 @@ class Asking:
     def answers(self, row: Row, size: Size) -> list[Any]:
         """Answers of a row on a map: `Answer`, or `RefineOutcome`."""
         windows, journal, job = self.windows(row.place, row.length), self.maps.journal, row.job
-        digest = self.maps.made(row.place, size).digest
+        digest = self.maps.measure_map(row.place, size).digest
         keys = [f"{digest} {job.key(w, self.seed, self._code)} {self.device}" for w in windows]
-        if asked := len(journal.missing(keys)):
+        if asked := len(journal.find_missing(keys)):
             self.maps.tell(f"{size.name}: {row.name}, {asked} windows")
 
         def once(window: Window, seed: int) -> Answer | RefineOutcome:
@@ -424,7 +424,9 @@ def difference(steps: Sequence[int]) -> tuple[float, float]:
     return float(points.mean()), float(points.std() / math.sqrt(len(points)))
 
 
-def study(asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]) -> list[PairedAnswers]:
+def study(
+    asking: WindowRunner, rows: Sequence[Row], sizes: dict[str, list[Size]]
+) -> list[PairedAnswers]:
     """All rows on all sizes of their places, map by map."""
     return [
         PairedAnswers(
@@ -440,7 +442,7 @@ def study(asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]) -> 
 
 
 def refinement(
-    asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]
+    asking: WindowRunner, rows: Sequence[Row], sizes: dict[str, list[Size]]
 ) -> list[tuple[str, str, RefineScore]]:
     """Refined poses of all rows on the sizes that `REFINED_SIZES` names, summarized."""
     return [

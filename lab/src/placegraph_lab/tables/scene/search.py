@@ -111,7 +111,7 @@ class Cosines:
         )
 
 
-class Ours:
+class LibrarySearch:
     """`SceneLibrary.search`."""
 
     def __init__(self, library: SceneLibrary, options: SearchOptions) -> None:
@@ -143,7 +143,7 @@ def searcher(library: SceneLibrary, method: str) -> Searcher:
     if METHODS[method].method == "cosines":
         return Cosines(library)
     _ = library.index
-    return Ours(library, METHODS[method])
+    return LibrarySearch(library, METHODS[method])
 
 
 class Scenes:

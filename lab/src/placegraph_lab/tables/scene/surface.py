@@ -17,7 +17,7 @@ REACH = 1.0  # what lies farther away counts as this far [m]
 
 
 @dataclass(frozen=True)
-class Apart:
+class SurfaceDistances:
     """Distances of two surfaces [m], of samples of the one and of the other."""
 
     mean: float
@@ -27,7 +27,9 @@ class Apart:
     back: list[float]  # ... and of the second.
 
 
-def compare(one: Mesh, other: Mesh, rng: np.random.Generator, samples: int = SAMPLES) -> Apart:
+def compare(
+    one: Mesh, other: Mesh, rng: np.random.Generator, samples: int = SAMPLES
+) -> SurfaceDistances:
     """Distances of samples, spread evenly over either surface, from the other surface."""
     there = distances(spread(one, rng, samples), other)
     back = distances(spread(other, rng, samples), one)
@@ -35,7 +37,7 @@ def compare(one: Mesh, other: Mesh, rng: np.random.Generator, samples: int = SAM
         ([float(d.mean()), float(np.quantile(d, 0.95)), float(d.max())])
         for d in (np.concatenate([there, back]), there, back)
     )
-    return Apart(mean, most, maximum, *each)
+    return SurfaceDistances(mean, most, maximum, *each)
 
 
 def spread(mesh: Mesh, rng: np.random.Generator, samples: int) -> Floats:

@@ -437,7 +437,7 @@ class Model:
     hung: bool = False  # whether it hangs on the wall behind it and needs one
     above: float = 0.02  # how far something of it, such as a tap, reaches above its height [m]
 
-    def made(self, body: Body) -> list[Part]:
+    def make_parts(self, body: Body) -> list[Part]:
         """Parts of a piece of furniture, none of which sticks out of its footprint.
 
         Handles may stand out of its front by 3 cm. Where a footprint is smaller than the model can

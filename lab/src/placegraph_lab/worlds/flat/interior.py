@@ -175,7 +175,7 @@ def _furniture(flat: Flat, blot: Blot) -> Piece:
             symbol.materials["look"],
             symbol.materials["trim"],
         )
-        parts += _stand(model.made(body), rectangle, facing, base)
+        parts += _stand(model.make_parts(body), rectangle, facing, base)
         if model.emission > 0.0:  # what hangs shines from under its shade, others from over it
             x, y = (rectangle[0] + rectangle[2]) / 2, (rectangle[1] + rectangle[3]) / 2
             hangs = symbol.kind == "pendant"

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 Range = tuple[float, float]
 
 
-class Some(NamedTuple):
+class Items(NamedTuple):
     """Number of things of a kind."""
 
     what: str
@@ -47,10 +47,10 @@ class Kind:
     place: str = "wall"
     """``wall``: its back to one; ``middle``; ``hung`` on a wall; ``ceiling``; ``on`` another."""
     base: float | None = None  # height of its lower edge above the floor [m]; None: as the model's
-    on: tuple[Some, ...] = ()  # what may stand on it, or hang over it
-    front: tuple[Some, ...] = ()  # what may stand before it and look at it
-    beside: tuple[Some, ...] = ()  # what may stand at either side of it
-    around: tuple[Some, ...] = ()
+    on: tuple[Items, ...] = ()  # what may stand on it, or hang over it
+    front: tuple[Items, ...] = ()  # what may stand before it and look at it
+    beside: tuple[Items, ...] = ()  # what may stand at either side of it
+    around: tuple[Items, ...] = ()
     """What may stand on all its sides and look at it: each of so many with that probability."""
 
 
@@ -60,7 +60,7 @@ class RoomKind:
 
     side: Range  # shorter side [m]
     stretch: Range  # longer side as a multiple of the shorter one
-    objects: tuple[Some, ...]
+    objects: tuple[Items, ...]
     wet: bool = False
     windows: int = 1  # at most
 
@@ -171,16 +171,16 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 """What the same thing is called from home to home; a home has one word for it."""
 
 _WHITE = "plain #eceff1"
-_LAMP = Some("ceiling lamp", 0.9)
-_VASE = Some("vase", 0.25)
-_TABLE_LAMP = Some("table lamp", 0.5)
+_LAMP = Items("ceiling lamp", 0.9)
+_VASE = Items("vase", 0.25)
+_TABLE_LAMP = Items("table lamp", 0.5)
 
 KINDS: dict[str, Kind] = {
     # sitting
     "sofa": Kind(
         "sofa", (1.5, 2.4), (0.8, 1.0), (0.75, 0.95), "fabric", "fabric",
-        on=(Some("picture", 0.4),), front=(Some("coffee table", 0.7),),
-        beside=(Some("floor lamp", 0.3), Some("plant", 0.2)),
+        on=(Items("picture", 0.4),), front=(Items("coffee table", 0.7),),
+        beside=(Items("floor lamp", 0.3), Items("plant", 0.2)),
     ),
     "armchair": Kind("sofa", (0.75, 0.9), (0.75, 0.9), (0.8, 1.0), "second", "second", "middle"),
     "chair": Kind("chair", (0.375, 0.5), (0.375, 0.5), (0.8, 0.95), "wood", "wood"),
@@ -189,7 +189,7 @@ KINDS: dict[str, Kind] = {
     "bench": Kind("table", (1.0, 1.5), (0.375, 0.375), (0.4, 0.5)),
     "bed": Kind(
         "bed", (0.9, 1.8), (1.9, 2.1), (0.7, 1.1), "fabric", "wood",
-        on=(Some("picture", 0.4),), beside=(Some("nightstand", 0.8, 2),),
+        on=(Items("picture", 0.4),), beside=(Items("nightstand", 0.8, 2),),
     ),
     # tables
     "coffee table": Kind(
@@ -197,50 +197,50 @@ KINDS: dict[str, Kind] = {
     ),
     "dining table": Kind(
         "table", (1.125, 1.75), (0.75, 0.875), (0.72, 0.78), "wood", "wood", "middle",
-        on=(_LAMP, _VASE), around=(Some("chair", 0.6, 6),),
+        on=(_LAMP, _VASE), around=(Items("chair", 0.6, 6),),
     ),
     "round table": Kind(
         "roundtable", (0.875, 1.125), (0.875, 1.125), (0.7, 0.76), "top", "metal", "middle",
-        on=(_LAMP, _VASE), around=(Some("chair", 0.7, 4),),
+        on=(_LAMP, _VASE), around=(Items("chair", 0.7, 4),),
     ),
     "desk": Kind(
         "table", (1.125, 1.75), (0.625, 0.75), (0.7, 0.78), "top", "metal",
-        on=(Some("monitor", 0.85, 2), _TABLE_LAMP), front=(Some("office chair", 0.9),),
-        beside=(Some("bin", 0.4),),
+        on=(Items("monitor", 0.85, 2), _TABLE_LAMP), front=(Items("office chair", 0.9),),
+        beside=(Items("bin", 0.4),),
     ),
     "meeting table": Kind(
         "table", (1.75, 2.5), (0.875, 1.0), (0.72, 0.76), "top", "metal", "middle",
-        on=(_LAMP, Some("monitor", 0.3)), around=(Some("office chair", 0.7, 6),),
+        on=(_LAMP, Items("monitor", 0.3)), around=(Items("office chair", 0.7, 6),),
     ),
     "nightstand": Kind(
-        "cabinet", (0.375, 0.5), (0.375, 0.4), (0.4, 0.6), on=(Some("table lamp", 0.7),)
+        "cabinet", (0.375, 0.5), (0.375, 0.4), (0.4, 0.6), on=(Items("table lamp", 0.7),)
     ),
     # storage
     "bookcase": Kind("shelf", (0.75, 1.75), (0.28, 0.35), (1.4, 2.2)),
     "wardrobe": Kind("cabinet", (1.0, 2.2), (0.55, 0.62), (1.8, 2.3), "front"),
     "chest of drawers": Kind(
         "cabinet", (0.75, 1.25), (0.4, 0.5), (0.75, 1.05),
-        on=(_TABLE_LAMP, _VASE, Some("mirror", 0.25)),
+        on=(_TABLE_LAMP, _VASE, Items("mirror", 0.25)),
     ),
     "sideboard": Kind(
         "cabinet", (1.125, 2.0), (0.4, 0.5), (0.45, 0.85), "front",
-        on=(Some("television", 0.6), _VASE, Some("speaker", 0.3, 2)),
+        on=(Items("television", 0.6), _VASE, Items("speaker", 0.3, 2)),
     ),
     "cabinet": Kind("cabinet", (0.5, 1.0), (0.35, 0.5), (0.9, 1.6), "front", on=(_VASE,)),
     "filing cabinet": Kind(
-        "cabinet", (0.5, 1.0), (0.5, 0.6), (0.7, 1.3), "metal", on=(Some("printer", 0.5),)
+        "cabinet", (0.5, 1.0), (0.5, 0.6), (0.7, 1.3), "metal", on=(Items("printer", 0.5),)
     ),
     "shoe cabinet": Kind(
-        "cabinet", (0.75, 1.25), (0.25, 0.35), (0.5, 0.95), on=(Some("mirror", 0.5), _VASE)
+        "cabinet", (0.75, 1.25), (0.25, 0.35), (0.5, 0.95), on=(Items("mirror", 0.5), _VASE)
     ),
     "shelf": Kind("shelf", (0.5, 1.0), (0.25, 0.25), (0.5, 0.8), place="hung", base=1.3),
     "box": Kind("block", (0.375, 0.625), (0.375, 0.5), (0.3, 0.5), "wood #b98f5e", "wood #a57c4d"),
     # kitchen
     "counter": Kind(
         "counter", (1.25, 2.5), (0.6, 0.625), (0.88, 0.94), "front", "top",
-        on=(Some("sink", 0.95, 2), Some("wall cupboard", 0.7, 2), Some("microwave", 0.4),
-            Some("kettle", 0.4), Some("coffee machine", 0.25)),
-        beside=(Some("stove", 0.9), Some("fridge", 0.6), Some("dishwasher", 0.3)),
+        on=(Items("sink", 0.95, 2), Items("wall cupboard", 0.7, 2), Items("microwave", 0.4),
+            Items("kettle", 0.4), Items("coffee machine", 0.25)),
+        beside=(Items("stove", 0.9), Items("fridge", 0.6), Items("dishwasher", 0.3)),
     ),
     "sink": Kind("basin", (0.5, 0.625), (0.375, 0.375), (0.12, 0.12), "metal", "metal", "on"),
     "wall cupboard": Kind(
@@ -264,7 +264,7 @@ KINDS: dict[str, Kind] = {
     "toilet": Kind("toilet", (0.375, 0.5), (0.625, 0.7), (0.75, 0.85), "plain white"),
     "washbasin": Kind(
         "washstand", (0.5, 0.75), (0.45, 0.5), (0.82, 0.88), "plain white",
-        on=(Some("mirror", 0.8),),
+        on=(Items("mirror", 0.8),),
     ),
     "bathroom cabinet": Kind("cabinet", (0.375, 0.75), (0.3, 0.375), (0.8, 1.8), "front"),
     "washing machine": Kind("block", (0.625, 0.625), (0.6, 0.625), (0.84, 0.86), _WHITE, "metal"),
@@ -300,7 +300,7 @@ KINDS: dict[str, Kind] = {
         "coats", (0.75, 1.5), (0.15, 0.2), (1.1, 1.3), "second", "wood", "hung", base=0.6,
     ),
     "rug": Kind("rug", (1.25, 2.0), (1.0, 1.5), (0.012, 0.012), "rug #8e2f2b", "carpet #6d2723", "middle",
-                on=(Some("coffee table", 0.5),)),
+                on=(Items("coffee table", 0.5),)),
     "plant": Kind(
         "plant", (0.375, 0.625), (0.375, 0.625), (0.8, 1.7), "leaves seagreen", "stone chocolate",
     ),
@@ -326,59 +326,59 @@ KINDS: dict[str, Kind] = {
 """By plain name."""
 
 _ALWAYS = (
-    _LAMP, Some("radiator", 0.4), Some("picture", 0.5, 3), Some("plant", 0.3), Some("curtain", 0.25, 2),
+    _LAMP, Items("radiator", 0.4), Items("picture", 0.5, 3), Items("plant", 0.3), Items("curtain", 0.25, 2),
 )  # fmt: skip
 
 ROOMS: dict[str, RoomKind] = {
     "kitchen": RoomKind(
         (2.5, 3.5), (1.0, 1.5),
-        (Some("counter", 1.0, 2), Some("fridge", 0.5), Some("dining table", 0.35),
-         Some("round table", 0.3), Some("cabinet", 0.3), Some("bin", 0.6), _LAMP,
-         Some("clock", 0.3), Some("shelf", 0.3), Some("radiator", 0.3), Some("box", 0.1)),
+        (Items("counter", 1.0, 2), Items("fridge", 0.5), Items("dining table", 0.35),
+         Items("round table", 0.3), Items("cabinet", 0.3), Items("bin", 0.6), _LAMP,
+         Items("clock", 0.3), Items("shelf", 0.3), Items("radiator", 0.3), Items("box", 0.1)),
         wet=True,
     ),
     "living room": RoomKind(
         (3.5, 4.75), (1.0, 1.4),
-        (Some("sofa", 0.95, 2), Some("sideboard", 0.75), Some("bookcase", 0.6, 2), Some("rug", 0.35),
-         Some("armchair", 0.5, 2), Some("floor lamp", 0.3), Some("piano", 0.12), Some("stool", 0.15),
-         Some("cabinet", 0.25), *_ALWAYS),
+        (Items("sofa", 0.95, 2), Items("sideboard", 0.75), Items("bookcase", 0.6, 2), Items("rug", 0.35),
+         Items("armchair", 0.5, 2), Items("floor lamp", 0.3), Items("piano", 0.12), Items("stool", 0.15),
+         Items("cabinet", 0.25), *_ALWAYS),
         windows=2,
     ),
     "bedroom": RoomKind(
         (2.9, 3.9), (1.0, 1.4),
-        (Some("bed", 1.0, 2), Some("wardrobe", 0.85, 2), Some("chest of drawers", 0.5),
-         Some("desk", 0.2), Some("chair", 0.25), Some("rug", 0.3), Some("mirror", 0.25),
-         Some("bookcase", 0.15), Some("armchair", 0.15), *_ALWAYS),
+        (Items("bed", 1.0, 2), Items("wardrobe", 0.85, 2), Items("chest of drawers", 0.5),
+         Items("desk", 0.2), Items("chair", 0.25), Items("rug", 0.3), Items("mirror", 0.25),
+         Items("bookcase", 0.15), Items("armchair", 0.15), *_ALWAYS),
     ),
     "bathroom": RoomKind(
         (1.9, 2.6), (1.1, 1.6),
-        (Some("washbasin", 0.95, 2), Some("toilet", 0.85), Some("bathtub", 0.55), Some("shower", 0.4),
-         Some("washing machine", 0.35), Some("bathroom cabinet", 0.4), Some("basket", 0.3),
-         Some("towel", 0.4, 2), Some("stool", 0.2), _LAMP, Some("radiator", 0.3)),
+        (Items("washbasin", 0.95, 2), Items("toilet", 0.85), Items("bathtub", 0.55), Items("shower", 0.4),
+         Items("washing machine", 0.35), Items("bathroom cabinet", 0.4), Items("basket", 0.3),
+         Items("towel", 0.4, 2), Items("stool", 0.2), _LAMP, Items("radiator", 0.3)),
         wet=True,
     ),
     "study": RoomKind(
         (2.5, 3.4), (1.0, 1.4),
-        (Some("desk", 1.0), Some("bookcase", 0.85, 3), Some("armchair", 0.3), Some("cabinet", 0.3),
-         Some("rug", 0.2), Some("floor lamp", 0.3), Some("sofa", 0.2), Some("clock", 0.15), *_ALWAYS),
+        (Items("desk", 1.0), Items("bookcase", 0.85, 3), Items("armchair", 0.3), Items("cabinet", 0.3),
+         Items("rug", 0.2), Items("floor lamp", 0.3), Items("sofa", 0.2), Items("clock", 0.15), *_ALWAYS),
     ),
     "office": RoomKind(
         (3.4, 4.75), (1.0, 1.5),
-        (Some("desk", 1.0, 4), Some("meeting table", 0.25), Some("filing cabinet", 0.6, 3),
-         Some("bookcase", 0.5, 2), Some("whiteboard", 0.45), Some("bin", 0.4), Some("box", 0.2),
-         Some("clock", 0.2), Some("coat rack", 0.15), *_ALWAYS),
+        (Items("desk", 1.0, 4), Items("meeting table", 0.25), Items("filing cabinet", 0.6, 3),
+         Items("bookcase", 0.5, 2), Items("whiteboard", 0.45), Items("bin", 0.4), Items("box", 0.2),
+         Items("clock", 0.2), Items("coat rack", 0.15), *_ALWAYS),
         windows=2,
     ),
     "dining room": RoomKind(
         (3.0, 4.0), (1.0, 1.5),
-        (Some("dining table", 0.75), Some("round table", 0.3), Some("sideboard", 0.6),
-         Some("cabinet", 0.5, 2), Some("bench", 0.2), Some("clock", 0.2), *_ALWAYS),
+        (Items("dining table", 0.75), Items("round table", 0.3), Items("sideboard", 0.6),
+         Items("cabinet", 0.5, 2), Items("bench", 0.2), Items("clock", 0.2), *_ALWAYS),
     ),
     "hall": RoomKind(
         (1.75, 2.4), (1.4, 2.4),
-        (Some("coat rack", 0.7), Some("shoe cabinet", 0.7), Some("mirror", 0.4), Some("bench", 0.3),
-         Some("chest of drawers", 0.3), Some("rug", 0.2), _LAMP, Some("picture", 0.5, 3),
-         Some("box", 0.2), Some("plant", 0.2)),
+        (Items("coat rack", 0.7), Items("shoe cabinet", 0.7), Items("mirror", 0.4), Items("bench", 0.3),
+         Items("chest of drawers", 0.3), Items("rug", 0.2), _LAMP, Items("picture", 0.5, 3),
+         Items("box", 0.2), Items("plant", 0.2)),
         windows=0,
     ),
 }  # fmt: skip
@@ -555,7 +555,7 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
     )
     surfaces = tuple(
         Surface(part.vertices, part.triangles, part.uv, paint(part.material, part.size, rng))
-        for part in join_parts(model.made(body))
+        for part in join_parts(model.make_parts(body))
     )
     fresh = FlatObject(number, f"{label} {number}", label, room, surfaces, model.emission)
     others = [t for t in interior.objects if t.label != words[0]] + [

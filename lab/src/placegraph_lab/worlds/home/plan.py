@@ -13,7 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph_lab.worlds.home.change import KINDS, ROOMS, SYNONYMS, Kind, RoomKind, Some, Style
+from placegraph_lab.worlds.home.change import (
+    KINDS,
+    ROOMS,
+    SYNONYMS,
+    Items,
+    Kind,
+    RoomKind,
+    Style,
+)
 
 CELL = 0.125  # side of a character [m]
 SHARED = 13  # cells of wall that neighbours share at least: enough for a door
@@ -406,7 +414,7 @@ class Furnisher:
 
     # --------------------------------------------------------------------------------- small
 
-    def _drawn(self, some: Iterable[Some]) -> list[tuple[str, int]]:
+    def _drawn(self, some: Iterable[Items]) -> list[tuple[str, int]]:
         """Draw the number of things of each kind."""
         found = []
         for what, chance, most in some:

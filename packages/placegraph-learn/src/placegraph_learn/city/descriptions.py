@@ -110,7 +110,7 @@ class Speaker:
     held_out: bool = False
     """Whether it speaks in tiles that are `held_out`, but not `is_evaluation`, or in those that are not."""
 
-    def mine(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def is_in_own_tiles(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether positions (n, 2) [m] lie in its tiles."""
         held = held_out(*positions.T)
         return held & ~is_evaluation(*positions.T) if self.held_out else ~held
@@ -126,7 +126,7 @@ class Speaker:
         surroundings = self.city.in_sight(np.arange(len(views)))
         close = np.hypot(*surroundings.offsets.T) <= SIGHT
         enough = np.add.reduceat(close, surroundings.starts[:-1]) >= FEWEST
-        places = np.flatnonzero(enough & self.mine(views.positions))
+        places = np.flatnonzero(enough & self.is_in_own_tiles(views.positions))
         if not len(places):
             raise OptionError(
                 f"{self.city!r} has no place with {FEWEST} visible objects for training or "
@@ -140,7 +140,7 @@ class Speaker:
         while True:
             view = int(rng.choice(self.places))
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
-            if not self.mine(position[None])[0]:
+            if not self.is_in_own_tiles(position[None])[0]:
                 continue
             surroundings = look_around(
                 self.city, self.city.in_sight(np.array([view])).objects, position

@@ -478,7 +478,7 @@ class Examples:
             def tick() -> None:
                 nonlocal done
                 done += 1
-                self.progress.filling(epoch, name, done, n)
+                self.progress.report_descriptions(epoch, name, done, n)
 
             pool = make_pool(Speaker(city, self.vocabulary, held_out=held_out), n, rng, tick)
             try:

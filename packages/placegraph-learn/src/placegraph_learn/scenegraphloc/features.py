@@ -20,7 +20,7 @@ from PIL import Image
 from placegraph.core.files import check_regular
 from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
-from placegraph_learn.features import import_timm, why
+from placegraph_learn.features import format_error, import_timm
 from placegraph_learn.scenegraphloc.weights import read_state
 from placegraph_learn.torch_files import select_device
 
@@ -314,13 +314,15 @@ def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa:
             own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
             made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
         except Exception as error:  # of keys and shapes that are another network's
-            raise InputError(f"{weights}: not the weights of {model} ({why(error)}).") from error
+            raise InputError(
+                f"{weights}: not the weights of {model} ({format_error(error)})."
+            ) from error
         return made
     try:
         return timm.create_model(model, pretrained=True, num_classes=0)
     except Exception as error:  # timm raises whatever its hub does
         raise ServiceError(
-            f"The weights of {model} cannot be fetched ({why(error)}); give feature_weights a file."
+            f"The weights of {model} cannot be fetched ({format_error(error)}); give feature_weights a file."
         ) from error
 
 

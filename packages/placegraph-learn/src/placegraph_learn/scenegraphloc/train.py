@@ -511,7 +511,7 @@ def _lessons(
     for done, world in enumerate(worlds, start=1):
         path = kept / f"{world.name}.lesson"
         lessons.append(kept_lesson(path, lambda w=world: teacher.lesson(w)))  # type: ignore[misc]
-        progress.preparing(world.name, done, len(worlds))
+        progress.report_place(world.name, done, len(worlds))
     return lessons
 
 

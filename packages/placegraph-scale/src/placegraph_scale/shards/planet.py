@@ -187,7 +187,7 @@ class ShardsMatch(TownMatch):
             for row, of in sorted(of_shard.items())
         ]
         out: list[BuildingMatch | None] = [None] * len(corners)
-        for row, scores in self.search.each("judge", tasks):
+        for row, scores in self.search.run_step("judge", tasks):
             for k, score in zip(of_shard[row], scores, strict=True):
                 explain = partial(self._explain, row, tuple(middles[k].tolist()))
                 out[k] = None if score is None else BuildingMatch(score, explain)
@@ -195,7 +195,7 @@ class ShardsMatch(TownMatch):
 
     def _explain(self, row: int, lonlat: tuple[float, float]) -> tuple[Evidence, ...]:
         """Return the evidence for a place, from its shard."""
-        found = self.search.restart().each("explain", [(row, (self.shard_query, [lonlat]))])
+        found = self.search.restart().run_step("explain", [(row, (self.shard_query, [lonlat]))])
         return next((evidence for _, (evidence,) in found), ())
 
 
@@ -235,13 +235,13 @@ def _make_places(
     tasks = [(row, ([at[k] for k in mine],)) for row, mine in of.items()]
     cells = {
         k: f"{search.sources[row].key}/{name}"
-        for row, names in search.each("name", tasks)
+        for row, names in search.run_step("name", tasks)
         for k, name in zip(of[row], names, strict=True)
     }
 
     @cache
     def explain() -> dict[int, tuple[Evidence, ...]]:  # of all of them in one go
-        answers = search.restart().each(
+        answers = search.restart().run_step(
             "explain", [(row, (shard_query, *args)) for row, args in tasks]
         )
         return dict(chain(*(zip(of[row], e, strict=True) for row, e in answers)))
@@ -327,7 +327,7 @@ class Planet:
         size = int(table.viewpoints.sum())
         shard_query = ShardQuery(compiled, words, tuple(things.rows), size, fixed)
         pool = search.run(shard_query, log_mass, self.cores)
-        missing = search.missing(pool, log_mass)
+        missing = search.estimate_missing(pool, log_mass)
         gap = search.explain_gap(missing)
         search.deadline = None
         beyond = -np.inf if missing > 0.0 else search.remaining()
@@ -371,7 +371,7 @@ class Planet:
             for row in found.shards[found.objects > 0].tolist():
                 wanted.setdefault(row, []).append(table.text(token))
         tasks = [(row, (tuple(words),)) for row, words in sorted(wanted.items())]
-        return [thing for _, found in search.each("gather", tasks[:most]) for thing in found]
+        return [thing for _, found in search.run_step("gather", tasks[:most]) for thing in found]
 
     def close(self) -> None:
         """Close the shards, and leave the cluster that searches them."""

@@ -350,20 +350,20 @@ class Search:
         """Return a search of the same shards that begins anew."""
         return Search(self.sources, self.table, self.pool)
 
-    def each(
+    def run_step(
         self, step: str, tasks: Iterable[tuple[int, tuple[Any, ...]]]
     ) -> Iterator[tuple[int, Any]]:
         """Yield results of a step by row of the shard, in their order; of those that answer in time."""
-        for _, row, answer in self.all((step, *task) for task in tasks):
+        for _, row, answer in self.run_steps((step, *task) for task in tasks):
             yield row, answer
 
-    def all(
+    def run_steps(
         self, given: Iterable[tuple[str, int, tuple[Any, ...]]]
     ) -> Iterator[tuple[str, int, Any]]:
         """Yield results of several steps at once, each by its name and the row of the shard."""
         every = list(given)
         tasks = [ShardTask(step, self.sources[row], args) for step, row, args in every]
-        answers = self.pool.each(tasks, self.deadline) if tasks else {}
+        answers = self.pool.run_tasks(tasks, self.deadline) if tasks else {}
         for k, (step, row, _) in enumerate(every):
             answer = answers.get(k)
             if isinstance(answer, Failure):
@@ -394,7 +394,7 @@ class Search:
                 break
             rows, least = order[first:last], candidates.least
             # the more a shard may weigh, the more of its viewpoints stand for all others
-            reach = self.reach[self.left()]
+            reach = self.reach[self.list_unsearched()]
             total = np.logaddexp.reduce(reach[reach < np.inf], initial=candidates.weight)
             share = np.exp(np.minimum(self.reach[rows] - total, 0.0))
             drawn = np.clip(EVENLY * MAX_SAMPLES * share, FEWEST_DRAWN, MAX_SAMPLES)
@@ -402,7 +402,7 @@ class Search:
             tasks = [
                 (row, (shard_query, least, n)) for row, n in zip(rows.tolist(), counts, strict=True)
             ]
-            for row, proposal in self.each("propose", tasks):
+            for row, proposal in self.run_step("propose", tasks):
                 candidates.add(row, proposal)
                 self.searched.add(row)
             self._compare(candidates, candidates.list_unscored(0))
@@ -426,7 +426,7 @@ class Search:
             (step, row, (candidates.shard_query, candidates.proposals[row].part(at)))
             for step, rows in steps.items() for row, at in rows.items()
         ]  # fmt: skip
-        for step, row, answer in self.all(tasks):
+        for step, row, answer in self.run_steps(tasks):
             if step == "compare":
                 candidates.set_scores(row, some[row], answer)
             else:
@@ -447,17 +447,17 @@ class Search:
 
     def remaining(self) -> float:
         """Return an upper bound of the log weight of all shards that were not looked into."""
-        return float(np.logaddexp.reduce(self.reach[self.left()], initial=-np.inf))
+        return float(np.logaddexp.reduce(self.reach[self.list_unsearched()], initial=-np.inf))
 
-    def left(self) -> NDArray[np.int64]:
+    def list_unsearched(self) -> NDArray[np.int64]:
         """Return rows of shards that were not looked into, or did not answer."""
         looked = np.zeros(len(self.sources), np.bool_)
         looked[list(self.searched - self.lost.keys())] = True
         return np.flatnonzero(~looked)
 
-    def missing(self, candidates: CandidatePool, log_mass: Floats) -> float:
+    def estimate_missing(self, candidates: CandidatePool, log_mass: Floats) -> float:
         """Return the prior probability of shards that might matter and were not searched."""
-        left = self.left()
+        left = self.list_unsearched()
         left = left[np.argsort(self.reach[left], kind="stable")]
         beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
         matters = self._log_share(candidates, beyond) > np.log(NEGLIGIBLE)
@@ -501,7 +501,9 @@ class Search:
         )
         mass, highest, reached = np.full(len(cores), -np.inf), -np.inf, False
         silent = set(near.tolist())
-        for row, (top, total, there) in self.each("weigh", ((r, (fix,)) for r in near.tolist())):
+        for row, (top, total, there) in self.run_step(
+            "weigh", ((r, (fix,)) for r in near.tolist())
+        ):
             mass[row], highest, reached = total, max(highest, top), reached or there
             silent.remove(row)
         for row in sorted(silent):  # it would have held about so much

@@ -131,7 +131,7 @@ class QueryLexicon:
         """Return the share of all objects in sight, over all viewpoints of the world."""
         return float(weights @ self.words.table.shares(tokens.tolist()))
 
-    def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
+    def count_bearers(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the number of objects (K,) that bear each of these tokens."""
         return self.words.table.counts(tokens.tolist())
 

@@ -131,7 +131,9 @@ class ShardCache:
 class WorkerPool(Protocol):
     """Does steps in shards."""
 
-    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+    def run_tasks(
+        self, tasks: Sequence[ShardTask], deadline: float | None = None
+    ) -> dict[int, Any]:
         """Return the results of tasks by their rows; those not done by the deadline are left out."""
 
     def close(self) -> None:
@@ -144,7 +146,9 @@ class LocalPool:
 
     cache: ShardCache = field(default_factory=ShardCache)
 
-    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+    def run_tasks(
+        self, tasks: Sequence[ShardTask], deadline: float | None = None
+    ) -> dict[int, Any]:
         """Return the results of tasks by their rows; those not done by the deadline are left out."""
         return dict(enumerate(self.cache.work(tasks, deadline)))
 
@@ -224,7 +228,9 @@ class Cluster:
         """Return the cluster of a scheduler, for these shards; raises as `connect`."""
         return cls(connect(address, TIMEOUT), address, sources)
 
-    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+    def run_tasks(
+        self, tasks: Sequence[ShardTask], deadline: float | None = None
+    ) -> dict[int, Any]:
         """Return results by row; `ServiceError` where the scheduler or all workers are gone."""
         if self.client.status == "closed":  # the scheduler went away, and may have come again
             self.client = connect(self.address, TIMEOUT)
@@ -286,7 +292,7 @@ class _Dispatch:
     async def do(self) -> None:
         """Do all that can be done in time."""
         age, since = LOOK, monotonic()
-        while self.left() > 0.0 and len(self.results) < len(self.tasks):
+        while self.seconds_left() > 0.0 and len(self.results) < len(self.tasks):
             there = [w for w in await self.cluster.workers(age) if w not in self.gone]
             age = 0.0
             if not there:
@@ -310,7 +316,7 @@ class _Dispatch:
             self.gone.clear()  # others may have taken their addresses
         await asyncio.sleep(0.1)
 
-    def left(self) -> float:
+    def seconds_left(self) -> float:
         """Return the time that is left [s]."""
         return float("inf") if self.deadline is None else self.deadline - monotonic()
 
@@ -334,12 +340,12 @@ class _Dispatch:
 
     async def _ask(self, worker: str, tasks: list[ShardTask]) -> list[Any]:
         """Ask a worker; return nothing once the time is over, raise `OSError` if the worker is gone."""
-        seconds = None if self.deadline is None else BEGIN * max(0.0, self.left())
+        seconds = None if self.deadline is None else BEGIN * max(0.0, self.seconds_left())
         call = asyncio.ensure_future(self.cluster.ask(worker, tasks, seconds))
         try:
             while not call.done():
-                await asyncio.wait({call}, timeout=max(0.0, min(LOOK, self.left())))
-                if self.left() <= 0.0 and not call.done():
+                await asyncio.wait({call}, timeout=max(0.0, min(LOOK, self.seconds_left())))
+                if self.seconds_left() <= 0.0 and not call.done():
                     return []
                 if not call.done() and worker not in await self.cluster.workers(LOOK):
                     raise OSError(f"{worker} is gone")

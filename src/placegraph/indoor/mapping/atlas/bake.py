@@ -67,7 +67,7 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
         grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
         corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
         twice = np.zeros(len(of), bool)  # lies over a larger one of its chart, at texels' centres
-        run_parallel(kernels.overlapping, len(grids), corners, rows, starts, grids, twice)
+        run_parallel(kernels.mark_overlaps, len(grids), corners, rows, starts, grids, twice)
         bad = (of >= first) & ((steep & (areas > 0)) | twice)
         if not bad.any():
             break

@@ -100,7 +100,7 @@ def turns(corners, rows, starts, angles, gain):
 
 
 @kernel(error_model="numpy")
-def overlapping(corners, rows, starts, sizes, twice, first, last):
+def mark_overlaps(corners, rows, starts, sizes, twice, first, last):
     """Mark in `twice` (T,) what lies over another triangle of its chart, at the texels' centres.
 
     `corners`: (T, 3, 2) [texels] on each chart's grid, whose size is `sizes` (C, 2).
@@ -291,7 +291,7 @@ def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, me
         while (1 << (level + 1)) < max(extents[chart, 0], extents[chart, 1]):
             level += 1
         while level > 0:
-            image, weight = shrunk(own, marks, wide, high, extents[chart], margin, level)
+            image, weight = shrink_chart(own, marks, wide, high, extents[chart], margin, level)
             x, y, scale = _frame(wide, high, extents[chart], margin, level)
             if _error(own, marks, wide, high, image, weight, x, y, scale) <= tolerance:
                 break
@@ -317,7 +317,7 @@ def _frame(wide, high, extent, margin, level):
 
 
 @kernel(error_model="numpy")
-def shrunk(colours, state, wide, high, extent, margin, level):
+def shrink_chart(colours, state, wide, high, extent, margin, level):
     """Shrink a chart's image (h, w, 3) to a level; also counts the samples of each texel (h, w)."""
     columns, rows = grid(extent[0], margin, level), grid(extent[1], margin, level)
     x, y, scale = _frame(wide, high, extent, margin, level)
@@ -397,7 +397,7 @@ def draw(
         first = firsts[chart]
         last = first + wide * high
         own, marks, extent = colours[first:last], state[first:last], extents[chart]
-        image, weight = shrunk(own, marks, wide, high, extent, margin, level)
+        image, weight = shrink_chart(own, marks, wide, high, extent, margin, level)
         rows, columns = weight.shape
         wanted = np.zeros((rows, columns), np.bool_)
         x, y, scale = _frame(wide, high, extent, margin, level)

@@ -36,7 +36,7 @@ class SurfaceSamples:
     def __len__(self) -> int:
         return len(self.points)
 
-    def some(self, count: int) -> SurfaceSamples:
+    def subsample(self, count: int) -> SurfaceSamples:
         """Return at most `count` of the points."""
         step = max(1, -(-len(self) // count))
         return SurfaceSamples(
@@ -205,7 +205,7 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
                 "Remove it to estimate the alignment."
             )
         return Alignment(options.b_from_a, f"given; {_describe_overlap(share, options)}")
-    few = ours.some(_SOME), theirs.some(_SOME)
+    few = ours.subsample(_SOME), theirs.subsample(_SOME)
     best, motion = -1.0, np.eye(4)
     for start in _propose_starts(a, b, ours, theirs):
         share = _measure_overlap(a, b, *few, start, 0.5 * _COARSE)

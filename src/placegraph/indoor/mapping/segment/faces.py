@@ -195,7 +195,7 @@ class Samples:
         spots, row = kernels.samples(faces.points, corners, parts)
         return cls(spots, rows[row], step)
 
-    def touching(self, group: Ints, reach: float) -> Ints:
+    def find_touching(self, group: Ints, reach: float) -> Ints:
         """Return rows (K, 2) of points of different groups (F,) of faces that are within `reach` [m]."""
         if not len(self.spots):
             return np.zeros((0, 2), np.int64)
@@ -206,7 +206,7 @@ class Samples:
         shape = ((self.spots.max(axis=0) - low) / reach).astype(np.int64) + 3
         keys = kernels.cell_keys(spots, low, reach, shape)
         order = np.argsort(keys, kind="stable")
-        return kept[kernels.touching(spots, own, order, keys[order], shape, reach)]
+        return kept[kernels.find_touching(spots, own, order, keys[order], shape, reach)]
 
     def _thinned(self, group: Ints, low: Floats) -> Ints:
         """Return one point (N,) of each group in a cube of side `step`, the first of them."""
@@ -325,7 +325,7 @@ def _find_contacts(
     shell = kernels.connect(len(faces), faces.pairs)
     loose = np.flatnonzero(plane[patch] < 0)
     spread = Samples.of(faces, loose, 0.8 * options.gap)
-    rows = spread.touching(shell, options.gap)
+    rows = spread.find_touching(shell, options.gap)
     way = spread.spots[rows[:, 1]] - spread.spots[rows[:, 0]]
     far = np.sqrt((way * way).sum(axis=1))
     own = normals[spread.face[rows[:, 0]]] * side

@@ -364,7 +364,7 @@ def _gather_fragments(faces: Faces, pieces: _Pieces, group: Ints) -> Ints:
     samples = Samples.of(
         faces, np.flatnonzero(pieces.is_named[pieces.graph.of_face]), 0.5 * _NEARBY
     )
-    a, b = group_of[samples.face[samples.touching(group_of, _NEARBY)]].T
+    a, b = group_of[samples.face[samples.find_touching(group_of, _NEARBY)]].T
     better = (label[a] == label[b]) & (areas[a] < _FRAGMENT)
     better &= (areas[b] > areas[a]) | ((areas[b] == areas[a]) & (b < a))  # never in a circle
     to = np.arange(len(label))

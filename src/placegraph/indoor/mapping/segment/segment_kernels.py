@@ -160,7 +160,7 @@ def cell_keys(spots, low, cell, shape):
 
 
 @kernel
-def touching(spots, group, order, keys, shape, reach):
+def find_touching(spots, group, order, keys, shape, reach):
     """Return rows (K, 2) of samples of different groups within `reach`.
 
     Of each sample and each other group only the nearest counts. `order` sorts the samples by their

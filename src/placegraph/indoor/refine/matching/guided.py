@@ -68,7 +68,7 @@ class GuidedMatcher(ViewByView):
         height, width = view.shape[:2]
         side = 2 * self.half + 3
         if blank(ours) or blank(view) or min(height, width) < side + 2:
-            return Matches.none()
+            return Matches.empty()
         sought = lightness(resize_image(ours, width, height))
         drawn = lightness(view)
         seen = np.ones(drawn.shape, bool) if mask is None else mask

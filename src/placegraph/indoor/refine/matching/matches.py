@@ -48,7 +48,7 @@ class Matches:
         )
 
     @classmethod
-    def none(cls) -> Matches:
+    def empty(cls) -> Matches:
         """Make an empty set of matches."""
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
@@ -196,7 +196,7 @@ class Features:
         return len(self.points)
 
     @classmethod
-    def none(cls, dimension: int = 1) -> Features:
+    def empty(cls, dimension: int = 1) -> Features:
         """Make an empty set of features."""
         return cls(np.empty((0, 2)), np.empty((0, dimension), np.float32))
 

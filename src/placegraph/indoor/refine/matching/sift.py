@@ -89,7 +89,7 @@ class SiftMatcher(ViewByView):
         `turn` in degrees; None: each as it looks.
         """
         if blank(image) or min(image.shape[:2]) < _SMALLEST:
-            return Features.none(128)
+            return Features.empty(128)
         lightness = grey(image)
         if self._clahe is not None:
             lightness = self._clahe.apply(lightness)
@@ -103,7 +103,7 @@ class SiftMatcher(ViewByView):
             found = list(seen.values())
         found, vectors = self._sift.compute(lightness, found)
         if vectors is None or not len(found):
-            return Features.none(128)
+            return Features.empty(128)
         # OpenCV counts from the centre of the first pixel, we from its corner
         points = np.array([k.pt for k in found], np.float64) + 0.5
         return Features(points, _rooted(vectors))

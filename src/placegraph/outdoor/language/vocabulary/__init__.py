@@ -174,7 +174,7 @@ class LanguageWords:
         if key not in self._bins:
             letters, world = self._letters, self._world
             words = (
-                {fold_diacritics(word) for word in world.beginning(key, letters)}
+                {fold_diacritics(word) for word in world.find_by_prefix(key, letters)}
                 if letters
                 else set()
             )
@@ -452,7 +452,7 @@ class Vocabulary:
     def _built(self, form: str) -> tuple[Sense, ...]:
         """Return the senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
         found: dict[str, float] = {}
-        for key, value in self._objects.built(form):
+        for key, value in self._objects.split_phrase(form):
             inner = {
                 sense.label: sense.weight
                 for sense in self._meant(value)

@@ -267,7 +267,7 @@ class Lexicon:
         pairs = zip(LETTERS, self.languages, strict=False)
         return "".join([letter for letter, code in pairs if code.partition("-")[0] == language])
 
-    def beginning(self, key: str, letters: str) -> list[str]:
+    def find_by_prefix(self, key: str, letters: str) -> list[str]:
         """Return words in the languages of these letters that begin so without diacritics."""
         found = []
         for other, line in self._lines_from(key):
@@ -445,7 +445,7 @@ class ObjectTable:
         known.sort(key=lambda label: self.rule(label).rank)
         return {label: weights[label] for label in known}
 
-    def built(self, form: str) -> Iterator[tuple[str, str]]:
+    def split_phrase(self, form: str) -> Iterator[tuple[str, str]]:
         """Yield key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
         for key, pattern in self._patterns:
             if match := pattern.fullmatch(form):
