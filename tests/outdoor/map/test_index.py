@@ -23,7 +23,7 @@ from placegraph.outdoor.map.index import (
     build,
     fade,
 )
-from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, pack, slot_of, unpack
+from placegraph.outdoor.map.index_kernels import EDGE, WIDE, count_lower_bits, pack, slot_of, unpack
 
 ANY = st.floats(-REACH, REACH, width=32)
 
@@ -124,7 +124,7 @@ def postings(views, token):
         bits, tile = int(c.run_slots[run]), c.run_tiles[run]
         slots = [s for s in range(64) if bits >> s & 1]
         for k, slot in enumerate(slots):
-            view = c.first[tile] + below(c.present[tile], slot)
+            view = c.first[tile] + count_lower_bits(c.present[tile], slot)
             yield view, run, unpack(np.int64(c.postings[c.run_first[run] + k]))
 
 
@@ -213,7 +213,7 @@ def test_bits_are_counted(slots):
     bits = np.uint64(sum(1 << s for s in slots)).astype(np.int64)
     assert slot_of(bits) == min(slots)
     for slot in (0, 31, 63):
-        assert below(bits, slot) == sum(s < slot for s in slots)
+        assert count_lower_bits(bits, slot) == sum(s < slot for s in slots)
 
 
 def test_band_by_band_is_all_at_once(real_city):

@@ -8,7 +8,7 @@ import numpy as np
 from placegraph.core.jit import kernel
 from placegraph.outdoor.likelihood.match_kernels import BETWEEN, DIRECTION, ME
 from placegraph.outdoor.map.directions_kernels import TABLE
-from placegraph.outdoor.map.index_kernels import FINE, SLOTS, below, slot_of, unpack
+from placegraph.outdoor.map.index_kernels import FINE, SLOTS, count_lower_bits, slot_of, unpack
 
 TILES_AT_ONCE = 16
 """Number of tiles whose viewpoints are bounded at once: their data fits into the nearest cache."""
@@ -432,7 +432,7 @@ def _bound_single_views(
                     _multiply_by_prior(of_tile, bits, row, weights)
                 for slot in range(SLOTS):
                     if of_tile[slot] > 0.0:
-                        rows[count] = row + below(bits, slot)
+                        rows[count] = row + count_lower_bits(bits, slot)
                         bounds[count], multiplicity[count] = of_tile[slot], share[strip[i]]
                         count += 1
                         if of_tile[slot] > least:

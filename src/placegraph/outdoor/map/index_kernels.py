@@ -34,11 +34,11 @@ EDGE, WIDE = 40.0, 1.25
 def slot_of(bits):
     """Return the slot of the lowest bit that is set."""
     x = (bits & -bits) - 1
-    return ones(x)
+    return count_bits(x)
 
 
 @kernel(inline="always")
-def ones(x):
+def count_bits(x):
     """Count the bits that are set in a whole number from 0 on."""
     x = x - ((x >> 1) & 0x5555555555555555)
     x = (x & 0x3333333333333333) + ((x >> 2) & 0x3333333333333333)
@@ -48,9 +48,9 @@ def ones(x):
 
 
 @kernel(inline="always")
-def below(bits, slot):
+def count_lower_bits(bits, slot):
     """Count the bits that are set below a slot."""
-    return ones(bits & ((np.int64(1) << slot) - 1))
+    return count_bits(bits & ((np.int64(1) << slot) - 1))
 
 
 @kernel(inline="always")
@@ -230,7 +230,7 @@ def mark_viewpoints(tile_starts, visible, kind, enough, stride, covered):
             while bits:
                 lowest = bits & -bits
                 bits ^= lowest
-                total[ones(lowest - 1)] += visible.visibility[e]
+                total[count_bits(lowest - 1)] += visible.visibility[e]
                 x, y = visible.offsets[e]
                 if lone and x * x + y * y < stride * stride:
                     keep[tile] |= lowest
@@ -299,7 +299,7 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
             n_things += 1
             thing_counts[tile] += 1
             while bits:
-                slot = ones((bits & -bits) - 1)
+                slot = count_bits((bits & -bits) - 1)
                 bits &= bits - 1
                 if keep[tile] >> slot & 1:
                     s, (x, y) = visible.visibility[e], visible.offsets[e]
@@ -527,7 +527,7 @@ def collect_visible(kind, part_starts, point_starts, points, rows, grid, window,
             things[found], slots[found] = row, bits
             lines[found], columns[found] = r0 + t // width, c0 + t % width
             while bits:
-                k = ones((bits & -bits) - 1)
+                k = count_bits((bits & -bits) - 1)
                 bits &= bits - 1
                 where[used, 0], where[used, 1] = near[t, 1, k], near[t, 2, k]
                 used += 1

@@ -161,8 +161,8 @@ class Speaker:
                 break
             kind = habits.about
             if kind == "mixed":
-                kind = str(rng.choice(["pairs", "me", "near", "stand", "there", "missing"]))
-            getattr(told, kind)(surroundings)
+                kind = str(rng.choice(["pairs", "me", "near", "stand", "visible", "absent"]))
+            getattr(told, f"state_{kind}")(surroundings)
         return told.description() if len(told.statements) >= 3 else None
 
     def word_for(self, label: str, habits: _Habits, rng: Generator) -> str:
@@ -194,7 +194,7 @@ class _DescriptionBuilder:
     def description(self) -> Description:
         return Description("", tuple(self.mentions), tuple(self.statements))
 
-    def pairs(self, surroundings: _Surroundings) -> None:
+    def state_pairs(self, surroundings: _Surroundings) -> None:
         """Add a statement about an object, relative to another."""
         near = np.flatnonzero(surroundings.close <= SIGHT)
         if len(near) < 2:
@@ -210,15 +210,15 @@ class _DescriptionBuilder:
             self.bearing(delta),
         )
 
-    def me(self, surroundings: _Surroundings) -> None:
+    def state_me(self, surroundings: _Surroundings) -> None:
         """Add a statement about an object, relative to the speaker."""
         a = self.pick(surroundings)
         delta = surroundings.at[a] - self.position
         if np.hypot(*delta) >= 1.0:
             self.add(Relation.DIRECTION, self.node(surroundings, a), SPEAKER, self.bearing(delta))
 
-    def near(self, surroundings: _Surroundings) -> None:
-        """A thing close by, or two things close to each other."""
+    def state_near(self, surroundings: _Surroundings) -> None:
+        """Add a statement that a thing is close by, or that two things are close to each other."""
         a = int(np.argmin(surroundings.close + self.rng.exponential(6.0, len(surroundings.close))))
         others = np.hypot(*(surroundings.at - surroundings.at[a]).T)
         others[a] = np.inf
@@ -228,7 +228,7 @@ class _DescriptionBuilder:
         elif surroundings.close[a] < 20.0:
             self.add(Relation.NEAR, SPEAKER, self.node(surroundings, a))
 
-    def stand(self, surroundings: _Surroundings) -> None:
+    def state_stand(self, surroundings: _Surroundings) -> None:
         """Add a statement about where the speaker stands: in an area, or on a line."""
         kinds = self.speaker.city.objects.kind[surroundings.objects]
         inside, lines = np.flatnonzero(surroundings.around), np.flatnonzero(
@@ -241,16 +241,16 @@ class _DescriptionBuilder:
         elif len(lines):
             self.add(Relation.ALONG, SPEAKER, self.node(surroundings, int(self.rng.choice(lines))))
 
-    def there(self, surroundings: _Surroundings) -> None:
-        """A thing is in sight, or several."""
+    def state_visible(self, surroundings: _Surroundings) -> None:
+        """Add a statement that one thing, or several, are in sight."""
         self.add(
             Relation.VISIBLE,
             self.node(surroundings, self.pick(surroundings), counted=True),
             SPEAKER,
         )
 
-    def missing(self, surroundings: _Surroundings) -> None:
-        """A thing is not in sight."""
+    def state_absent(self, surroundings: _Surroundings) -> None:
+        """Add a statement that a thing is not in sight."""
         city = self.speaker.city
         here = {city.objects.label(i) for i in surroundings.objects}
         label = city.objects.label(int(self.rng.integers(len(city.objects))))
