@@ -34,7 +34,7 @@ def test_no_shard_weighs_more_than_its_bound(sharded, monkeypatch):
         found = real(self, asked, log_mass, cores)
         for row in np.flatnonzero(~self._near_rare(asked, cores)).tolist():
             one = CandidatePool(asked)
-            for _, proposed in self.each("propose", [(row, (asked, -np.inf, 512))]):
+            for _, proposed in self.run_step("propose", [(row, (asked, -np.inf, 512))]):
                 one.add(row, proposed)
             one.drawn = 1 << 20
             self._compare(one, one.list_unscored(one.drawn))

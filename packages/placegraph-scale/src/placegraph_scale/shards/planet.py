@@ -353,7 +353,7 @@ class Planet:
         """Return the question that tells the places of a part apart."""
         key = part.partition("//")[2]
         rows = [row for row, source in enumerate(self.sources) if source.key == key]
-        questions = self._search().each("ask", [(row, (estimate,)) for row in rows])
+        questions = self._search().run_step("ask", [(row, (estimate,)) for row in rows])
         return next((question for _, question in questions), None)
 
     def _search(self, budget: float | None = None) -> Search:
