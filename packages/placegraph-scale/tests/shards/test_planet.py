@@ -172,7 +172,7 @@ def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
 
 @pytest.mark.parametrize("step", ["propose", "compare"])
 def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, step, monkeypatch):
-    every, whole = Search.all, planet.locate(TEXTS[0])
+    every, whole = Search.run_steps, planet.locate(TEXTS[0])
 
     def late(search, told):
         given = list(told)
@@ -180,7 +180,7 @@ def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, st
             search.deadline = 0.0
         return every(search, given)
 
-    monkeypatch.setattr(Search, "all", late)
+    monkeypatch.setattr(Search, "run_steps", late)
     found = planet.locate(TEXTS[0], budget=1e6)
     if step == "compare":  # all was proposed, and what was proposed is compared
         assert found.best.probability == whole.best.probability

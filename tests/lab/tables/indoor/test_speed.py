@@ -8,7 +8,7 @@ def test_methods_are_timed_on_both_maps(monkeypatch, tmp_path):
         "passes": 3, "particles": 90.0, "rays_a_frame": 2e5, "rays_per_second": 1e7,
         "scoring_share": 0.5, "peak_bytes": 4e8,
     }  # fmt: skip
-    monkeypatch.setattr(script, "apart", lambda *_: measured)
+    monkeypatch.setattr(script, "run_apart", lambda *_: measured)
     run = Run("indoor_speed", tmp_path, tmp_path)
     rows = script.methods(run, {"house": tmp_path, "small": tmp_path}, [tmp_path])
     assert len(rows) == len(script.METHODS) + 2

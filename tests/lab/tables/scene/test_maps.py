@@ -156,7 +156,7 @@ def replaced(asking, **options):
 def faked(maps, asking, monkeypatch):
     """The benchmark itself."""
     monkeypatch.setattr(script, "Maps", lambda *_: maps)
-    monkeypatch.setattr(script, "Asking", lambda *_, **__: asking)
+    monkeypatch.setattr(script, "WindowRunner", lambda *_, **__: asking)
 
 
 @pytest.mark.usefixtures("faked")
