@@ -63,7 +63,7 @@ def test_ctrl_c_says_how_to_go_on(run, city, pools, tmp_path, monkeypatch):
         patched.setattr(ShownProgress, "step", interrupt)
         result = run(*command)
     assert result.code == 130
-    assert "Interrupted; 1 epoch is kept" in result.err
+    assert "Interrupted; 1 epoch is saved" in result.err
     assert f"placegraph city train {city}" in result.err
     assert not out.exists()
     gone_on = run(*command)
@@ -98,10 +98,10 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
     for arguments, code, words in (
         ((tmp_path / "gone.city", "-o", out, "--work", work), 3, "gone.city"),
         ((city, "-o", tmp_path / "no" / "a.weights", "--work", work), 4, "a.weights"),
-        ((city, *here), 7, "Several maps are called town"),
+        ((city, *here), 7, "Several maps are named town"),
         ((*here, "--epochs", 0), 7, "epochs is 0"),
         ((city, "-o", out, "--work", other, "--pools", pools, *TINY), 7, "another"),
-        ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "it is 'cpu', 'cuda' or 'auto'"),
+        ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "choose 'cpu', 'cuda' or 'auto'"),
         ((*here, *TINY, "--rate", 50), 7, "rate is 50"),
         ((*here, *TINY, "--heads", 5), 7, "width 48 does not fit 5 heads"),
     ):
@@ -147,8 +147,8 @@ def test_the_command_trains_and_goes_on(run, maps, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "one of both"),
-        (("maps", "--synthetic", 3), "one of both"),
+        ((), "either a folder"),
+        (("maps", "--synthetic", 3), "either a folder"),
         (("nowhere",), "scene build"),
         (("--synthetic", 3, "--width", "huge"), "small or published"),
         (("--synthetic", 3, "--features", "sift"), "one of dinov2, colour"),

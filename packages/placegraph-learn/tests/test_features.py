@@ -100,7 +100,7 @@ def test_bad_weights(timm, tmp_path, model, factor, words, ending):
 
 def test_bad_options(timm, monkeypatch):
     for options, words in (
-        ({"model": "vit_of_nobody"}, "knows no model"),
+        ({"model": "vit_of_nobody"}, "has no model"),
         ({"layer": 77}, "layer 77"),
         ({"size": 8}, "size is 8"),
         ({"temperature": 0.0}, "temperature"),

@@ -205,9 +205,9 @@ def test_masks_blank_and_tiny_images(adapter, picture, rng):
 
 
 def test_wrong_weights_are_named(library, library_v2, tmp_path):
-    with pytest.raises(InputError, match=r"wrong\.pth holds weights of another network"):
+    with pytest.raises(InputError, match=r"wrong\.pth contains weights of another network"):
         matcher("roma", weights=library.wrong, backbone=library.dino)
-    with pytest.raises(InputError, match=r"wrong\.pth holds weights of another network"):
+    with pytest.raises(InputError, match=r"wrong\.pth contains weights of another network"):
         matcher("romav2", weights=library.wrong)
     (tmp_path / "junk.pth").write_bytes(b"junk")
     with pytest.raises(InputError, match=r"junk\.pth cannot be read as weights"):

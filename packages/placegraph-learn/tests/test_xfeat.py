@@ -92,9 +92,9 @@ def test_weights_of_another_network_are_named(tmp_path, weights):
     state, path = torch.load(weights, weights_only=True), tmp_path / "other.pt"
     name = next(n for n, t in state.items() if t.ndim == 4)
     for content, words in (
-        ({"layer.weight": torch.zeros(3, 3)}, "holds weights of another network"),
-        (state | {name: torch.zeros(2, 2, 2, 2)}, "holds weights of another network"),
-        ([torch.zeros(3)], "contains no tensors by name"),
+        ({"layer.weight": torch.zeros(3, 3)}, "contains weights of another network"),
+        (state | {name: torch.zeros(2, 2, 2, 2)}, "contains weights of another network"),
+        ([torch.zeros(3)], "contains no named tensors"),
     ):
         torch.save(content, path)
         with pytest.raises(InputError, match=rf"other\.pt {words}"):

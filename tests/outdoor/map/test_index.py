@@ -313,12 +313,12 @@ def stored(harbour, tmp_path, monkeypatch):
     return path
 
 
-@pytest.mark.parametrize("how", ["cut short", "written to"])
+@pytest.mark.parametrize("how", ["is truncated", "written to"])
 def test_a_file_that_is_changed_while_its_index_is_used_is_refused(how, harbour, stored):
     city = City.open(stored, shard=True)
     assert isinstance(city.views.columns.postings.base.base, mmap)
     sent = pickle.loads(pickle.dumps(city))  # noqa: S301  # our own
-    if how == "cut short":
+    if how == "is truncated":
         os.truncate(stored, 100)
     else:
         with stored.open("r+b") as file:

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 WORLDS, HOMES = "placegraph.training_worlds", "homes"
 """Entry point of another distribution that draws places to learn from."""
-HELD_OUT = "right, in places not learned"
+HELD_OUT = "correct, in held-out places"
 """Title of the curves of `scene train`."""
 
 WorkFolder = Annotated[
     Path,
     Option(help="Folder for checkpoints and training curves."),
 ]
-TrainingDevice = Annotated[str, Option(help="cpu, cuda, or auto.")]
+TrainingDevice = Annotated[str, Option(help="auto, cpu or cuda.")]
 
 
 def train_city(  # options of a command
@@ -45,7 +45,7 @@ def train_city(  # options of a command
     shape: Annotated[dict[str, Any], Fields("placegraph.outdoor.network.network:Shape")],
     device: TrainingDevice = "auto",
     pools: Annotated[
-        Path | None, Option(help="Folder of descriptions that several trainings share.")
+        Path | None, Option(help="Folder of descriptions, shared by several trainings.")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -80,13 +80,13 @@ def train_scene(
     maps: Annotated[
         Path | None,
         Argument(
-            help="Folder of scene maps: each NAME.scene with a capture, or several, in the folder "
-            "NAME beside it, whose poses are in the map."
+            help="Folder of scene maps NAME.scene, each with one or more captures in a folder NAME, with poses "
+            "in the map's frame."
         ),
     ] = None,
     synthetic: Annotated[
         int | None,
-        Option(least=3, help="Number of procedural homes to train on, in place of your own maps."),
+        Option(least=3, help="Number of procedural homes to train on, instead of your own maps."),
     ] = None,
     held_out: Annotated[
         int | None,
@@ -104,16 +104,16 @@ def train_scene(
     ] = None,
     attributes: Annotated[
         Path | None,
-        Option(help="Attribute words, one a line; if not given attributes say nothing."),
+        Option(help="Attribute words, one per line; if not given, attributes are ignored."),
     ] = None,
     width: Annotated[
-        str, Option(help="Of the network: small, or published (34 million weights).")
+        str, Option(help="Width of the network: small, or published (34 million weights).")
     ] = "small",
     rotate: Annotated[
         bool | None,
         Option(
             "--rotate/--no-rotate",
-            help="Rotate all images clockwise, as in 3RScan; if not given, each by its gravity.",
+            help="Rotate all images clockwise, as in 3RScan; if not given, each according to its gravity.",
         ),
     ] = None,
     frames: Annotated[
@@ -161,13 +161,13 @@ def choose_worlds(maps: Path | None, synthetic: int | None, frames: int, seed: i
     from placegraph_learn.scenegraphloc.lessons import folder
 
     if (maps is None) == (synthetic is None):
-        raise OptionError("Give a folder of scene maps, or --synthetic with a number: one of both.")
+        raise OptionError("Give either a folder of scene maps, or --synthetic with a number.")
     if maps is not None:
         return folder(maps)
     if HOMES not in plugins(WORLDS):
         raise MissingExtraError(
-            "--synthetic draws homes with placegraph-lab, which is not installed; run `pip "
-            "install placegraph-lab` brings it."
+            "--synthetic needs placegraph-lab, which is not installed; run `pip install "
+            "placegraph-lab`."
         )
     worlds: list[World] = load_plugin(WORLDS, HOMES, "lab")(synthetic, seed=seed, frames=frames)
     return worlds
@@ -191,7 +191,7 @@ def _teacher(
     if width == "small":
         return teacher, Widths.small(found.dimension, teacher.attribute_count)
     if width != "published":
-        raise OptionError(f"--width is {width!r}; it is small or published.")
+        raise OptionError(f"--width is {width!r}; choose small or published.")
     return teacher, Widths(feature=found.dimension, attributes=teacher.attribute_count)
 
 
@@ -217,7 +217,7 @@ def show_training(
         except KeyboardInterrupt:
             bars.stop()
             done = len(rows_of(work))
-            kept = f"{done} epochs are kept" if done != 1 else "1 epoch is kept"
+            kept = f"{done} epochs are saved" if done != 1 else "1 epoch is saved"
             command = shlex.join(["placegraph", *sys.argv[1:]])
             click.echo(
                 f"Interrupted; {kept} in {work}. Resume with the same command: {command}",

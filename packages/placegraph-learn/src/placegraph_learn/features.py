@@ -65,7 +65,7 @@ class Backbone:
     ) -> None:
         timm = import_timm()
         if not timm.is_model(model):
-            raise OptionError(f"timm knows no model {model!r}; timm.list_models() has their names.")
+            raise OptionError(f"timm has no model {model!r}; timm.list_models() lists them.")
         self._device = select_device(torch, device)
         self.name, self._layer = model, layer
         network = _made(timm, model, pretrained=pretrained and weights is None)
@@ -105,15 +105,17 @@ class Backbone:
             found = self(np.zeros((side, 2 * side, 3), np.uint8))
         except Exception as error:  # timm's networks fail in many ways
             raise OptionError(
-                f"{self.name} (layer {self._layer}) gives no grid of features of an image that is no "
-                f"square ({format_error(error)}); take a ViT or a convolutional network, and a layer it has."
+                f"{self.name} (layer {self._layer}) returns no grid of features for an image that "
+                f"is not square ({format_error(error)}); choose a ViT or a convolutional network, and one "
+                "of its layers."
             ) from error
         if not np.isfinite(found).all():
-            raise InputError(f"{weights}: its numbers are not finite; download it again.")
+            raise InputError(f"{weights} contains numbers that are not finite; download it again.")
         rows, columns, dimension = found.shape
         if not rows or side % rows or columns != 2 * rows:
             raise OptionError(
-                f"{self.name}: features of {side} px are {rows} x {columns}: no grid."
+                f"{self.name}: the features of {side} px are {rows} x {columns}, which is not a "
+                "grid; choose another layer."
             )
         return side // rows, dimension
 
@@ -124,7 +126,7 @@ def import_timm() -> Any:  # noqa: ANN401  # the module
         import timm
     except (ImportError, RuntimeError) as error:  # RuntimeError: torchvision of another PyTorch
         raise MissingExtraError(
-            "Image features need timm and the torchvision that belongs to your PyTorch: pip install "
+            "Image features need timm, and the torchvision of your PyTorch version: pip install "
             f"'placegraph[learn]' ({format_error(error)})."
         ) from error
     return timm
@@ -143,11 +145,11 @@ def _made(timm: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
             except Exception as error:
                 if not pretrained:
                     raise OptionError(
-                        f"timm cannot make {model} ({format_error(error)})."
+                        f"timm cannot create {model} ({format_error(error)}); choose another model."
                     ) from error
                 raise ServiceError(
-                    f"The weights of {model} cannot be fetched ({format_error(error)}); download them where "
-                    f"there is a network, and give weights=FILE."
+                    f"The weights of {model} cannot be downloaded ({format_error(error)}); download them "
+                    "elsewhere, and give weights=FILE."
                 ) from error
     raise AssertionError
 
@@ -161,7 +163,7 @@ def _state(path: Path, model: str) -> dict[str, Any]:
             return {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
     except FileNotFoundError as error:
         raise InputError(
-            f"{path} does not exist; weights= names the file with the weights of {model!r}."
+            f"{path} does not exist; give weights= the file with the weights of {model!r}."
         ) from error
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
@@ -178,14 +180,15 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
         missing, over = network.load_state_dict(fitting, strict=False)
     except Exception as error:  # of shapes, and of whatever the filter did not expect
         raise InputError(
-            f"{path} holds weights of another network than {model!r} ({format_error(error)}); give its own."
+            f"{path} contains weights of another network than {model!r} ({format_error(error)}); give the "
+            "weights of this one."
         ) from error
     over = [key for key in over if not key.startswith(_HEADS)]
-    for what, keys in (("lacks", missing), ("holds besides", over)):
+    for what, keys in (("lacks", missing), ("has in addition", over)):
         if keys:
             raise InputError(
-                f"{path} {what} {keys[0]!r} and {len(keys) - 1} more: weights of another network "
-                f"than {model!r}; give its own."
+                f"{path} {what} {keys[0]!r} and {len(keys) - 1} more, so it has the weights of "
+                f"another network than {model!r}; give the weights of this one."
             )
 
 
@@ -241,7 +244,7 @@ class FeaturesEncoder:
         device: str = "auto",
     ) -> None:
         if not temperature > 0:
-            raise OptionError(f"temperature is {temperature}; it is a number above 0.")
+            raise OptionError(f"temperature is {temperature}; it must be greater than 0.")
         self.temperature = temperature
         self._backbone = Backbone(
             model, pretrained=pretrained, weights=weights, layer=layer, device=device

@@ -113,7 +113,9 @@ class RomaMatcher(_DenseMatcher):
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise OptionError(f"kind is {self.kind!r}; it is {', '.join(map(repr, KINDS))}.")
+            raise OptionError(
+                f"kind is {self.kind!r}; choose one of {', '.join(map(repr, KINDS))}."
+            )
         if self.size % _PATCH or self.size <= 0 or self.fine % 8 or self.fine < 0:
             raise OptionError(
                 f"size is {self.size} and fine {self.fine}; they must be multiples of {_PATCH} "
@@ -180,7 +182,7 @@ class RomaV2Matcher(_DenseMatcher):
     def __post_init__(self) -> None:
         if self.setting not in SETTINGS:
             known = ", ".join(map(repr, SETTINGS))
-            raise OptionError(f"setting is {self.setting!r}; it is {known}.")
+            raise OptionError(f"setting is {self.setting!r}; choose one of {known}.")
         super().__post_init__()
         self._network.apply_setting(self.setting)
 
@@ -243,8 +245,8 @@ def _state(path: Path | str | None, url: str, name: str) -> dict[str, Any]:
         )
     except OSError as error:  # urllib's errors are such
         raise ServiceError(
-            f"{url} cannot be reached ({error}); download it elsewhere and name the file: "
-            "weights=, and backbone= for DINOv2."
+            f"{url} cannot be reached ({error}); download it elsewhere and give the file as "
+            "weights=, and as backbone= for DINOv2."
         ) from error
     return state
 
@@ -267,6 +269,6 @@ def _weights_from(weights: Path | str | None) -> Iterator[None]:
             yield
     except OSError as error:  # urllib's errors are such
         raise ServiceError(
-            f"RoMa v2's hub cannot be reached ({error}); download romav2.0.1.pt elsewhere and name "
-            "the file: weights=. DINOv3's code comes from a hub of its own."
+            f"RoMa v2's hub cannot be reached ({error}); download romav2.0.1.pt elsewhere and give "
+            "the file as weights=. The code of DINOv3 comes from another hub."
         ) from error

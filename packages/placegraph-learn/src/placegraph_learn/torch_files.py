@@ -21,9 +21,9 @@ def select_device(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and 
     try:
         selected = torch.device(device)
     except RuntimeError as error:
-        raise OptionError(f"device is {device!r}; it is 'cpu', 'cuda' or 'auto'.") from error
+        raise OptionError(f"device is {device!r}; choose 'cpu', 'cuda' or 'auto'.") from error
     if selected.type == "cuda" and not torch.cuda.is_available():
-        raise OptionError(f"device is {device!r}, but PyTorch sees no GPU here; 'cpu' works.")
+        raise OptionError(f"device is {device!r}, but PyTorch finds no GPU; use 'cpu'.")
     return selected
 
 
@@ -45,7 +45,7 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
         state = load_torch_file(torch, path)
     except FileNotFoundError as error:
         raise InputError(
-            f"{path} does not exist; weights= names the file with the weights of {name!r}."
+            f"{path} does not exist; give weights= the file with the weights of {name!r}."
         ) from error
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
@@ -54,7 +54,7 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
         ) from error
     if not isinstance(state, dict) or not all(torch.is_tensor(v) for v in state.values()):
         raise InputError(
-            f"{path} contains no tensors by name; weights of {name!r} are a state dict."
+            f"{path} contains no named tensors; give the weights of {name!r} as a state dict."
         )
     return state
 
@@ -68,6 +68,6 @@ def check_weights(path: Path | str | None, name: str) -> Iterator[None]:
         lines = str(error).splitlines()
         why = " ".join((lines[1] if len(lines) > 1 else lines[0]).split())
         raise InputError(
-            f"{path or 'The file from the hub'} holds weights of another network than {name!r} "
-            f"({why[:160]}); give its own."
+            f"{path or 'The file from the hub'} contains weights of another network than {name!r} "
+            f"({why[:160]}); give the weights of this one."
         ) from error

@@ -54,11 +54,13 @@ def open_folder(folder: str | PathLike[str], plan: Mapping[str, Any]) -> dict[st
             write_output(path / PLAN, json.dumps(plan, indent=1).encode())
         known: dict[str, Any] = json.loads((path / PLAN).read_text(encoding="utf-8"))
     except (OSError, ValueError, InputError) as error:
-        raise InputError(f"{path}: no folder to train in ({error}); name another.") from error
+        raise InputError(
+            f"{path} cannot be used as the folder of a training ({error}); name another."
+        ) from error
     if known != json.loads(json.dumps(plan)):
         raise OptionError(
-            f"{path} holds a training with other maps or options; name another folder, or "
-            "delete it to begin anew."
+            f"{path} contains a training with other maps or options; choose another folder, or "
+            "delete it to start again."
         )
     return known
 
@@ -118,7 +120,7 @@ def refuse_twins(names: Sequence[str]) -> None:
     twins = sorted({name for name in names if names.count(name) > 1})
     if twins:
         raise OptionError(
-            f"Several maps are called {twins[0]}; rename one, examples are kept by name."
+            f"Several maps are named {twins[0]}; rename one, because examples are stored by name."
         )
 
 
@@ -127,7 +129,7 @@ PANEL_WIDTH, PANEL_HEIGHT = 370.0, 320.0
 SUPERSAMPLE = 2
 SERIES = ("match", "similarity", "embedding", "fusion", "eq17", "eq18", "loss")
 """Series that are losses."""
-RECALL = "recall@1 within 50 m, tiles held out"
+RECALL = "recall@1 within 50 m, held-out tiles"
 PAPER, GRID, INK, SOFT_INK = "#f4f1ea", "#d9d1c3", "#33312d", "#6e6a62"
 RED, BLUE, GREEN, AMBER = "#b3261e", "#3b74b5", "#3f8a63", "#9a5b00"
 COLORS = {
@@ -152,7 +154,7 @@ def draw_curves(
     others = [n for n in names if n not in SERIES]
     _draw_panel(draw, (650.0, 64.0), title or RECALL, rows, others)
     if not rows:
-        _text(draw, (WIDTH / 2, HEIGHT / 2), "no epoch has ended yet", 15, SOFT_INK, "mm")
+        _text(draw, (WIDTH / 2, HEIGHT / 2), "no epoch is finished yet", 15, SOFT_INK, "mm")
     picture.resize((WIDTH, HEIGHT), Image.Resampling.BOX).save(path)
     return Path(path)
 

@@ -137,22 +137,22 @@ def test_word_vectors_of_a_file_are_trained_with(learn, tmp_path, harbour, make_
     with pytest.raises(OptionError, match="other maps or options"):
         learn(tmp_path / "b", options)
     file.unlink()
-    with pytest.raises(InputError, match="name a word2vec file"):
+    with pytest.raises(InputError, match="give a word2vec file"):
         learn(tmp_path / "b", options)
 
 
 def test_a_folder_of_another_training_is_refused(learn, trained, tmp_path):
     _, folder, _ = trained
     for other in (replace(OPTIONS, rate=1.0), replace(OPTIONS, shape=Shape(width=12))):
-        with pytest.raises(OptionError, match="holds a training with other maps or options"):
+        with pytest.raises(OptionError, match="contains a training with other maps or options"):
             learn(folder, other)
     (tmp_path / "plan.json").write_text("{", "utf-8")
-    with pytest.raises(InputError, match="no folder to train in"):
+    with pytest.raises(InputError, match="cannot be used as the folder of a training"):
         learn(tmp_path)
     (tmp_path / "file").write_text("", "utf-8")
-    with pytest.raises(InputError, match="no folder for examples"):
+    with pytest.raises(InputError, match="cannot be used as a folder for examples"):
         learn(tmp_path / "b", pools=tmp_path / "file")
-    with pytest.raises(OptionError, match="name at least one map"):
+    with pytest.raises(OptionError, match="name at least one"):
         train({}, tmp_path / "a.weights", folder=tmp_path)
 
 

@@ -72,20 +72,20 @@ def test_damage_is_refused_or_harmless(folder, data):
 @pytest.mark.parametrize(
     ("raw", "says"),
     [
-        (b"", "does not begin with a line of two numbers"),
-        (b"cafe 1 2 3\n", "does not begin with a line of two numbers"),
-        (b"-1 3\n", "does not begin with a line of two numbers"),
+        (b"", "does not begin with the number of words"),
+        (b"cafe 1 2 3\n", "does not begin with the number of words"),
+        (b"-1 3\n", "does not begin with the number of words"),
         (b"0 3\n", "0 words of 3 numbers"),
         (b"1 0\n", "1 words of 0 numbers"),
         (b"1 99999\n", "1 words of 99999 numbers"),
         (b"3000000 300\ncafe 1 2\n", "too short"),
         (b"9999999999 300\n", "words.vec"),
         (b"2 2\ncafe 1 2\ntree 1\n\n\n", "word 2 of 2"),
-        (b"1 2\ncafe 1 2\ntree 1 2\n", "goes on after the 1 words"),
-        (b"2 2\ncafe 1 2\ntree 1 nan\n", "'tree' holds what is no number"),
-        (b"2 2\ncafe 1 2\ntree 1 e\n", "'tree' holds what is no number"),
-        (b"1 2\ncafe 1 1e9\n", "'cafe' holds what is no number"),
-        (b"1 2\nhouse 1 2\n", "knows none of the 2 words"),
+        (b"1 2\ncafe 1 2\ntree 1 2\n", "continues after the 1 words"),
+        (b"2 2\ncafe 1 2\ntree 1 nan\n", "'tree' contains a value that is not a number"),
+        (b"2 2\ncafe 1 2\ntree 1 e\n", "'tree' contains a value that is not a number"),
+        (b"1 2\ncafe 1 1e9\n", "'cafe' contains a value that is not a number"),
+        (b"1 2\nhouse 1 2\n", "has vectors for none of the 2 words"),
         (gzip.compress(b"1 2\ncafe 1 2\n", mtime=0), "gunzip"),
     ],
 )
@@ -97,7 +97,7 @@ def test_what_is_wrong_is_said(file, raw, says):
 
 def test_a_missing_file_is_named(tmp_path):
     for path in (tmp_path / "gone.vec", tmp_path):
-        with pytest.raises(InputError, match="name a word2vec file"):
+        with pytest.raises(InputError, match="give a word2vec file"):
             read_word2vec(path, {"cafe"})
 
 

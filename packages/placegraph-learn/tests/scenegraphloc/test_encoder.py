@@ -99,10 +99,10 @@ class Flat(ColourFeatures):
 def test_options_that_do_not_fit_the_network_are_refused(tiny_weights, tmp_path):
     (tmp_path / "words.txt").write_text("red\nblue\n", encoding="utf-8")
     for options, message in (
-        ({"weights": None}, "none given"),
+        ({"weights": None}, "none are given"),
         ({"features": Flat()}, "trained on"),
         ({"features": "sift"}, "one of"),
-        ({"attributes": tmp_path / "words.txt"}, "2 words, the network counts 164"),
+        ({"attributes": tmp_path / "words.txt"}, "has 2 words, but the network has 164"),
         ({"temperature": 0.0}, "temperature"),
         ({"device": "abacus"}, "device"),
         ({"colour": "red"}, "colour"),
@@ -110,7 +110,7 @@ def test_options_that_do_not_fit_the_network_are_refused(tiny_weights, tmp_path)
         with pytest.raises(OptionError, match=message):
             encoder("scenegraphloc", **({"weights": tiny_weights} | options))
     weights = read_weights(tiny_weights)
-    with pytest.raises(OptionError, match="3 numbers, the network was trained on 17"):
+    with pytest.raises(OptionError, match="3 numbers, but the network was trained on 17"):
         SceneGraphLocEncoder(replace(weights, notes={}), features=Flat())
     with pytest.raises(OptionError, match="mine-3"):
         SceneGraphLocEncoder(replace(weights, notes={"features": "mine-3"}))

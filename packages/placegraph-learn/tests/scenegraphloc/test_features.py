@@ -132,9 +132,9 @@ def test_what_is_wrong_is_named(timm, transformer, tmp_path, monkeypatch):
     small = timm.create_model("test_vit", num_classes=0)
     torch.save(small.state_dict(), tmp_path / "small.pth")
     for file, options, error, words in (
-        ("a.pth", {"model": "vit_none"}, OptionError, "knows no model"),
+        ("a.pth", {"model": "vit_none"}, OptionError, "has no model"),
         ("none.pth", {"model": name}, InputError, r"none\.pth"),
-        ("cut.pth", {"model": name}, InputError, "cut short"),
+        ("cut.pth", {"model": name}, InputError, "is truncated"),
         ("other.pth", {"model": name}, InputError, "not the weights of"),
         ("small.pth", {"model": "test_vit", "block": 1}, OptionError, "do not fill"),
     ):
@@ -145,7 +145,7 @@ def test_what_is_wrong_is_named(timm, transformer, tmp_path, monkeypatch):
             DinoFeatures(transformer, name="tiny", block=block)
     for features, options, words in (
         ("sift", {}, "one of dinov2, colour"),
-        ("colour", {"weights": "a.pth"}, "leave them out"),
+        ("colour", {"weights": "a.pth"}, "remove it"),
     ):
         with pytest.raises(OptionError, match=words):
             features_named(features, **options)

@@ -84,7 +84,7 @@ def test_points_lie_on_the_surface_less_the_rooms_mean(scene, monkeypatch):
     with pytest.raises(OptionError, match="'surface' or 'vertices'"):
         _room(scene, source="edges")
     monkeypatch.setattr("placegraph_learn.scenegraphloc.inputs._MOST", 2)
-    with pytest.raises(OptionError, match="3 objects in one room"):
+    with pytest.raises(OptionError, match="a room has 3 objects"):
         _room(scene)
 
 

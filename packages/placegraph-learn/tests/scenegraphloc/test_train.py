@@ -192,7 +192,7 @@ def test_what_cannot_be_trained_is_refused(tmp_path, learn, trained):
     ):
         with pytest.raises(OptionError, match=words):
             train(given, path, folder=tmp_path)
-    with pytest.raises(OptionError, match="numbers a feature"):
+    with pytest.raises(OptionError, match="features of 3 numbers"):
         learn(tmp_path, widths=Widths.small(3))
     with pytest.raises(OptionError, match="another folder"):
         learn(trained[1], replace(OPTIONS, rate=0.5))
@@ -228,5 +228,5 @@ def test_folders_without_maps_and_captures_outside_are_named(room, survey, tmp_p
 
         return Material(SurveyedScene(room, (survey,)), (place_capture(survey, far),))
 
-    with pytest.raises(OptionError, match="poses are in the map"):
+    with pytest.raises(OptionError, match="poses in the map's frame"):
         Teacher(ColourFeatures()).lesson(World("lost", lost))

@@ -105,14 +105,14 @@ WRONG = {
     "no dimensions": (_with("reduce_layers.norm1.weight", torch.tensor(1.0)), "shape"),
     "no width": (_with("reduce_layers.norm1.weight", torch.ones(0)), "feature is 0"),
     "NaN": (_with("sg_encoder.fusion.weight", torch.full((5, 1), torch.nan)),
-            "sg_encoder.fusion.weight.*no number"),
+            "sg_encoder.fusion.weight.*not a number"),
     "half an old spelling": (
         lambda s: {k: v for k, v in _old_spelling(s).items() if k != LIN.format(0, "_dst")},
-        "lin_dst.weight.*missing"),
+        "lin_src.weight', but not .*lin_dst.weight"),
     "two that differ": (lambda s: _old_spelling(s) | {LIN.format(0, "_dst"): torch.ones(6, 3)},
                         "differ"),
-    "no tensor": (_with("sg_encoder.fusion.weight", 3), "no tensor"),
-    "nothing": (lambda _: {}, "no weights"),
+    "not a tensor": (_with("sg_encoder.fusion.weight", 3), "not a tensor"),
+    "nothing": (lambda _: {}, "not a dict of named weights"),
 }  # fmt: skip
 
 

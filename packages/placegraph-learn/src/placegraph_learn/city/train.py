@@ -51,7 +51,7 @@ class TrainOptions:
     )
     examples: int = option(
         1200,
-        "New descriptions of a city in each epoch; those of earlier epochs are learned again.",
+        "New descriptions of a city in each epoch; those of earlier epochs are used again.",
         minimum=1,
         flag="--examples",
     )
@@ -82,7 +82,7 @@ class TrainOptions:
         minimum=1,
         flag="--check",
     )
-    shape: Shape = option(Shape(), "Sizes of the network.")
+    shape: Shape = option(Shape(), "Widths and depths of the network.")
     word_vectors: str | None = option(
         None,
         "word2vec file (text or binary) with vectors for the words it contains, as in the paper.",
@@ -394,7 +394,7 @@ def train(
     """
     options, progress = options or TrainOptions(), progress or Progress()
     if not cities:
-        raise OptionError("There is no city to train on; name at least one map.")
+        raise OptionError("No city map is given to train on; name at least one.")
     device = str(select_device(torch, device))
     vocabulary = vocabulary or Vocabulary.default()
     word_vectors = None
@@ -485,7 +485,8 @@ class Examples:
                 self.folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(
-                    f"{self.folder}: no folder for examples ({error}); name another."
+                    f"{self.folder} cannot be used as a folder for examples ({error}); name "
+                    "another."
                 ) from error
             write_pool(path, pool)
         return Lessons(city, pool, self.options.shape.subwords, self.word_vectors)

@@ -53,17 +53,22 @@ def read_word2vec(path: str | PathLike[str], wanted: Collection[str]) -> WordVec
                     (exact if small == word else similar).setdefault(small, vector())
     except OSError as error:
         raise InputError(
-            f"{path}: {error.strerror or error}; name a word2vec file, text or binary."
+            f"{path}: {error.strerror or error}; give a word2vec file, text or binary."
         ) from error
     found = similar | exact
     if not found:
-        raise InputError(f"{path} knows none of the {len(wanted):,} words asked for; name another.")
+        raise InputError(
+            f"{path} has vectors for none of the {len(wanted):,} words needed; give another file."
+        )
     words = tuple(sorted(found))
     with np.errstate(over="ignore"):
         vectors = np.stack([found[word] for word in words]).astype(np.float16)
     if not np.isfinite(vectors).all():
         bad = words[int(np.argmin(np.isfinite(vectors).all(axis=1)))]
-        raise InputError(f"{path}: the vector of {bad!r} holds what is no number below 65,504.")
+        raise InputError(
+            f"{path}: the vector of {bad!r} contains a value that is not a number below 65,504; "
+            "copy it again."
+        )
     return WordVectors(words, vectors.astype(np.float32))
 
 
@@ -89,12 +94,15 @@ def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _RawVector]]:
         raise InputError(f"{path} is compressed; decompress it first (gunzip).")
     if len(fields) != 2 or not all(f.isdigit() for f in fields) or not head.endswith(b"\n"):
         raise InputError(
-            f"{path} does not begin with a line of two numbers, how many words and how long their "
-            "vectors are; name a word2vec file, text or binary."
+            f"{path} does not begin with the number of words and the length of their vectors; give "
+            "a word2vec file, text or binary."
         )
     count, length = map(int, fields)
     if not 1 <= length <= LONGEST or not count:
-        raise InputError(f"{path}: {count} words of {length} numbers are no word vectors.")
+        raise InputError(
+            f"{path}: {count} words of {length} numbers cannot be word vectors; give a word2vec "
+            "file."
+        )
     begin = file.tell()
     first = file.readline(WORD + NUMBER * length)
     left = file.seek(0, 2) - begin
@@ -103,21 +111,21 @@ def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _RawVector]]:
     least = 2 + (2 if text else 4) * length  # a letter, a space, and the numbers
     if count * least > left + 1:  # the last line may end without a line feed
         raise InputError(
-            f"{path} says that it holds {count:,} words of {length} numbers, but is too short for "
-            "them; it was cut off, copy it again."
+            f"{path} declares {count:,} words of {length} numbers, but is too short for them, so "
+            "it is truncated; copy it again."
         )
     entries = _lines(file, count, length) if text else _blocks(file, count, length)
     for number, entry in enumerate(entries, 1):
         if entry is None:
             raise InputError(
-                f"{path}, word {number:,} of {count:,}: no word with {length} numbers; the file is "
-                "damaged or its first line is wrong, copy it again."
+                f"{path}, word {number:,} of {count:,}: expected a word and {length} numbers; the "
+                "file is damaged or its first line is wrong, copy it again."
             )
         yield entry
     if file.read(64).strip():
         raise InputError(
-            f"{path} goes on after the {count:,} words of its first line; it is damaged or the "
-            "line is wrong, copy it again."
+            f"{path} continues after the {count:,} words that its first line declares, so it is "
+            "damaged; copy it again."
         )
 
 

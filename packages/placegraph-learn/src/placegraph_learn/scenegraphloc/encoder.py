@@ -95,7 +95,7 @@ class SceneGraphLocEncoder:
     ) -> None:
         if weights is None:
             raise OptionError(
-                "weights: none given; name a snapshot of SceneGraphLoc, or train one with "
+                "weights: none are given; give a snapshot of SceneGraphLoc, or train one with "
                 "`placegraph scene train`."
             )
         self._device = select_device(torch, device)
@@ -107,18 +107,18 @@ class SceneGraphLocEncoder:
         widths = self.network.widths
         if widths.feature != self.features.dimension:
             raise OptionError(
-                f"features: {self.features.key} has {self.features.dimension} numbers, the network "
-                f"was trained on {widths.feature}; choose the features of its training."
+                f"features: {self.features.key} has {self.features.dimension} numbers, but the "
+                f"network was trained on {widths.feature}; choose the features of its training."
             )
         if widths.relations != len(RELATIONS):
             raise InputError(
                 f"weights: the network has {widths.relations} relation words, but 3DSSG has "
-                f"{len(RELATIONS)}; give weights trained on those."
+                f"{len(RELATIONS)}; give weights trained on 3DSSG's."
             )
         if self.attributes and len(self.attributes) != widths.attributes:
             raise OptionError(
-                f"attributes: {len(self.attributes)} words, the network counts {widths.attributes}; "
-                "give the file of its training."
+                f"attributes: the file has {len(self.attributes)} words, but the network has "
+                f"{widths.attributes}; give the file of its training."
             )
         self.temperature = _number(held.notes, "temperature", TEMPERATURE, temperature, 10.0)
         self._points = int(_number(held.notes, "points", POINTS, None, POINTS))
@@ -160,8 +160,8 @@ class SceneGraphLocEncoder:
         """
         if self.views and not captures:
             raise OptionError(
-                f"captures: none are given for {scene.source or 'the map'}; {self.name} "
-                "needs images of the map, unless views=False."
+                f"captures: none is given for {scene.source or 'the map'}, but {self.name} needs "
+                "images of the map; give captures, or views=False."
             )
         seen = object_views(
             scene, captures if self.views else (), self.features, rotate=self.rotate
@@ -193,13 +193,15 @@ def _features(
         known = next((name for name in FEATURES if trained.startswith(name)), None)
         if trained and known is None:
             raise OptionError(
-                f"features: the network was trained on {trained!r}; pass those features."
+                f"features: the network was trained on {trained!r}; give these features."
             )
         features = known or PUBLISHED
     made = features_named(features, weights=weights, device=device) if isinstance(
         features, str) else features  # fmt: skip
     if trained and made.key != trained:
-        raise OptionError(f"features: {made.key!r}, but the network was trained on {trained!r}.")
+        raise OptionError(
+            f"features are {made.key!r}, but the network was trained on {trained!r}; give these."
+        )
     return made
 
 
@@ -212,5 +214,5 @@ def _number(
     except ValueError:
         value = 0.0
     if not 0.0 < value <= most:
-        raise OptionError(f"{name} is {value}; choose above 0 and at most {most:g}.")
+        raise OptionError(f"{name} is {value}; it must be greater than 0 and at most {most:g}.")
     return value

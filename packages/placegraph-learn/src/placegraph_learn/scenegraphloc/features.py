@@ -82,7 +82,7 @@ def features_named(
     if name != "colour":
         raise OptionError(f"features is {name!r}; choose one of {', '.join(FEATURES)}.")
     if weights is not None:
-        raise OptionError("feature_weights: features of colour have none; leave them out.")
+        raise OptionError("feature_weights: colour features have no weights; remove it.")
     return ColourFeatures()
 
 
@@ -117,7 +117,7 @@ def _resized(
     image: NDArray[np.uint8], width: int, height: int, method: Image.Resampling
 ) -> NDArray[np.uint8]:
     if not image.size:
-        raise OptionError(f"image: shape {image.shape}; it needs at least one pixel.")
+        raise OptionError(f"image has shape {image.shape}; it must have at least one pixel.")
     picture = Image.fromarray(np.ascontiguousarray(image))
     return np.asarray(picture.resize((width, height), method))
 
@@ -170,14 +170,17 @@ def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
         listed = json.loads(text) if text.lstrip().startswith("[") else text.splitlines()
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(
-            f"{path}: no list of attributes ({str(error)[:100]}); give a text file, a word a line."
+            f"{path} is not a list of attributes ({str(error)[:100]}); give a text file with one "
+            "word per line."
         ) from error
     if not all(isinstance(word, str) for word in listed):
-        raise InputError(f"{path}: an attribute is no word; give a list of words.")
+        raise InputError(f"{path}: an attribute is not a word; give a list of words.")
     words = tuple(word.strip().lower() for word in listed if word.strip())
     if not words or len(set(words)) < len(words):
-        what = "contains no words" if not words else "names a word twice"
-        raise InputError(f"{path}: {what}; give every attribute once, in their order.")
+        what = "contains no words" if not words else "repeats a word"
+        raise InputError(
+            f"{path} {what}; give each attribute of the training once, in the same order."
+        )
     return words
 
 
@@ -221,7 +224,10 @@ class DinoFeatures:
         self.dimension = int(model.embed_dim)
         self._patch = int(model.patch_embed.patch_size[0])
         if any(side % self._patch for side in (LONG, SHORT, SQUARE)):
-            raise OptionError(f"{name}: patches of {self._patch} px do not fill {LONG} x {SHORT}.")
+            raise OptionError(
+                f"{name}: patches of {self._patch} px do not fill images of {LONG} x {SHORT}; "
+                "choose another model."
+            )
 
     @classmethod
     def load(
@@ -302,14 +308,14 @@ class DinoFeatures:
 
 def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa: ANN401
     if not timm.is_model(model):
-        raise OptionError(f"timm knows no model {model!r}; DINOv2 ViT-g/14 is {MODEL!r}.")
+        raise OptionError(f"timm has no model {model!r}; DINOv2 ViT-g/14 is {MODEL!r}.")
     if weights is not None:
         with torch.device("meta"):  # its own numbers would be drawn, and thrown away
             made = timm.create_model(model, num_classes=0)
         # a model with the weights of a file, spelled as timm or as DINOv2's authors do
         from timm.models.vision_transformer import checkpoint_filter_fn
 
-        state, _ = read_state(Path(weights), f"name the weights of {model}")
+        state, _ = read_state(Path(weights), f"give the weights of {model}")
         try:
             own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
             made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
@@ -322,7 +328,8 @@ def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa:
         return timm.create_model(model, pretrained=True, num_classes=0)
     except Exception as error:  # timm raises whatever its hub does
         raise ServiceError(
-            f"The weights of {model} cannot be fetched ({format_error(error)}); give feature_weights a file."
+            f"The weights of {model} cannot be downloaded ({format_error(error)}); download them elsewhere, "
+            "and give the file as feature_weights."
         ) from error
 
 

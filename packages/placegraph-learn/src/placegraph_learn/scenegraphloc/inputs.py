@@ -293,7 +293,7 @@ def rooms_of(
 
     """
     if source not in {"surface", "vertices"}:
-        raise OptionError(f"points is {source!r}; it is 'surface' or 'vertices'.")
+        raise OptionError(f"points is {source!r}; choose 'surface' or 'vertices'.")
     clouds = _Clouds(scene, source)
     made = []
     for part, name in enumerate(scene.scenes):
@@ -326,8 +326,8 @@ def rooms_of(
 def _check_size(count: int, name: str) -> None:
     if count > _MOST:
         raise OptionError(
-            f"{name}: {count} objects in one room; the network relates each to each, which is meant "
-            f"for up to {_MOST}."
+            f"{name}: a room has {count} objects, but the network relates all pairs and supports "
+            f"at most {_MOST}; split the room."
         )
 
 

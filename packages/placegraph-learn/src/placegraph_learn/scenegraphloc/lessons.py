@@ -113,8 +113,8 @@ class Teacher:
             )
         if not any(m.any() for m in marks):
             raise OptionError(
-                f"{world.name}: no picture shows an object of the map; give captures whose poses are "
-                "in the map."
+                f"{world.name}: no image shows an object of the map; give captures with poses in "
+                "the map's frame."
             )
         earlier = None if material.earlier is None else self._room(material.earlier, world.name)
         room = self._room(material.now, world.name)
@@ -127,7 +127,9 @@ class Teacher:
             source=self.points, rng=np.random.default_rng([self.seed, *name.encode()]),
         )  # fmt: skip
         if len(rooms) != 1:
-            raise OptionError(f"{name}: {len(rooms)} scenes merged; give each map for itself.")
+            raise OptionError(
+                f"{name} is merged from {len(rooms)} scenes; give each map separately."
+            )
         return rooms[0][1]
 
 
@@ -170,7 +172,7 @@ def read_lesson(path: Path) -> Lesson:
 
     now = room("now")
     if now is None:
-        raise MapError(f"{path}: contains no room; delete it, and it is made again.")
+        raise MapError(f"{path} contains no room; delete it, and start again.")
     grids = file.array("grids", "<i8", 2)
     ends = np.cumsum(grids.prod(axis=1))[:-1]
     features = np.split(file.array("features", "<f4", 2), ends)
@@ -217,7 +219,7 @@ def folder(path: str | PathLike[str]) -> list[World]:
     known = [file for file in found if file.with_suffix("").is_dir()]
     if not known:
         raise OptionError(
-            f"{path}: no NAME.scene with captures in a folder NAME beside it; build maps with "
+            f"{path} contains no NAME.scene with captures in a folder NAME; build maps with "
             "`placegraph scene build`."
         )
     return [World(file.stem, partial(_open_material, file)) for file in known]
@@ -233,7 +235,7 @@ def _open_material(file: Path) -> Material:
         captures = [captures[0][::2], captures[0][1::2]]
     if not len(captures[1]):
         raise OptionError(
-            f"{at}: it has a single image; give at least two, one of them to encode objects."
+            f"{at} has a single image; give at least two, because one encodes the objects."
         )
     scene = SceneMap.open(file)
     return Material(SurveyedScene(scene, (captures[0],)), tuple(captures[1:]))

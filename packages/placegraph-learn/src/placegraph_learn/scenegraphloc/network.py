@@ -54,7 +54,7 @@ class Widths:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
             if min(value if isinstance(value, tuple) else (value,)) < 1:
-                raise OptionError(f"{name} is {value}; a width is at least 1.")
+                raise OptionError(f"{name} is {value}; it must be at least 1.")
         for whole, heads in (("graph", "graph_heads"), ("view", "view_heads")):
             if getattr(self, whole) % getattr(self, heads):
                 raise OptionError(

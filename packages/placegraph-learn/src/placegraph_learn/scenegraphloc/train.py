@@ -41,13 +41,13 @@ class TrainOptions:
     """
 
     epochs: int = option(30, "Number of epochs over all images.", minimum=1, flag="--epochs")
-    batch: int = option(16, "Pictures per step.", minimum=1, flag="--batch")
+    batch: int = option(16, "Images per step.", minimum=1, flag="--batch")
     others: int = option(
         9, "Other places whose objects are wrong answers for a patch.", flag="--others"
     )
     points: int = option(
         512,
-        "Points of each object, drawn anew in each epoch; the encoder then takes as many.",
+        "Points per object, sampled again in each epoch; the encoder then uses the same number.",
         minimum=1,
         flag="--points",
     )
@@ -56,7 +56,7 @@ class TrainOptions:
     )
     weight_decay: float = option(1e-6, "Weight decay.")
     decay: float = option(0.97, "Decay of the rate per epoch.", above=0, maximum=1)
-    elastic: bool = option(True, "Distort points (`distort`).")
+    elastic: bool = option(True, "Distort the points of each object (see `distort`).")
     seed: int = option(0, "The same seed gives the same homes and weights.", flag="--seed")
 
     def __post_init__(self) -> None:
@@ -323,7 +323,8 @@ class Trainer:
             self.epochs, self.steps = int(found["epoch"]), int(found["iteration"])
         except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise InputError(
-                f"{path}: no snapshot to go on from ({str(error)[:100]}); delete it to begin anew."
+                f"{path} is not a snapshot to resume from ({str(error)[:100]}); delete it to start "
+                "again."
             ) from error
 
 
@@ -506,7 +507,9 @@ def _lessons(
     try:
         kept.mkdir(exist_ok=True)
     except OSError as error:
-        raise InputError(f"{kept}: no folder for places ({error}); name another.") from error
+        raise InputError(
+            f"{kept} cannot be used as a folder for places ({error}); name another."
+        ) from error
     lessons = []
     for done, world in enumerate(worlds, start=1):
         path = kept / f"{world.name}.lesson"
@@ -520,18 +523,21 @@ def _check(
 ) -> None:
     if held_out < 1 or len(worlds) - held_out < 2:
         raise OptionError(
-            f"{len(worlds)} places, {held_out} held out: at least two are learned and one is held out."
+            f"There are {len(worlds)} places, and {held_out} are held out; at least two must be "
+            "for training and one held out."
         )
     refuse_twins([world.name for world in worlds])
     if widths.feature != teacher.features.dimension:
         raise OptionError(
-            f"widths: made for {widths.feature} numbers a feature, {teacher.features.key} has "
-            f"{teacher.features.dimension}."
+            f"widths: they are for features of {widths.feature} numbers, but "
+            f"{teacher.features.key} has {teacher.features.dimension}; make them equal."
         )
     if widths.attributes != teacher.attribute_count:
         raise OptionError(
-            f"widths: made for {widths.attributes} attribute words, the teacher counts "
-            f"{teacher.attribute_count}."
+            f"widths: they are for {widths.attributes} attribute words, but the data has "
+            f"{teacher.attribute_count}; make them equal."
         )
     if out.suffix != ".safetensors":
-        raise OptionError(f"{out}: weights are written as .safetensors; name such a file.")
+        raise OptionError(
+            f"{out}: weights are written as .safetensors; choose a file with this ending."
+        )

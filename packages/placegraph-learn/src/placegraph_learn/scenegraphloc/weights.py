@@ -29,7 +29,7 @@ IGNORED = ("backbone.", "patch_global_encoder.", "obj_global_encoder.")
 _SOURCE = re.compile(r"(sg_encoder\.structure_encoder\.layer_stack\.\d+\.lin)_(src|dst)\.weight")
 NOTES = "placegraph"
 """Name of the metadata of .safetensors files that we write."""
-_MEND = "give the published snapshot, or what `placegraph scene train` wrote"
+_MEND = "give the published snapshot, or output of `placegraph scene train`"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +73,10 @@ def read_state(path: Path, advice: str = _MEND) -> tuple[dict[str, Tensor], dict
     found = read_snapshot(path, advice)
     state = found.get("model", found)
     if not isinstance(state, dict) or not state:
-        raise InputError(f"{path}: `model` contains no weights by name; {advice}.")
+        raise InputError(f"{path}: `model` is not a dict of named weights; {advice}.")
     for key, value in state.items():
         if not isinstance(key, str) or not isinstance(value, Tensor):
-            raise InputError(f"{path}: {str(key)[:60]!r} is no tensor; {advice}.")
+            raise InputError(f"{path}: {str(key)[:60]!r} is not a tensor; {advice}.")
     return dict(state), {}
 
 
@@ -87,10 +87,10 @@ def read_snapshot(path: Path, advice: str = _MEND) -> dict[str, Any]:
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise InputError(
-            f"{path}: cut short or no checkpoint ({why[:100]}); copy it again, or {advice}."
+            f"{path} is truncated, or not a checkpoint ({why[:100]}); copy it again, or {advice}."
         ) from error
     if not isinstance(found, dict):
-        raise InputError(f"{path}: holds a {type(found).__name__}, not a dict; {advice}.")
+        raise InputError(f"{path} contains a {type(found).__name__}, not a dict; {advice}.")
     return found
 
 
@@ -102,7 +102,7 @@ def network_of(state: Mapping[str, Tensor], source: str) -> SceneGraphLoc:
         with torch.device("meta"):
             network = SceneGraphLoc(widths)
     except OptionError as error:
-        raise InputError(f"{source}: {error} No such network is known; {_MEND}.") from error
+        raise InputError(f"{source}: {error} This network is unknown; {_MEND}.") from error
     expected = network.state_dict()
     missing = sorted(expected.keys() - own.keys())
     unexpected = sorted(own.keys() - expected.keys())
@@ -118,7 +118,7 @@ def network_of(state: Mapping[str, Tensor], source: str) -> SceneGraphLoc:
             )
         if not bool(torch.isfinite(value).all()):
             raise InputError(
-                f"{source}: key {key!r} contains something that is not a number; {_MEND}."
+                f"{source}: key {key!r} contains a value that is not a number; {_MEND}."
             )
     ready = {k: v.detach().to(expected[k].dtype).clone() for k, v in own.items()}
     network.load_state_dict(ready, assign=True)
@@ -145,7 +145,9 @@ def write_weights(
     Raises `OptionError` where the path ends otherwise, `MapError` where it cannot be written.
     """
     if Path(path).suffix != ".safetensors":
-        raise OptionError(f"{path}: weights are written as .safetensors; name such a file.")
+        raise OptionError(
+            f"{path}: weights are written as .safetensors; choose a file with this ending."
+        )
     state = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items()}
     # one entry: the order of several is not always the same, and so the file's bytes
     write_file(path, [save(state, {NOTES: json.dumps(dict(notes), sort_keys=True)})])
@@ -159,7 +161,8 @@ def _safetensors(path: Path, advice: str) -> tuple[dict[str, Tensor], dict[str, 
             notes = json.loads((file.metadata() or {}).get(NOTES, "{}"))
     except (SafetensorError, ValueError) as error:
         raise InputError(
-            f"{path}: cut short or no .safetensors file ({str(error)[:100]}); copy it again, or {advice}."
+            f"{path} is truncated, or not a .safetensors file ({str(error)[:100]}); copy it again, "
+            f"or {advice}."
         ) from error
     return state, {str(k): str(v) for k, v in dict(notes).items()}
 
@@ -174,11 +177,13 @@ def _one_spelling(state: Mapping[str, Tensor], source: str) -> dict[str, Tensor]
         stem, end = found[1], found[2]
         twin = f"{stem}_{'dst' if end == 'src' else 'src'}.weight"
         if twin not in state:
-            raise InputError(f"{source}: key {twin!r} is missing beside {key!r}; {_MEND}.")
+            raise InputError(f"{source} has the key {key!r}, but not {twin!r}; {_MEND}.")
         if not torch.equal(value, state[twin]):
-            raise InputError(f"{source}: keys {key!r} and {twin!r} differ; they must be equal.")
+            raise InputError(f"{source}: the keys {key!r} and {twin!r} differ, but must be equal.")
         if not torch.equal(out.setdefault(f"{stem}.weight", value), value):
-            raise InputError(f"{source}: keys {key!r} and {stem + '.weight'!r} differ.")
+            raise InputError(
+                f"{source}: the keys {key!r} and {stem + '.weight'!r} differ, but must be equal."
+            )
     return out
 
 
