@@ -225,7 +225,8 @@ def test_locate_options(run, city):
         (("--near", "1,2,3"), "--near"), (("--near", "nan,53"), "near"),
         (("--near", "200,53"), "near"), (("--listener", "9.99;53"), "--listener"),
         (("--near", "9.99,53.55", "--radius", "0"), "radius"), (("--top", "0"), "top"),
-        (("--radius", "nan"), "radius"), (("--heading-deg", "nan"), "heading"),
+        (("--near", "9.99,53.55", "--radius", "nan"), "radius"),
+        (("--radius", "500"), "--radius applies only to --near"), (("--heading-deg", "nan"), "heading"),
         (("--heading-deg", "inf"), "heading"),
     ],
 )  # fmt: skip
@@ -354,7 +355,8 @@ def test_track_near_with_pictures(run, city, hafenstadt, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "stdin", "code", "word"),
     [(["--near", "here"], "", 7, "--near"), (["--radius", "0", "--near", "1,2"], "", 7, "radius"),
-     (["--top", "0"], "", 7, "top"), ([], "A bench\0.\n", 6, "character")],
+     (["--top", "0"], "", 7, "top"), (["--radius", "9"], "", 7, "only to --near"),
+     ([], "A bench\0.\n", 6, "character")],
 )  # fmt: skip
 def test_track_refuses(run, city, arguments, stdin, code, word):
     fails(run("city", "track", city, *arguments, stdin=stdin), code, word)

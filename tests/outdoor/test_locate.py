@@ -294,6 +294,17 @@ def test_bad_heading(heading, harbour):
         harbour.locate(TEXT, heading=heading)
 
 
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [({"matchr": "embedding"}, "did you mean matcher?"), ({"hedding": 0.0}, "did you mean heading?"),
+     ({"xyz": 1}, "choose one of answers, by, candidates, ")],
+)  # fmt: skip
+def test_unknown_options(options, hint, harbour):
+    with pytest.raises(OptionError, match=r"is not an option of CityMap\.locate") as caught:
+        harbour.locate("I am next to a bakery.", **options)
+    assert hint in str(caught.value)
+
+
 def test_a_description_may_come_ready_made(harbour, hafenstadt):
     museum = Mention(2, "the museum", (Sense("tourism=museum", 1.0),))
     street = Mention(3, "Speicherweg", (), "Speicherweg")

@@ -2,12 +2,14 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.world import World
 
@@ -125,11 +127,26 @@ def test_a_film_of_nowhere_is_not_named(world, films):
     assert fewer.locate(None, films["study"]).status is not Status.OK
 
 
+def test_photos_are_not_compared_with_maps_without_colours(rooms):
+    def strip_colours(scene):
+        mesh = Mesh.plain(scene.mesh.vertices, scene.mesh.triangles, scene.mesh.object_of)
+        return replace(scene, mesh=mesh, encoded=(b"",))
+
+    photo = rooms["study"].film(21, 2, labels=None)
+    grey = {name: strip_colours(rooms[name].scene) for name in ("parlour", "bedroom")}
+    with pytest.raises(OptionError, match="the map has no colours"):
+        World({}, grey).locate(None, photo, refine=False)
+    estimate = World({}, {**grey, "study": rooms["study"].scene}).locate(None, photo, refine=False)
+    assert list(estimate.poses) == ["study"]
+
+
 def test_what_cannot_be_asked(world, films):
     asked = {"frames": slice(3), "text": "a desk"}
     for bad in ({}, asked, {"near": (99, 99)}, {"near": (9, 9), "radius": -1}):
         with pytest.raises(OptionError):
             world.locate(**bad)
+    with pytest.raises(OptionError, match=r"not an option of World\.locate; did you mean budget\?"):
+        world.locate("a desk", bugdet=1.0)
     with pytest.raises(OptionError, match="no scene map"):
         World(world.cities).locate(capture=films["study"])
     noted = World(world.cities).locate("I am in the library", films["study"])

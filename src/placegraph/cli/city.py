@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -93,6 +94,16 @@ def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     mend = "give longitude and latitude, such as 7.42,43.73."
     longitude, latitude = numbers_of(value, option, {2}, mend)
     return longitude, latitude
+
+
+def location_prior(near: str | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `near` and the options of a prior as arguments of `locate`, with angles in radians.
+
+    Raises `OptionError` if `near` is not a longitude and latitude, or a radius is given without it.
+    """
+    if near is None and "radius" in options:
+        raise OptionError("--radius applies only to --near; give both, or remove --radius.")
+    return in_radians(options) | {"near": lonlat(near, "--near")}
 
 
 VocabularyFolder = Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")]
@@ -353,13 +364,12 @@ def locate(
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
-    ranking |= {"language": language, "preset": preset} | in_radians(prior)
+    ranking |= {"language": language, "preset": preset} | location_prior(near, prior)
     with matching(city, store, weights, ranking) as how:
 
         def estimated() -> CityEstimate:
             return city.locate(
                 text,
-                near=lonlat(near, "--near"),
                 listener=lonlat(listener, "--listener"),
                 answers=answers,
                 **how,
@@ -552,7 +562,7 @@ def track(
     from placegraph.outdoor.track.tracker import CityTracker
 
     city = CityMap.open(map_file)
-    tracker = CityTracker(city, near=lonlat(near, "--near"), **in_radians(prior))
+    tracker = CityTracker(city, **location_prior(near, prior))
     is_interactive = sys.stdin.isatty()
     for line in _lines(is_interactive=is_interactive):
         try:

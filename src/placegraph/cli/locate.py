@@ -6,12 +6,11 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from placegraph.cli.city import Near, lonlat
+from placegraph.cli.city import Near, location_prior
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
 from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
 from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
-from placegraph.core.options import in_radians
 from placegraph.errors import OptionError
 from placegraph.outdoor.options import KNOWN, LocateOptions
 
@@ -77,8 +76,8 @@ def locate(
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
         opened = open_world(world, scheduler=scheduler, keep=keep)
         estimate = opened.locate(
-            text, shown, near=lonlat(near, "--near"), seed=seed, refine=refine, device=device,
-            progress=tell, budget=budget, **in_radians(prior),
+            text, shown, seed=seed, refine=refine, device=device, progress=tell, budget=budget,
+            **location_prior(near, prior),
         )  # fmt: skip
     question = estimate.next_question(opened)
     if as_json:

@@ -154,9 +154,12 @@ def localize(
         ),
     ] = None,
     radius: Annotated[
-        float,
-        Option(help="Radius of --near [m]: contains half of the prior probability.", panel=KNOWN),
-    ] = 1.0,
+        float | None,
+        Option(
+            help="Radius of --near [m], which contains half of the prior probability; 1 if not given.",
+            panel=KNOWN,
+        ),
+    ] = None,
     yaw_deg: Annotated[
         float | None,
         Option(
@@ -282,13 +285,16 @@ def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) 
     return matcher_of(matcher, weights, device)
 
 
-def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | None:
+def _prior(near: str | None, radius: float | None, yaw_deg: float | None) -> Prior | None:
     from placegraph.indoor.pose.prior import Prior
 
     if near is None:
         if yaw_deg is not None:
             raise OptionError("--yaw-deg applies only to --near; give both, or remove --yaw-deg.")
+        if radius is not None:
+            raise OptionError("--radius applies only to --near; give both, or remove --radius.")
         return None
+    radius = 1.0 if radius is None else radius
     mend = "give x and y, and optionally z, such as 1.5,-2."
     x, y, *z = numbers_of(near, "--near", {2, 3}, mend)
     if not (isfinite(radius) and radius > 0):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
+from difflib import get_close_matches
 from functools import cache
 from math import isfinite, radians
 from numbers import Real
@@ -136,6 +137,15 @@ def _describe(hint: Any, info: OptionInfo) -> str:  # noqa: ANN401
         bounds = " and ".join(f"{_WORDS[name]} {b:g}" for name, b in info.bounds.items())
         return f"{kind} {bounds}" + f" [{info.unit}]" * bool(info.unit)
     return f"a {getattr(hint, '__name__', hint)}"
+
+
+def reject_unknown(given: Iterable[str], allowed: Iterable[str], function: str) -> None:
+    """Raise `OptionError` for a keyword that a function does not have; name the closest one."""
+    names = sorted(allowed)
+    for name in sorted(set(given).difference(names)):
+        close = get_close_matches(name, names, 1)
+        hint = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(names)}."
+        raise OptionError(f"{name} is not an option of {function}; {hint}")
 
 
 def in_radians(values: Mapping[str, Any]) -> dict[str, Any]:

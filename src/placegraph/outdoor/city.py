@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from numpy.typing import NDArray
 
 from placegraph.core.files import resolve_path
+from placegraph.core.options import reject_unknown
 from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
 from placegraph.io.osm.urls import fetch_temporarily, file_name, is_url
@@ -96,14 +97,16 @@ class CityMap(HtmlRepr, City):
         DescriptionError
             The text is empty, too long, or not text.
         OptionError
-            An option is out of range.
+            An option is unknown or out of range.
         StoreError
             The store is of another map or another network.
 
         """
         from placegraph.outdoor.search.locate import locate
-        from placegraph.outdoor.search.request import Hints, Matching
+        from placegraph.outdoor.search.request import Hints, Matching, MatchingOptions
 
+        known = {*CityMap.locate.__kwdefaults__, *MatchingOptions.__annotations__}
+        reject_unknown(matching, known, "CityMap.locate")
         language = matching.pop("language", None)
         hints = Hints(near, radius, heading, listener, answers, language)
         chosen = Matching.preset(matching.pop("preset", "default"), **matching)

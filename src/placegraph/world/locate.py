@@ -18,7 +18,7 @@ import numpy as np
 from placegraph.core.estimate import SceneEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
-from placegraph.indoor.library.localize import localize_in_scenes
+from placegraph.indoor.library.localize import defer_colourless, localize_in_scenes
 from placegraph.indoor.library.search import SearchOptions, infer_from_frames
 from placegraph.indoor.map.floor import find_storey
 from placegraph.indoor.map.rooms import find_room_name
@@ -177,7 +177,7 @@ def _make_place_modes(town: TownMatch, share: float) -> list[WorldMode]:
 def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
     """Locate the last frame of a capture: place, room and pose."""
     frames = chosen_frames(query.capture or (), query.frames)
-    found = _propose_scenes(world, frames, evidence)
+    found = defer_colourless(world.library, frames, _propose_scenes(world, frames, evidence))
     left = 1.0 - found.elsewhere - np.cumsum([0.0, *(m.probability for m in found.modes)])
     shown = replace(
         found, modes=found.modes[: min(query.most, max(1, int((left > NEGLIGIBLE).sum())))]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from placegraph.core.files import resolve_path
+from placegraph.core.options import reject_unknown
 from placegraph.core.plugins import load_module
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
@@ -209,6 +211,7 @@ class World:
         from placegraph.world.estimate import WorldQuery
         from placegraph.world.locate import locate
 
+        reject_unknown(options, (f.name for f in fields(WorldQuery)), "World.locate")
         return locate(
             self, WorldQuery(text, capture, frames, near, radius, heading, seed, **options)
         )

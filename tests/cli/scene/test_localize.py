@@ -349,6 +349,7 @@ def test_a_refinement_in_words(accepted, reason, stats, line):
         (("--near", "1"), "--near"), (("--near", "1,b"), "--near"), (("--near", "1,2,3,4"), "--near"),
         (("--near", "nan,2"), "--near is"), (("--near", "1,2", "--radius", "0"), "--radius"),
         (("--near", "1,2", "--radius", "inf"), "--radius"), (("--yaw-deg", "90"), "--near"),
+        (("--radius", "2"), "only to --near"),
         (("--height", "nan"), "heights"), (("--device", "abacus"), "device"),
         (("--no-semantic", "--no-depth", "--no-colour"), "leave one on"),
         (("--matcher", "orb"), "choose one of auto, guided"), (("--weights", "a.pt"), "--weights"),

@@ -90,11 +90,29 @@ def localize(
         raise OptionError("shares, prior: a library computes these itself; remove them.")
     chosen = chosen_frames(capture, frames)
     retrieved = library.search(chosen, description=description, options=search, most=most)
+    scenes = library.open_scenes(retrieved.stats.get("rows", ()))
+    retrieved = defer_colourless(scenes, chosen, retrieved, encoder)
     answers = localize_in_scenes(
-        library.open_scenes(retrieved.stats.get("rows", ())), chosen, retrieved,
-        description=description, encoder=encoder, **options,
-    )  # fmt: skip
+        scenes, chosen, retrieved, description=description, encoder=encoder, **options
+    )
     return doubt_by_search(choose_scene(answers), retrieved, len(answers))
+
+
+def defer_colourless(
+    library: SceneLibrary,
+    frames: Sequence[Frame],
+    retrieved: SceneEstimate,
+    encoder: str | Encoder | None = None,
+) -> SceneEstimate:
+    """Move scenes without colours to the end if frames have only colours to be compared by."""
+    if encoder is not None or not _have_only_colours(frames):
+        return retrieved
+    modes = sorted(retrieved.modes, key=lambda m: not library.scene(m.scene).has_colours)
+    return replace(retrieved, modes=tuple(modes))
+
+
+def _have_only_colours(frames: Sequence[Frame]) -> bool:
+    return not any(f.label_kind or f.depth() is not None for f in frames)
 
 
 def localize_in_scenes(
@@ -106,7 +124,10 @@ def localize_in_scenes(
     encoder: str | Encoder | None = None,
     **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
 ) -> list[PoseEstimate]:
-    """Localize frames in the scenes that a search found, one by one, until no other can matter."""
+    """Localize frames in the scenes that a search found, one by one, until no other can matter.
+
+    Scenes that `defer_colourless` moved to the end are not searched if another one is.
+    """
     reader = encoder  # of the frames; None: the frames' own instances, or none
     if encoder is None and frames[0].label_kind == "labels":
         reader = next((e for e in library.encoders if e.name == "labels"), None)
@@ -116,7 +137,10 @@ def localize_in_scenes(
     assert not isinstance(reader, str)  # noqa: S101
     sentence = read(description) if isinstance(description, str) else description
     answers: list[PoseEstimate] = []
+    by_colours = reader is None and _have_only_colours(frames)
     for mode in retrieved.modes:
+        if by_colours and answers and not library.scene(mode.scene).has_colours:
+            break
         if _is_settled(answers, [m.probability for m in retrieved.modes]):
             break
         start = perf_counter()
