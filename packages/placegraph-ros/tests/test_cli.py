@@ -30,7 +30,7 @@ def test_a_bag_of_poses(run, room, tmp_path):
     assert abs(topics["/localization/pose"].times[0] * 1e-9 - START) < 10.0
     again = run(*words)
     assert again.code == 7
-    assert "exists already" in again.err
+    assert "already exists" in again.err
     folder = run("bag", "localize", room.bag, room.map, "-o", tmp_path / "other")
     assert f"{FRAMES} frames: " in folder.out
     assert "OK (" in folder.out
@@ -149,7 +149,7 @@ def test_ctrl_c_ends_it_between_two_messages():
         (("live", "{map}", "{bag}", "--mode", "twice"), 7, "mode is 'twice'"),
         (("live", "{map}", "{bag}", "--speed", "0"), 7, "speed is 0"),
         (("live", "{map}", "{bag}", "--wait", "-1"), 7, "wait is -1"),
-        (("live", "{map}", "{bag}", "--foxglove", "8765"), 7, "is no valid address"),
+        (("live", "{map}", "{bag}", "--foxglove", "8765"), 7, "is not a valid address"),
         (("live", "{map}", "{map}"), 3, "room.scene"),
         (("bag", "localize", "{walk}", "{map}", "-o", "out.mcap"), 3, "is not a bag"),
         (("bag", "localize", "{bag}", "{bag}", "-o", "{walk}/out.mcap"), 4, "bag.mcap"),

@@ -20,7 +20,7 @@ foxglove = pytest.importorskip("foxglove")
 KIND = "std_msgs/msg/String"
 
 
-def told(client, wanted):
+def receive_messages(client, wanted):
     channels, out = {}, []
     while len(out) < wanted:
         said = client.recv(timeout=20)
@@ -44,7 +44,7 @@ def test_what_is_latched_is_told_to_whoever_comes_and_the_rest_as_it_comes():
         server.write(Message("localization/other", KIND, 5.0, {"data": "gone"}))
         for _ in range(2):
             with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as client:
-                ((topic, data),) = told(client, 1)
+                ((topic, data),) = receive_messages(client, 1)
         assert (topic, data) == ("/localization/status", cdr(kept))
         assert typestore("cdr").deserialize_cdr(data, KIND).data == "kept"
 
@@ -75,7 +75,7 @@ def test_its_buttons_pause_and_change_the_speed():
 
 @pytest.mark.parametrize("address", ["8765", "http://localhost", "ws://host:99999", "ws://a:b"])
 def test_addresses_that_are_none(address):
-    with pytest.raises(OptionError, match="is no valid address"):
+    with pytest.raises(OptionError, match="is not a valid address"):
         FoxgloveServer(address)
 
 

@@ -59,5 +59,5 @@ def test_a_recording_that_failed_is_not_there(tmp_path):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "out.rrd").write_text("mine")
-    with pytest.raises(OptionError, match="exists already"):
+    with pytest.raises(OptionError, match="already exists"):
         RerunWriter(tmp_path / "out.rrd")

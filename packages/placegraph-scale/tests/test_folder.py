@@ -103,5 +103,5 @@ def test_a_list_of_places_may_hold_one_url(url, extract, tmp_path):
     assert set(world.towns) == {"kept", "town"}
     with pytest.raises(OptionError, match="keep"):
         pg.open_world([tmp_path / "town.city", url])
-    with pytest.raises(OptionError, match="one folder keeps one world"):
+    with pytest.raises(OptionError, match="one folder can store only one world"):
         pg.open_world([url, "memory:///another"], keep=tmp_path / "kept")

@@ -127,6 +127,6 @@ def limit_status(
     gaps = [town.gap for town in searched.values() if town.gap]
     is_short = bool(gaps) and status is Status.OK
     if gaps and status is Status.LOST:  # other parts were not searched
-        gaps, reason = [*gaps, f"In what was, {reason[:1].lower()}{reason[1:]}"], ""
+        gaps, reason = [*gaps, f"In the searched part, {reason[:1].lower()}{reason[1:]}"], ""
     parts = filter(None, [reason, *gaps, *(town.cost for town in searched.values())])
     return Status.AMBIGUOUS if is_short else status, " ".join(parts)

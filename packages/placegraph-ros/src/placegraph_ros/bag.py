@@ -19,7 +19,7 @@ from placegraph_ros.message import Message, encode, load_types, nanoseconds, typ
 def check_free(path: Path) -> None:
     """Raise `OptionError` where a path exists."""
     if path.exists():
-        raise OptionError(f"{path} exists already; remove it, or choose another file.")
+        raise OptionError(f"{path} already exists; remove it, or choose another file.")
 
 
 @contextmanager

@@ -91,7 +91,7 @@ def live(
     rerun: RerunFile = None,
     mode: Annotated[
         str,
-        Option(help="continuous, or once (stop localizing when the pose is known)."),
+        Option(help="continuous, or once (stop when the pose is known)."),
     ] = "continuous",
     speed: Annotated[
         float, Option(help="Playback speed: 1 is real time, inf is without pauses.")
@@ -254,7 +254,7 @@ def localize(
     map_file: RoomsFile,
     out: Annotated[
         Path,
-        Option("--out", "-o", help="Bag to write: .mcap, .db3, .bag, or a folder of rosbag2."),
+        Option("--out", "-o", help="Bag to write: .mcap, .db3, .bag, or a folder for rosbag2."),
     ],
     rerun: RerunFile = None,
     seed: Seed = 0,

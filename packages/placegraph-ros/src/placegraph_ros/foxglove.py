@@ -70,7 +70,7 @@ class FoxgloveServer:
         found = _ADDRESS.fullmatch(address)
         if found is None or int(found[2] or 8765) > 65535:
             raise OptionError(
-                f"foxglove: {address!r} is no valid address; use one such as {DEFAULT}."
+                f"foxglove: {address!r} is not a valid address; give one such as {DEFAULT}."
             )
         try:
             import foxglove

@@ -158,7 +158,7 @@ def load_types(encoding: str) -> Typestore:
         return typestore(encoding)
     except ImportError as error:
         raise MissingExtraError(
-            'Messages of ROS need the extra `ros`: pip install "placegraph[ros]".'
+            'ROS messages need the extra `ros`: pip install "placegraph[ros]".'
         ) from error
 
 
@@ -166,7 +166,9 @@ def type_name(kind: str, store: Typestore) -> str:
     """Return the type as the store names it; `OptionError` where there is none."""
     name = kind if "/msg/" in kind else kind.replace("/", "/msg/")
     if name not in store.fielddefs:
-        raise OptionError(f"type: {kind!r} is no message type of ROS or placegraph.")
+        raise OptionError(
+            f"type: {kind!r} is not a message type of ROS or placegraph; check the spelling."
+        )
     return name
 
 
@@ -184,7 +186,9 @@ def _maker(kind: str, encoding: str) -> Callable[[Mapping[str, Any]], Any]:
         held = {name.lower(): value for name, value in given.items()}
         if not held.keys() <= names:
             unknown = ", ".join(sorted(held.keys() - names))
-            raise OptionError(f"fields: {kind} has no {unknown}.")
+            raise OptionError(
+                f"fields: {kind} has no {unknown}; check the definition of the message."
+            )
         return cls(**{name: make(held.get(lower)) for name, lower, make in parts})
 
     return made

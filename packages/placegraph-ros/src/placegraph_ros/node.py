@@ -205,8 +205,9 @@ class RosModules:
         except ImportError as error:
             raise MissingExtraError(
                 f"The node needs rclpy, which comes with ROS 2 ({error}): source its setup.bash "
-                '(source /opt/ros/jazzy/setup.bash), or install RoboStack, and pip install "placegraph'
-                '[ros]" into the Python that has it. Bags and `placegraph live` need no ROS.'
+                "(source /opt/ros/jazzy/setup.bash), or install RoboStack; then run pip install "
+                '"placegraph[ros]" in the same Python environment. Bags and `placegraph live` need '
+                "no ROS."
             ) from error
         return cls(rclpy, qos, executors, callback_groups, get_message, get_service)
 

@@ -52,14 +52,14 @@ class LiveOptions:
     def __post_init__(self) -> None:
         mode_of(self.mode)
         if not 0.0 <= self.tolerance < inf:
-            raise OptionError(f"tolerance is {self.tolerance}; it is seconds, 0 or more.")
+            raise OptionError(f"tolerance is {self.tolerance}; give seconds, at least 0.")
 
     @classmethod
     def from_parameters(cls, given: Mapping[str, Any]) -> Self:
         """Return the options of a node's parameters; `OptionError` for values out of range."""
         tolerance = given["transform_tolerance"]
         if type(tolerance) not in {int, float}:
-            raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
+            raise OptionError(f"transform_tolerance is {tolerance!r}; give seconds, such as 0.1.")
         frames = {name: given[name].lstrip("/") for name in ("map_frame", "base_frame")}
         mode, seed = mode_of(given["mode"]), given["seed"]
         return cls(mode=mode, tolerance=tolerance, with_inputs=False, seed=seed, **frames)
@@ -70,7 +70,7 @@ def mode_of(name: str) -> Mode:
     modes: dict[str, Mode] = {"continuous": "continuous", "once": "once"}
     if name in modes:
         return modes[name]
-    raise OptionError(f"mode is {name!r}; it is 'continuous' or 'once'.")
+    raise OptionError(f"mode is {name!r}; choose 'continuous' or 'once'.")
 
 
 def stream_name(given: Mapping[str, Any], name: str) -> Path:

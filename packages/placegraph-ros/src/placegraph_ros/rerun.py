@@ -39,7 +39,7 @@ class RerunWriter:
             import rerun
         except ImportError as error:
             raise MissingExtraError(
-                'Recordings of Rerun need the extra `rerun`: pip install "placegraph[rerun]".'
+                'Rerun recordings need the extra `rerun`: pip install "placegraph[rerun]".'
             ) from error
         self.path = Path(path)
         check_free(self.path)

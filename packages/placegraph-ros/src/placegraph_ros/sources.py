@@ -43,7 +43,7 @@ class PlaybackClock:
     def set(self, *, speed: float | None = None, paused: bool | None = None) -> None:
         """Change the speed, pause or resume."""
         if speed is not None and not speed > 0:
-            raise OptionError(f"speed is {speed}; it must be greater than 0; 1 is real time.")
+            raise OptionError(f"speed is {speed}; it must be greater than 0 (1 is real time).")
         with self._changed:
             self.speed = self.speed if speed is None else speed
             self.paused = self.paused if paused is None else paused
@@ -150,7 +150,7 @@ def open_source(path: Path, policy: WaitPolicy, stdin: BinaryIO | None = None) -
 def bag_source(path: Path) -> Source:
     """Open a bag as a source; `InputError` where it is none or incomplete."""
     if not is_bag(path):
-        hint = " The bag comes before the map." if path.suffix in {".scene", ".library"} else ""
+        hint = " Give the bag before the map." if path.suffix in {".scene", ".library"} else ""
         raise InputError(
             f"{path} is not a bag; give an .mcap, .db3 or .bag file, or a folder of rosbag2.{hint}"
         )

@@ -96,9 +96,7 @@ def build_world(
     options = options or BuildOptions()
     if is_url(folder):
         if options.work is None:
-            raise OptionError(
-                f"{folder} is a URL: name a folder of this machine (work) to build in."
-            )
+            raise OptionError(f"{folder} is a URL; name a local folder for the build (work).")
         here = replace(options, work=None)
         return bring(build_world(extracts, options.work, here, progress), str(folder), progress)
     if options.work is not None:
@@ -393,7 +391,7 @@ def _run_in_processes(
         except BrokenProcessPool as error:
             killed = killed + 1 if len(left) == before else 1
             if killed == TRIES:
-                raise _killed(next(iter(left.values())), "Give fewer --workers") from error
+                raise _killed(next(iter(left.values())), "Use fewer --workers") from error
 
 
 def _run_on_cluster(
@@ -433,7 +431,7 @@ def _run_on_cluster(
 def _killed(task: object, advice: str) -> MapError:
     key = getattr(task, "key", task)
     return MapError(
-        f"{key}, or a task of the same worker: the worker was killed {TRIES} times, "
-        f"probably for lack of memory. {advice}, or choose a higher --zoom (smaller tiles); "
-        "what is finished stays."
+        f"{key}, or a task of the same worker: the worker was killed {TRIES} times, probably for "
+        f"lack of memory. {advice}, or choose a higher --zoom (smaller tiles); finished parts are "
+        "kept."
     )

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 NAME, WORDS, SHARDS = WORLD, "words.table", "shards"
 FORMAT, VERSION = "placegraph world", 1
-_MEND = "Write it anew with `placegraph world build`."
+_MEND = "Build it again with `placegraph world build`."
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +71,16 @@ class WorldFile:
             meta = json.loads(files.check_regular(path).read_bytes())
         except OSError as error:
             raise InputError(
-                f"{path} cannot be read: {error.strerror}. Name a folder that `placegraph world "
-                "build` has finished."
+                f"{path} cannot be read: {error.strerror}. Name a folder written by `placegraph "
+                "world build`."
             ) from error
         except (ValueError, RecursionError) as error:
-            raise MapError(f"{path} is no JSON ({error}). {_MEND}") from error
+            raise MapError(f"{path} is not JSON ({error}). {_MEND}") from error
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise MapError(f"{path} does not describe a world in shards. {_MEND}")
         if meta.get("version") != VERSION:
             raise MapError(
-                f"{path} is of version {meta.get('version')!r}, this placegraph reads {VERSION}; "
+                f"{path} has version {meta.get('version')!r}, but this placegraph reads {VERSION}; "
                 "update placegraph, or build the world again."
             )
         try:
@@ -100,7 +100,7 @@ class WorldFile:
             raise ValueError(f"zoom {zoom}, overlap {overlap} m, {len(shards)} shards")
         keys = [s.key for s in shards]
         if keys != sorted(set(keys)) or any(len(key) != zoom for key in keys):
-            raise ValueError("keys are not in order, or of another zoom")
+            raise ValueError("keys are not sorted, or have another zoom")
         for s in shards:
             tile_bounds(s.key)
             if s.file != f"{SHARDS}/{s.key}.city" or min(s.bytes, s.objects, s.viewpoints) < 0:
@@ -130,7 +130,7 @@ def digest_of(path: Path) -> str:
             return file.read(DIGEST_SIZE).hex()
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read: {error.strerror or error}. Bring it back, or build it again."
+            f"{path} cannot be read: {error.strerror or error}. Restore it, or build it again."
         ) from error
 
 
@@ -174,7 +174,7 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> World
             system.put_file(str(world.folder / name), f"{root}/{name}")
     except Exception as error:  # each file system has its own
         raise MapError(
-            f"{url} cannot be written: {one_line(error)}. The same command goes on."
+            f"{url} cannot be written: {one_line(error)}. Run the same command to resume."
         ) from error
     return world
 
@@ -213,7 +213,8 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
                 "folder of a world in shards, build it, or copy it again."
             ) from error
         raise MapError(
-            f"{url} cannot be fetched to {folder}: {one_line(error)}. The same command goes on."
+            f"{url} cannot be downloaded to {folder}: {one_line(error)}. Run the same command to "
+            "resume."
         ) from error
     return folder
 
@@ -224,13 +225,13 @@ def fetch_places(
     """Return places on this machine; the world at a URL is fetched to the folder `keep`."""
     urls = [str(place) for place in places if is_url(place)]
     if keep is not None and not urls:
-        raise OptionError("keep: it applies only to a world at a URL; remove it.")
+        raise OptionError("keep: it applies only to worlds at a URL; remove it.")
     if keep is None and urls:
-        raise OptionError(f"{urls[0]} is a URL: name a folder for what is fetched (keep).")
+        raise OptionError(f"{urls[0]} is a URL; name a local folder for its files (keep).")
     if len(urls) > 1:
         raise OptionError(
-            f"{' and '.join(urls)} are URLs, and one folder keeps one world: fetch the others by "
-            "`placegraph_scale.folder.fetch`, and name their folders."
+            f"{' and '.join(urls)} are URLs, but one folder can store only one world; fetch the "
+            "others with `placegraph_scale.folder.fetch`, and name their folders."
         )
     return [fetch(str(p), keep) if keep is not None and is_url(p) else Path(p) for p in places]
 

@@ -77,13 +77,13 @@ class Server:
         """
         check_uri(uri)
         if not 0.0 < timeout <= LONGEST:
-            raise OptionError(f"timeout is {timeout}; give seconds up to {LONGEST:.0f}.")
+            raise OptionError(f"timeout is {timeout}; give at most {LONGEST:.0f} seconds.")
         try:
             from pymilvus import MilvusClient
         except ImportError as error:
             raise MissingExtraError(
-                "A Milvus server is reached through pymilvus; install it with "
-                "`pip install 'placegraph[milvus]'`, or keep the vectors in a file."
+                "Milvus needs pymilvus; run `pip install 'placegraph[milvus]'`, or store the "
+                "vectors in a file."
             ) from error
         with _typed_errors(hide_password(uri), "connect"):
             client = MilvusClient(uri=uri, timeout=timeout, dedicated=True)
@@ -199,7 +199,8 @@ def check_uri(uri: str) -> None:
         sound = False
     if not sound:
         raise OptionError(
-            f"{hide_password(uri)!r} is no address of a Milvus server; give one such as http://host:19530."
+            f"{hide_password(uri)!r} is not an address of a Milvus server; give one such as "
+            "http://host:19530."
         )
 
 
@@ -234,8 +235,8 @@ def _typed_errors(address: str, method: str) -> Iterator[None]:
     except (MilvusException, grpc.RpcError, grpc.FutureTimeoutError, OSError) as error:
         reason = " ".join(str(getattr(error, "message", "") or error).split())[:300]
         raise ServiceError(
-            f"The Milvus server at {address} failed to {method.replace('_', ' ')}: {reason}. "
-            "See that it runs and can be reached; then try again."
+            f"The Milvus server at {address} failed to {method.replace('_', ' ')}: {reason}. Check "
+            "that it runs and can be reached, and try again."
         ) from error
     finally:
         _ours.reset(token)
@@ -335,7 +336,9 @@ class MilvusStore:
         `ServiceError` where the server has gone.
         """
         if n > MOST:
-            raise OptionError(f"n is {n}; Milvus gives at most {MOST} neighbours at once.")
+            raise OptionError(
+                f"n is {n}, but Milvus returns at most {MOST} neighbours at once; choose fewer."
+            )
         asked = checked_queries(queries, n, self.dimension)
         found = np.full((len(asked), n), -1, np.int64)
         similarity = np.full((len(asked), n), -np.inf, np.float32)
@@ -375,8 +378,8 @@ def drop_store(server: Server, collection: str) -> StoreInfo:
     info = next((s for s in list_stores(server) if s.collection == collection), None)
     if info is None:
         raise StoreError(
-            f"{server.address} has no store {collection!r} of placegraph's; `placegraph city stores` "
-            "lists them."
+            f"{server.address} has no placegraph store {collection!r}; list the stores with "
+            "`placegraph city stores`."
         )
     server.drop(collection)
     return info
@@ -409,7 +412,7 @@ def describe_store(server: Server, collection: str) -> StoreInfo | None:
 def _choose_store(server: Server, name: str | None, origin: Origin | None) -> StoreInfo:
     """Return the one complete store of that name and origin."""
     if name is None and origin is None:
-        raise OptionError("Say which store of the server: its name, or the map and the model.")
+        raise OptionError("Choose a store of the server: give its name, or the map and the model.")
     named = [s for s in list_stores(server) if name is None or s.is_named(name)]
     fitting = [s for s in named if origin is None or s.origin == origin]
     complete = [s for s in fitting if s.complete]
@@ -419,7 +422,7 @@ def _choose_store(server: Server, name: str | None, origin: Origin | None) -> St
     if complete:
         raise StoreError(
             f"{server.address} has {', '.join(s.collection for s in complete)}; give name, map and "
-            "model so that one of them is meant."
+            "model to choose one."
         )
     if fitting:
         raise IncompleteStoreError(
@@ -428,11 +431,11 @@ def _choose_store(server: Server, name: str | None, origin: Origin | None) -> St
         )
     if named and name is not None:
         raise StoreError(
-            f"The {what} on {server.address} was made from another map or model; make one for this "
-            "with `placegraph city embed`."
+            f"The {what} on {server.address} was made from another map or model; create one for "
+            "this map with `placegraph city embed`."
         )
     raise StoreError(
-        f"{server.address} has no {what}; make one with `placegraph city embed --store`."
+        f"{server.address} has no {what}; create one with `placegraph city embed --store`."
     )
 
 
@@ -486,8 +489,8 @@ def load_milvus(
         _check_rows(server, wanted, LOADING)
     else:
         raise IncompleteStoreError(
-            f"An earlier load into {final} on {server.address} was not finished; go on with --resume "
-            f"(`resume=True`), or drop {load.collection} with `placegraph city stores`."
+            f"An earlier load into {final} on {server.address} is incomplete; resume it with "
+            f"--resume (`resume=True`), or drop {load.collection} with `placegraph city stores`."
         )
     load.complete()
     server.rename(load.collection, final)
@@ -520,8 +523,8 @@ class _Loader:
                 return
             self.send(absent, replace=True)
         raise IncompleteStoreError(
-            f"{self.server.address} does not keep all rows of {self.collection}; see its log and "
-            "disk, then go on with --resume."
+            f"{self.server.address} does not store all rows of {self.collection}; check its log "
+            "and disk, and continue with --resume."
         )
 
     def batches(self) -> list[tuple[int, int]]:
@@ -570,11 +573,11 @@ def _check_rows(server: Server, wanted: StoreInfo, ending: str = "") -> None:
     )
     if not same:
         holds = (
-            "what is not placegraph's"
+            "a collection not made by placegraph"
             if found is None
             else (f"{found.rows:,} rows of {found.dimension} numbers")
         )
         raise StoreError(
-            f"{collection} on {server.address} holds {holds}, not {wanted.rows:,} of "
+            f"{collection} on {server.address} contains {holds}, not {wanted.rows:,} of "
             f"{wanted.dimension}; drop it, or choose another --name."
         )

@@ -16,16 +16,17 @@ class BuildOptions(CellOptions):
 
     zoom: int = option(
         12,
-        "Level of the quadtree whose tiles are the cores of shards: 12 has tiles of 10 km at the equator, "
-        "6 km at 50 degrees, and 200,000 objects in the densest cities.",
+        "Quadtree level of the shards' tiles: 12 gives tiles of 10 km at the equator and 6 km at "
+        "50 degrees, with 200,000 objects in the densest cities.",
         minimum=1,
         maximum=MAX_ZOOM,
         flag="--zoom",
     )
     overlap: float = option(
         500.0,
-        "Reach of shards beyond their tiles. Viewpoints are compared up to 400 m from a rare object, and "
-        "objects are visible up to 38 m away: with the default a border changes neither.",
+        "Overlap of shards beyond their tiles. Viewpoints are compared up to 400 m from a rare "
+        "object, and objects are visible up to 38 m away, so with the default the answers do not "
+        "depend on borders.",
         unit="m",
         maximum=LARGEST,
         flag="--overlap",

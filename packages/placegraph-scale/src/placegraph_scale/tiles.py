@@ -281,7 +281,7 @@ def split(
                 save()
     if _state(path) != state:
         (folder / DONE).unlink(missing_ok=True)
-        raise InputError(f"{path} changed while it was read; build again when it is whole.")
+        raise InputError(f"{path} changed while it was read; build again when it is complete.")
     if not count:
         raise make_empty_error(path, left_out)
     return save(complete=True)
@@ -303,7 +303,7 @@ def _spread(
     zoom, margin = grid
     low, high = objects.ends()
     if (around := high[:, 0] - low[:, 0] > 180.0).any():
-        left_out["things across the date line"] += int(around.sum())
+        left_out["objects across the date line"] += int(around.sum())
     wide = tile_ranges(low, high, zoom, margin)
     many = (wide[:, 2] - wide[:, 0] + 1) * (wide[:, 3] - wide[:, 1] + 1) > MANY
     if (large := np.flatnonzero(many & ~around)).size:

@@ -94,7 +94,7 @@ def test_scenes_by_their_map_files(files, rooms, tmp_path):
     posed = shards.localize(rooms["study"].film(3), most=2, refine=False, seed=0)
     assert posed.best.scene == "study"
     (tmp_path / "study.scene").write_bytes(b"another")
-    with pytest.raises(MapError, match="another map"):
+    with pytest.raises(MapError, match="not the map that was added"):
         SceneShards.open(tmp_path / "shards").open_scenes(found.stats["rows"][:1])
 
 
@@ -155,7 +155,7 @@ def test_what_is_unfinished_is_no_library(signatures, tmp_path):
     [
         ({"shards": []}, "no shards"),
         ({"shards": [{"file": "../00000.shard", "scenes": 60}]}, "no shards"),
-        ({"shards": [{"file": "00000.shard", "scenes": 59}]}, "holds 60 scenes, not 59"),
+        ({"shards": [{"file": "00000.shard", "scenes": 59}]}, "contains 60 scenes, not 59"),
         ({"encoders": []}, "contradict"),
         ({"encoders": [{"name": "labels", "key": "labels other"}]}, "was encoded by labels other"),
         ({"encoders": 3}, "the file lists no encoders"),
@@ -205,7 +205,7 @@ def copied(shards, folder):
 
 def test_two_scenes_of_one_name_and_an_older_write(signatures, tmp_path):
     twice = listed(signatures)[:3]
-    with pytest.raises(OptionError, match="Two scenes are called"):
+    with pytest.raises(OptionError, match="Two scenes are named"):
         write_shards(tmp_path, [*twice, twice[0]])
     assert len(write_shards(tmp_path, twice, size=1).shards) == 3
     assert len(write_shards(tmp_path, twice).shards) == 1

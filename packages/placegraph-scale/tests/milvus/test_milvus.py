@@ -143,7 +143,7 @@ def test_a_load_goes_on_where_it_broke_off(fake, server, content, plan, left):
     if begun:
         with pytest.raises(IncompleteStoreError, match=r"not loaded completely.*--resume"):
             MilvusStore.on(server, origin=HERE)
-        with pytest.raises(IncompleteStoreError, match="was not finished; go on with --resume"):
+        with pytest.raises(IncompleteStoreError, match="is incomplete; resume it with --resume"):
             load(server, content)
     fake.calls.clear()
     holds_all(fake, content, load(server, content, resume=True))
@@ -167,7 +167,7 @@ def test_a_row_sent_twice_does_not_make_up_for_one_that_is_lost(fake, server, co
 
 def test_a_server_that_keeps_nothing(fake, server, content):
     fake.plan = {"insert": ["forgotten"] * 5, "upsert": ["forgotten"] * 99}
-    with pytest.raises(IncompleteStoreError, match="does not keep all rows"):
+    with pytest.raises(IncompleteStoreError, match="does not store all rows"):
         load(server, content)
     assert list(fake.held) == [NAME + "_loading"]
 
@@ -198,7 +198,10 @@ def test_a_server_that_dies_under_a_search_and_one_that_lost_rows(fake, server, 
 
 def test_another_map_model_or_dimension(fake, server, content, rng, cloud):
     load(server, content)
-    for origin in (Origin("another map", "a model"), Origin("a map", "another model")):
+    for origin in (
+        Origin("not the map that was added", "a model"),
+        Origin("a map", "another model"),
+    ):
         with pytest.raises(StoreError, match="was made from another map or model"):
             MilvusStore.on(server, name="town", origin=origin)
         with pytest.raises(StoreError, match="has no store of this map and model"):
@@ -206,13 +209,15 @@ def test_another_map_model_or_dimension(fake, server, content, rng, cloud):
     with pytest.raises(OptionError, match=r"3 numbers, the store's vectors 8"):
         MilvusStore.on(server, origin=HERE).search(np.ones((1, 3)), 1)
     wider = Vectors.of(*cloud(rng, 47, 9))
-    with pytest.raises(StoreError, match="holds 47 rows of 8 numbers, not 47 of 9; drop it"):
+    with pytest.raises(StoreError, match="contains 47 rows of 8 numbers, not 47 of 9; drop it"):
         load(server, wider)
     fake.plan = {"insert": ["dead"]}
     with pytest.raises(ServiceError):
         load(server, content, origin=Origin("b", "c"))
     fake.dead = False
-    with pytest.raises(StoreError, match=r"_loading on .* holds 47 rows of 8 numbers, not 47 of 9"):
+    with pytest.raises(
+        StoreError, match=r"_loading on .* contains 47 rows of 8 numbers, not 47 of 9"
+    ):
         load(server, wider, origin=Origin("b", "c"), resume=True)
 
 
@@ -223,7 +228,7 @@ def test_what_is_not_ours(fake, server, content, description):
     assert list_stores(server) == ()
     with pytest.raises(StoreError, match="has no store 'town'"):
         MilvusStore.on(server, name="town", origin=HERE)
-    with pytest.raises(StoreError, match="holds what is not placegraph's"):
+    with pytest.raises(StoreError, match="contains a collection not made by placegraph"):
         load(server, content)
     with pytest.raises(StoreError, match="has no store"):
         drop_store(server, NAME)
@@ -251,7 +256,7 @@ def test_stores_by_name_or_by_origin(fake, server, content):
     assert drop_store(server, NAME).rows == 47
     assert NAME not in fake.held
     assert "somebody_elses" in fake.held
-    with pytest.raises(StoreError, match="has no store 'somebody_elses'"):
+    with pytest.raises(StoreError, match="has no placegraph store 'somebody_elses'"):
         drop_store(server, "somebody_elses")
 
 
@@ -267,7 +272,7 @@ def test_collections_have_names_that_milvus_allows(name, plain):
 @pytest.mark.parametrize(
     ("uri", "timeout", "words"),
     [
-        *((uri, 1.0, "is no address of a Milvus server")
+        *((uri, 1.0, "is not an address of a Milvus server")
           for uri in ("", "localhost:19530", "ftp://a:1", "http://", "http://a:x", "a.db")),
         *(("http://127.0.0.1:1", seconds, "timeout is") for seconds in (0.0, -1.0, 1e9, float("nan"))),
     ],

@@ -56,7 +56,7 @@ def test_both_back_ends_find_the_same(milvus, columns, queries):
 
 @pytest.mark.all  # a load that breaks off is tested with a server in memory as well
 def test_a_load_survives_the_server(milvus, columns, queries, capfd):
-    origin = Origin("another map", "a model")
+    origin = Origin("not the map that was added", "a model")
     steps = []
 
     def dies_between_two_batches(step, done, _total):

@@ -49,7 +49,7 @@ def test_a_fix_is_a_prior_over_all_shards(shift, whole, planet):
 
 
 def touched(estimate):
-    return int(estimate.reason.split("Looked into ")[1].split()[0])
+    return int(estimate.reason.split("Searched ")[1].split()[0])
 
 
 def test_a_rare_name_takes_few_shards_and_common_things_many(planet):
@@ -165,8 +165,8 @@ def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
     late = planet.locate(TEXTS[0], budget=1e-9, **fix)
     assert late.status is not Status.OK
     assert late.reason.startswith(
-        "The time limit was reached: 100.0% of the world, where it may be as well, was not "
-        "searched. In what was, "
+        "The time limit was reached: 100.0% of the world was not searched, and the place may be "
+        "there. In the searched part, "
     )
 
 

@@ -65,7 +65,7 @@ def test_a_sentence_is_answered_as_by_plain_maps(both, text):
     plain, shards = both
     ours, theirs = shards.locate(text), plain.locate(text)
     same(ours, theirs)
-    assert "Looked into" in ours.reason
+    assert "Searched" in ours.reason
     assert ours.understood.to_dict() == theirs.understood.to_dict()
 
 

@@ -208,7 +208,7 @@ def _made(run: Run, small: Path, path: Path, copies: int, seed: int) -> dict[str
 
 _HEADER = [
     "cells", "map built (CPU)", "of it index", "build peak", "bytes/cell", "open (CPU)", "first query (CPU)",
-    "resident", "of it own", "before", "own before",
+    "resident", "own", "before", "own before",
 ]  # fmt: skip
 _KINDS = [
     "cells", "texts", "p50 (CPU)", "p95 (CPU)", "p50", "p95", "same mode", "within 1 %", "probability off",

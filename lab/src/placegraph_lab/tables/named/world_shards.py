@@ -132,7 +132,7 @@ Texts = dict[str, list["Query"]]
 
 
 def count_touched(reason: str) -> int:
-    return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
+    return int(reason.rpartition("Searched ")[2].split()[0].replace(",", ""))
 
 
 def compare_texts(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:

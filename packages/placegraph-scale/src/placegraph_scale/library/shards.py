@@ -60,7 +60,7 @@ KIND, VERSION = "shard", 1
 """Of map files."""
 HEAD, BESIDE = "usual.shard", "beside.shard"
 """Background model and list of shards, written last; the homes that no library has."""
-MEND = "Make the shards again with `placegraph library shard`."
+MEND = "Create the shards again with `placegraph library shard`."
 STRINGS = ("names", "paths", "digests", "earth", "buildings")
 """Columns of bytes, each beside one that says where those of a scene begin."""
 FEW = 5_000
@@ -166,7 +166,7 @@ class Shard:
         order = a["order"][objects].astype(np.int64)
         if not np.array_equal(np.sort(order), np.arange(len(scene))):
             raise MapError(
-                f"{scene.source} has other objects than its shard; make the shards again."
+                f"{scene.source} has other objects than its shard; create the shards again."
             )
         part, panoramas = np.zeros(len(order), np.int32), []
         for number, unit_ in enumerate(range(first, last)):
@@ -349,7 +349,7 @@ def _check_texts(c: Columns) -> None:
     lengths = {len(c.much) - count, len(c.rooms) - count, len(c.is_scene) - count, *rows}
     ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
     if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
-        raise ValueError("columns of texts are of different lengths")
+        raise ValueError("columns of texts have different lengths")
     numbers = (c.of_labels.counts, 0), (c.of_triples.counts, 0), (c.much, 1), (c.rooms, 0)
     if not all(((n >= least) & (n < np.inf)).all() for n, least in numbers):
         raise ValueError("numbers of texts")
@@ -401,7 +401,9 @@ class SceneShards(SceneCollection):
         """
         folder = Path(folder)
         if not (folder / HEAD).is_file():
-            raise InputError(f"{folder} contains no shards of a library: it has no {HEAD}. {MEND}")
+            raise InputError(
+                f"{folder} contains no shards of a library, because it has no {HEAD}. {MEND}"
+            )
         head = read_map(folder / HEAD, KIND, VERSION)
         made = tuple(match_encoders(head, encoders))
         with check_contents(folder / HEAD, MEND):
@@ -418,7 +420,7 @@ class SceneShards(SceneCollection):
                 shard = Shard.open(folder / name, background)
             except PlacegraphError as error:
                 return str(error)
-            other = f"{folder / name} holds {len(shard):,} scenes, not {count:,}. {MEND}"
+            other = f"{folder / name} contains {len(shard):,} scenes, not {count:,}. {MEND}"
             return shard if len(shard) == count else other
 
         with ThreadPoolExecutor(2) as pool:
@@ -486,10 +488,10 @@ class SceneShards(SceneCollection):
             return self._scene_cache[row]
         path, (shard, own) = self.path(row), self._find(row)
         if path is None:
-            raise InputError(f"{self.name(row)}: the shards know no map file of it.")
+            raise InputError(f"{self.name(row)}: the shards have no map file for this scene.")
         digest = self._string(row, "digests")
         if hash_file(path) != digest:
-            raise MapError(f"{path} is another map than was added. {MEND}")
+            raise MapError(f"{path} is not the map that was added. {MEND}")
         scene = SceneMap.open(path)
         entry = Entry(shard.signature(own, scene), path, digest, self.earth(row))
         self._scene_cache[row] = entry, scene
@@ -503,7 +505,9 @@ class SceneShards(SceneCollection):
         Scenes that are not looked at closely are as the worst of those that are.
         """
         if options.method == "cosines":
-            raise OptionError("method is 'cosines': shards are compared by 'likelihood' alone.")
+            raise OptionError(
+                "method is 'cosines', but shards are compared only by 'likelihood'; remove it."
+            )
         self.check()
         start = perf_counter()
         rows = self._choose_candidates(query, options)

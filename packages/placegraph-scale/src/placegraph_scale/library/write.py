@@ -67,7 +67,7 @@ def write_shards(
     made = [encoder(e) if isinstance(e, str) else e for e in encoders]
     keys = [e.key for e in made]
     if size < 1:
-        raise OptionError(f"size is {size}; a shard holds at least one scene.")
+        raise OptionError(f"size is {size}; a shard must have at least one scene.")
     folder, left = Path(folder), iter(scenes)
     usual: Background | None = None
     names: set[str] = set()
@@ -81,13 +81,13 @@ def write_shards(
             usual = learn_background(some, made)
         for listed in some:
             if listed.name in names:
-                raise OptionError(f"Two scenes are called {listed.name!r}; rename one of them.")
+                raise OptionError(f"Two scenes are named {listed.name!r}; rename one of them.")
             names.add(listed.name)
         file = f"{number:05d}.shard"
         _write(folder / file, *pack_shard(some, keys))
         files.append({"file": file, "scenes": len(some)})
     if usual is None:
-        raise OptionError("There is no scene: a library in shards holds at least one.")
+        raise OptionError("There is no scene; give at least one scene map.")
     _write(folder / BESIDE, {}, pack_index(Index.of(load_decoys(made), keys)))
     head = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
     _write(folder / HEAD, {**head, **usual.meta}, usual.arrays)

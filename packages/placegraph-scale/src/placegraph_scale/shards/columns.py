@@ -155,7 +155,7 @@ def open_pages(
         header, start = read_head(file, path), file.tell()
         if (header.kind, header.version) != (kind, version):
             raise MapError(
-                f"{path} is a {header.kind} map of version {header.version}, and not a {kind} map of "
+                f"{path} is a {header.kind} map of version {header.version}, not a {kind} map of "
                 f"version {version}. {remedy}"
             )
         mapped = [

@@ -167,7 +167,7 @@ class ShardsMatch(TownMatch):
     def cost(self) -> str:
         """Sentence that says how many shards were looked into."""
         touched, n = len(self.search.touched), len(self.search.sources)
-        return f"Looked into {touched:,} of {n:,} shards."
+        return f"Searched {touched:,} of {n:,} shards."
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -216,7 +216,7 @@ def make_estimate(
     for row in dict.fromkeys(row for row, _ in places):
         mine = tuple(place for r, place in places if r == row)
         parts[search.sources[row].key] = CityEstimate(
-            Status.AMBIGUOUS, mine, "A part of the answer of a world in shards.", description,
+            Status.AMBIGUOUS, mine, "Part of the answer of a world in shards.", description,
             posterior.support(row),
         )  # fmt: skip
     return CityEstimate(status, tuple(place for _, place in places), reason, description), parts
@@ -277,8 +277,8 @@ class Planet:
         self.words = WorldWords(WordTable.open(file.folder / WORDS))
         if len(self.words.table) != len(file.shards):
             raise MapError(
-                f"{file.folder / WORDS} is of {len(self.words.table)} shards, world.json of "
-                f"{len(file.shards)}; finish the world again with `placegraph world build`."
+                f"{file.folder / WORDS} is for {len(self.words.table)} shards, but world.json for "
+                f"{len(file.shards)}; finish the world with `placegraph world build`."
             )
         self.cores: Floats = np.array([s.core for s in file.shards])
         self.sources = _list_sources(file)

@@ -470,7 +470,7 @@ class Search:
         lost = f"{len(self.lost)} of the shards did not answer"
         why = "The time limit was reached" if self.late else lost
         share = f"{missing:.1%}" if missing >= 0.001 else "less than 0.1%"
-        return f"{why}: {share} of the world, where it may be as well, was not searched."
+        return f"{why}: {share} of the world was not searched, and the place may be there."
 
     def _near_rare(self, shard_query: ShardQuery, cores: Floats) -> NDArray[np.bool_]:
         """Return shards (N,) from which a rare object out of sight may be mentioned."""

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 Found = TypeVar("Found")
 
 KIND, VERSION = "words", 3
-MEND = "Finish the world again with `placegraph world build`."
+MEND = "Finish the world with `placegraph world build`."
 AROUND = 100.0
 """Shards have viewpoints so far around their cores [m], and more to the end of a tile: an object that
 nothing else has in sight makes those within 20 m of it viewpoints, which others up to 58 m away prevent."""
@@ -255,7 +255,7 @@ class _Lookup(Mapping[str, Found]):
         return self.size
 
     def __iter__(self) -> Iterator[str]:
-        raise TypeError("names of a world are looked up one by one")
+        raise TypeError("the names of a world can only be looked up one by one")
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,16 +294,16 @@ class WorldNames(NameIndex):
         words = PagedTexts(columns["stem_starts"], columns["stem_text"])
         ways, alphabetic = int(file.meta["spoken"]), int(file.meta["alphabetic"])
         if not 0 <= alphabetic <= len(words) == max(0, size["posting_starts"] - 1):
-            raise ValueError("words and where they occur are of different lengths")
+            raise ValueError("words and their places have different lengths")
         if size["said"] != size["said_rows"] or size["first"] != size["first_longest"]:
             raise ValueError("columns of names have different lengths")
         if not 0 <= ways <= size["said"]:
-            raise ValueError(f"names are called in {ways} ways")
+            raise ValueError(f"names have {ways} spellings")
         called = _Lookup(partial(_find_called, names, columns), ways)
         first = _Lookup(partial(_find_longest, columns), size["first"])
         return cls(called, first, names=names, words=words, alphabetic=alphabetic, columns=columns)
 
-    def _alike(self, words: str) -> Sequence[str]:
+    def _list_similar(self, words: str) -> Sequence[str]:
         said = dict.fromkeys(map(self._written, stems(words)))
         known = sorted((self._counts[word], word) for word in said if word in self._counts)
         return self._postings[known[0][1]] if known and known[0][0] <= CROWDED else ()
@@ -332,7 +332,7 @@ class WorldNames(NameIndex):
             for entry in by[slice(*found)].tolist():
                 ways = list_spoken_forms(_find_name(self.names, by, entry // 2))
                 if entry % 2 >= len(ways):
-                    where = f"column {by.name!r} points to a way in which no name is called"
+                    where = f"column {by.name!r} points to a missing spelling of a name"
                     raise damage_error(by.path, where)
                 called.append(" ".join(ways[entry % 2]))
             return called
@@ -370,7 +370,7 @@ def _find_called(
 def _find_name(names: PagedTexts, by: PagedColumn, row: int) -> str:
     """Return a name; raises `MapError` where a column points to none."""
     if row >= len(names):
-        raise damage_error(by.path, f"column {by.name!r} points to a name that is not there")
+        raise damage_error(by.path, f"column {by.name!r} points to a missing name")
     return names[row]
 
 
@@ -498,11 +498,11 @@ class WordTable:
             assert file.watch is not None  # noqa: S101  # `open_pages` gives one
             size = {name: len(column) for name, column in columns.items()}
             if size["starts"] != len(labels) + len(names.names) + 1:
-                raise ValueError("words and their counts are of different lengths")
+                raise ValueError("words and their counts have different lengths")
             if len({size[name] for name in Entries._fields}) > 1:
-                raise ValueError("entries of words are of different lengths")
+                raise ValueError("entries of words have different lengths")
             if len(set(map(len, of_shards.values()))) > 1:
-                raise ValueError("columns of shards are of different lengths")
+                raise ValueError("columns of shards have different lengths")
             if not all((np.isfinite(c) & (c >= 0)).all() for c in of_shards.values()):
                 raise ValueError("bounds of shards contain invalid values")
             return cls(labels, names, columns, **of_shards, watch=file.watch)
@@ -520,7 +520,7 @@ class WordTable:
         wrong = len(found.shards) and not 0 <= found.shards.min() <= found.shards.max() < len(self)
         if wrong or not all((np.isfinite(x) & (x >= 0)).all() for x in found[1:]):
             raise damage_error(
-                starts.path, f"entries of {self.text(word)!r} are none of its shards"
+                starts.path, f"entries of {self.text(word)!r} are not among its shards"
             )
         return found
 
@@ -631,7 +631,7 @@ def finish(
     check_zoom(zoom)
     folder = Path(folder)
     if not 0.0 <= overlap < np.inf:
-        raise OptionError(f"overlap is {overlap!r}; give a number of metres from 0 on.")
+        raise OptionError(f"overlap is {overlap!r}; give metres, at least 0.")
     paths = sorted((folder / SHARDS).glob("*.city"))
     if not paths:
         raise InputError(
@@ -645,8 +645,8 @@ def finish(
             is_key = False
         if not is_key:
             raise MapError(
-                f"{path}: {path.stem!r} is not a key of zoom {zoom}; shards are named by "
-                f"{zoom} digits from 0 to 3. Move it away, or build the world again."
+                f"{path}: {path.stem!r} is not a key of zoom {zoom}; the names of shards have "
+                f"{zoom} digits from 0 to 3. Move this file away, or build the world again."
             )
     shards: list[ShardFile] = []
 

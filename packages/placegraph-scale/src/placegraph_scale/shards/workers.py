@@ -106,7 +106,8 @@ class ShardCache:
                 return Failure(str(error))
             except MemoryError:
                 return Failure(
-                    f"{task.source.path} does not fit into this process's memory; use less of it."
+                    f"{task.source.path} does not fit into the memory of this process; use a "
+                    "smaller part."
                 )
 
     def shard(self, source: ShardSource) -> Shard:
@@ -172,7 +173,7 @@ def connect(address: str, timeout: float = TIMEOUT) -> Client:
         from distributed import Client
     except ImportError as error:
         raise MissingExtraError(
-            "A scheduler needs Dask; install it with `pip install 'placegraph[scale]'`."
+            "A scheduler needs Dask; run `pip install 'placegraph[scale]'`."
         ) from error
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
@@ -201,8 +202,8 @@ def _check_workers(client: Client, address: str) -> None:
         theirs = (found or {}).get("packages", {}).get("distributed")
         if theirs != ours:
             raise ServiceError(
-                f"{who} of {address} runs distributed {theirs}, and this process {ours}; install one "
-                "version everywhere."
+                f"{who} of {address} runs distributed {theirs}, but this process {ours}; install "
+                "the same version everywhere."
             )
 
 
@@ -308,9 +309,8 @@ class _Dispatch:
         """Wait for a worker, as where all are being replaced [s]."""
         if waited >= REPLACED:
             raise ServiceError(
-                f"No worker of the scheduler at {self.cluster.address} answers any more; "
-                f"start some with `dask worker {self.cluster.address}`, where this process "
-                "can reach them."
+                f"No worker of the scheduler at {self.cluster.address} answers any more; start "
+                f"some with `dask worker {self.cluster.address}` where this process can reach them."
             )
         if waited >= TIMEOUT:
             self.gone.clear()  # others may have taken their addresses
