@@ -244,7 +244,7 @@ def posed(*anchors):
     return PoseEstimate(Status.OK, (mode,), "One place fits.")
 
 
-def heard(longitude=9.5):
+def city_estimate(longitude=9.5):
     place = Place(longitude, 47.1, 0.9, "cell-7", np.diag([400.0, 100.0]), explain=lambda: (CAFE,))
     return CityEstimate(Status.OK, (place,), "One place fits.")
 
@@ -264,7 +264,7 @@ def test_a_pose_from_images_is_a_geopose():
 
 
 def test_a_sentence_pretends_neither_height_nor_orientation():
-    said = strict(heard().geopose())
+    said = strict(city_estimate().geopose())
     assert said["position"] == {"lat": 47.1, "lon": 9.5, "h": 0.0}
     assert said["quaternion"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     assert said["unknown"] == ["height", "orientation"]
@@ -311,7 +311,7 @@ def test_modes_ellipses_and_evidence_are_features():
 
 @pytest.mark.parametrize("longitude", [9.5, 179.9999])
 def test_an_ellipse_holds_its_share(longitude):
-    said = strict(heard(longitude).geojson())
+    said = strict(city_estimate(longitude).geojson())
     point, ellipse = said["features"][:2]
     assert len(point["geometry"]["coordinates"]) == 2
     (ring,) = ellipse["geometry"]["coordinates"]

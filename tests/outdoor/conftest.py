@@ -46,7 +46,7 @@ WINDS = {
 }
 
 
-def _said(*statements):
+def _make_description(*statements):
     """Description of statements (source, how, target, options).
 
     Things are "me", "you", a label such as "shop=bakery", or a name; a "#2" behind tells two of a
@@ -82,9 +82,9 @@ def _said(*statements):
 
 
 @pytest.fixture(scope="session")
-def said():
+def make_description():
     """Make a description of statements (source, how, target, options)."""
-    return _said
+    return _make_description
 
 
 def _score(city, description, positions, together=PRIOR_COHERENT):

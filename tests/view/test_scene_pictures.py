@@ -174,7 +174,7 @@ def joined(*meshes):
     return vertices, np.concatenate([t + n for (_, t), n in zip(meshes, counts, strict=False)])
 
 
-def turned(mesh, angle):
+def rotate_mesh(mesh, angle):
     vertices, triangles = mesh
     c, s = np.cos(angle), np.sin(angle)
     return (vertices @ np.array([(c, s, 0), (-s, c, 0), (0, 0, 1)])).astype(np.float32), triangles
@@ -240,7 +240,7 @@ def test_nothing_of_nothing():
     st.floats(-3, 3), st.floats(-3, 3), st.floats(0.3, 2), st.floats(0.3, 2), st.floats(-3.2, 3.2)
 )
 def test_a_cut_box_is_its_footprint(x, y, wide, deep, angle):
-    vertices, triangles = turned(box((x, y, 0), (x + wide, y + deep, 2)), angle)
+    vertices, triangles = rotate_mesh(box((x, y, 0), (x + wide, y + deep, 2)), angle)
     segments = cut_section(vertices, triangles, 1.0)
     assert signed_area(segments) == pytest.approx(wide * deep, rel=1e-4)
     frame = Frame(tuple(segments.mean(axis=(0, 1)).tolist()), 40.0, 160, 160)
@@ -412,7 +412,7 @@ CAMERA = Camera(W, H, 60.0, 60.0, W / 2, H / 2)
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory):
+def overlay_case(tmp_path_factory):
     """A room, a pose in it and one beside it, and frames: the third shows the room from the pose."""
     folder = tmp_path_factory.mktemp("overlay")
     interior = Flat.parse(ROOM).furnish(np.random.default_rng(0))
@@ -448,11 +448,11 @@ def read(path):
         return np.asarray(image.convert("RGB"))
 
 
-def test_an_estimate_is_laid_over_its_last_frame(seen, tmp_path):
+def test_an_estimate_is_laid_over_its_last_frame(overlay_case, tmp_path):
     def drawn(**how):
         path = tmp_path / "look.png"
-        estimate = estimate_at(seen.pose, **how)
-        assert write_overlay(seen.scene, estimate, seen.frames, path) == path
+        estimate = estimate_at(overlay_case.pose, **how)
+        assert write_overlay(overlay_case.scene, estimate, overlay_case.frames, path) == path
         return read(path)
 
     plain = drawn()
@@ -460,18 +460,23 @@ def test_an_estimate_is_laid_over_its_last_frame(seen, tmp_path):
     band = (len(plain) + GAP) // 2 - GAP - H
     one, other = plain[band : band + H, :W], plain[band : band + H, W + GAP :]
     assert np.abs(one.astype(int) - other).max() <= 2, "the map from the pose is what was seen"
-    moved = drawn(before=seen.beside)
+    moved = drawn(before=overlay_case.beside)
     tall = (len(plain) + GAP) // 2
     assert len(moved) == len(plain) + tall
     np.testing.assert_array_equal(moved[: len(plain)], plain)
     assert (moved[2 * tall + band :] != plain[tall + band :]).any(), "from beside"
-    np.testing.assert_array_equal(drawn(before=seen.pose, accepted=False), plain)
+    np.testing.assert_array_equal(drawn(before=overlay_case.pose, accepted=False), plain)
 
 
-def test_what_cannot_be_shown(seen, tmp_path):
+def test_what_cannot_be_shown(overlay_case, tmp_path):
     nowhere = PoseEstimate(Status.LOST, (), "It is dark.")
     with pytest.raises(OptionError, match=r"The estimate has no pose to show\. It is"):
-        write_overlay(seen.scene, nowhere, seen.frames, tmp_path / "no.png")
+        write_overlay(overlay_case.scene, nowhere, overlay_case.frames, tmp_path / "no.png")
     with pytest.raises(OptionError, match="Frame 2"):
-        write_overlay(seen.scene, estimate_at(seen.pose), seen.frames[:2], tmp_path / "no.png")
+        write_overlay(
+            overlay_case.scene,
+            estimate_at(overlay_case.pose),
+            overlay_case.frames[:2],
+            tmp_path / "no.png",
+        )
     assert not list(tmp_path.iterdir())

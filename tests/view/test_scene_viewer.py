@@ -74,7 +74,7 @@ def viewer(scene, run):
         yield opened
 
 
-def seen(viewer):
+def list_visible(viewer):
     return [handle.visible for handle in viewer.map.objects]
 
 
@@ -91,7 +91,7 @@ def test_it_serves_a_page_with_paths_modes_and_relations(viewer):
 
 
 def test_ceilings_are_hidden_at_first_and_things_have_names(viewer):
-    assert seen(viewer) == [True, False, True, True, True]
+    assert list_visible(viewer) == [True, False, True, True, True]
     labels = viewer.map.labels
     assert {k: v.text for k, v in labels.items()} == {2: "seat", 3: "seat", 4: "my *table*"}
     viewer.map.names.value = False
@@ -107,10 +107,10 @@ def test_an_object_is_picked_described_and_hidden(viewer):
         assert words in about
     assert shown.box.points.reshape(-1, 3).min(axis=0) == pytest.approx([4, 0, 0])
     shown.visible.value = False
-    assert seen(viewer) == [True, False, False, True, True]
+    assert list_visible(viewer) == [True, False, False, True, True]
     assert not shown.labels[2].visible
     shown.visible.value = True
-    assert seen(viewer)[2]
+    assert list_visible(viewer)[2]
     shown.choice.value = "-"
     assert (shown.picked, shown.box, shown.about.content) == (None, None, "")
 
@@ -118,11 +118,11 @@ def test_an_object_is_picked_described_and_hidden(viewer):
 def test_one_alone_and_all(viewer):
     viewer.map.pick(4)
     viewer.map.show([4], only=True)
-    assert seen(viewer) == [False] * 4 + [True]
+    assert list_visible(viewer) == [False] * 4 + [True]
     viewer.map.show(range(5))
-    assert all(seen(viewer))
+    assert all(list_visible(viewer))
     viewer.map.hide([0, 4])
-    assert seen(viewer) == [False, True, True, True, False]
+    assert list_visible(viewer) == [False, True, True, True, False]
     assert not viewer.map.visible.value  # of the object that is picked
 
 

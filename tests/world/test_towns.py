@@ -41,14 +41,14 @@ def test_a_street_far_off_is_not_its_street(world):
 
 @pytest.mark.parametrize("street", ["Kurze Gasse", "Hafenweg"])
 def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
-    def heard(text):
+    def weigh_text(text):
         query = WorldQuery(text)
         found = collect_evidence(world, query, match_outdoors(world, query))
         return found.scenes["reading"].building_match.score.weights
 
-    _, right = heard("I am in the library on Lange Straße")
-    _, wrong = heard(f"I am in the library on {street}")
-    (elsewhere,) = heard("I am in the hotel")
+    _, right = weigh_text("I am in the library on Lange Straße")
+    _, wrong = weigh_text(f"I am in the library on {street}")
+    (elsewhere,) = weigh_text("I am in the hotel")
     assert right > 0.5
     assert wrong < 0.5 * elsewhere < 0
 

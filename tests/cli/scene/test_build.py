@@ -55,12 +55,12 @@ def test_build_as_json_and_in_silence(run, ply, tmp_path):
 def test_build_options(run, ply, tmp_path):
     out = tmp_path / "a.scene"
 
-    def told(*options):
+    def build_json(*options):
         return run("scene", "build", ply, "-o", out, "--json", *options).json
 
-    assert told("--floor", "-2.5")["floor_m"] == [-2.5]
-    assert told("--scale", "0.5")["high_m"] == [2, 2, 1]
-    assert told("--up", "y", "--floor", "0")["low_m"] == [0, -2, 0]
+    assert build_json("--floor", "-2.5")["floor_m"] == [-2.5]
+    assert build_json("--scale", "0.5")["high_m"] == [2, 2, 1]
+    assert build_json("--up", "y", "--floor", "0")["low_m"] == [0, -2, 0]
 
 
 @pytest.mark.parametrize(

@@ -88,13 +88,13 @@ def served(monkeypatch):
     monkeypatch.setattr(scene_view, "wait", lambda: None)
     echo = scene_view.click.echo
 
-    def told(words):
+    def visit_page(words):
         address = words.split(" at ")[1].split()[0]
         with urllib.request.urlopen(address) as page:  # noqa: S310  # our own
             pages.append(page.status)
         echo(words)
 
-    monkeypatch.setattr(scene_view.click, "echo", told)
+    monkeypatch.setattr(scene_view.click, "echo", visit_page)
     return pages
 
 

@@ -80,7 +80,7 @@ def test_gravity_gives_the_tilt_that_is_not_given(world):
 
 
 def test_from_an_estimate(run, world):
-    def told(*options):
+    def refine_json(*options):
         result = run(
             "scene", "refine", world.map, world.walk, "--estimate", world.estimate, "--json",
             *options,
@@ -88,15 +88,15 @@ def test_from_an_estimate(run, world):
         assert (result.code, result.err) == (0, "")
         return result.json
 
-    answer = told()
+    answer = refine_json()
     assert answer["frames"] == [1, 2, 4]
     assert off(answer, world.truth[4]) < 0.03
-    answer = told("--frames", "0:3")
+    answer = refine_json("--frames", "0:3")
     assert answer["frames"] == [0, 1, 2]
     assert off(answer, world.truth[2]) < 0.03
     coarse = answer["refinement"]["coarse"]["map_from_camera"]
     np.testing.assert_allclose(coarse, world.told["trajectory"][1], atol=1e-9)
-    answer = told("--mode", "2")
+    answer = refine_json("--mode", "2")
     coarse = answer["refinement"]["coarse"]["map_from_camera"]
     np.testing.assert_allclose(coarse, world.told["modes"][1]["map_from_camera"], atol=1e-9)
 

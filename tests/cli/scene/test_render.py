@@ -83,12 +83,12 @@ def test_pictures_from_a_pose(run, world, tmp_path):
 
 
 def test_a_pose_is_laid_over_its_frame(draw, world, tmp_path):
-    def told(*options):
+    def render_json(*options):
         result = draw("--capture", world.walk, "--json", *options)
         assert (result.code, result.err) == (0, "")
         return result.json
 
-    answer = told("--estimate", world.estimate)
+    answer = render_json("--estimate", world.estimate)
     assert answer["frame"] == 5
     np.testing.assert_allclose(answer["map_from_camera"], world.truth[5])
     assert [*FILES, "overlay.png"] == [f.rsplit("/", 1)[-1] for f in answer["files"]]
@@ -105,7 +105,7 @@ def test_a_pose_is_laid_over_its_frame(draw, world, tmp_path):
         (("--pose", at(world.truth[1])), 5, 1),
         (("--pose", at(world.truth[1]), "--frame", "0"), 0, 1),
     ):
-        answer = told(*options)
+        answer = render_json(*options)
         assert answer["frame"] == frame
         np.testing.assert_allclose(answer["map_from_camera"], world.truth[row], atol=1e-6)
     assert answer["covered"] == 1.0

@@ -26,5 +26,5 @@ def statement(sentence, s):
 
 
 @pytest.fixture(scope="session")
-def said():
+def list_statements():
     return lambda sentence: [statement(sentence, s) for s in sentence.statements]

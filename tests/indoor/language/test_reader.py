@@ -91,8 +91,8 @@ SAID = {
 
 
 @pytest.mark.parametrize("text", SAID)
-def test_what_is_said(text, said):
-    assert " | ".join(said(read(text))) == SAID[text]
+def test_what_is_said(text, list_statements):
+    assert " | ".join(list_statements(read(text))) == SAID[text]
 
 
 def test_what_is_not_understood_is_told():

@@ -185,13 +185,13 @@ def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
     assert len(after) == len(mesh)
     assert len(after.vertices) == len(np.unique(triangles))
 
-    def told(m):
+    def list_corners(m):
         corners = np.concatenate([m.vertices[m.triangles], m.colours[m.triangles]], axis=2)
         return sorted(
             (o, *c) for o, c in zip(m.object_of, corners.reshape(len(m), 18), strict=True)
         )
 
-    assert told(after) == told(mesh)
+    assert list_corners(after) == list_corners(mesh)
     seen = after.triangles.ravel()
     firsts = np.sort(np.unique(seen, return_index=True)[1])
     np.testing.assert_array_equal(seen[firsts], np.arange(len(after.vertices)))

@@ -30,7 +30,7 @@ def mesh_of(model, rows=None):
     return Mesh.plain(model.vertices, model.triangles, owner)
 
 
-def told(model, rows=None, rooms=None):
+def name_relations(model, rows=None, rooms=None):
     labels = [t.label for t in model.objects]
     if rows is not None:
         labels = [labels[rows.index(i)] for i in range(max(rows) + 1)]
@@ -92,7 +92,7 @@ NEAR = {"lamp next to fridge", "fridge next to lamp"}
     ],
 )  # fmt: skip
 def test_relations_of_boxes(parts, rows, expected, boxes):
-    assert told(boxes(parts), rows) == expected
+    assert name_relations(boxes(parts), rows) == expected
 
 
 def test_a_lamp_hangs_above_what_lies_under_its_middle(boxes):
@@ -101,7 +101,7 @@ def test_a_lamp_hangs_above_what_lies_under_its_middle(boxes):
         "table": ((1.4, 1.4, 0), (2.6, 2.6, 0.4)), "cup": ((1.5, 1.5, 0.4), (1.6, 1.6, 0.5)),
         "lamp": ((1.5, 1.5, 1.8), (2.1, 2.1, 2.2)), "rug": ((0, 0, -0.01), (3, 3, 0)),
     })  # fmt: skip
-    found = [line for line in told(model, [0, 0, 1, 1, 2, 3]) if " above " in line]
+    found = [line for line in name_relations(model, [0, 0, 1, 1, 2, 3]) if " above " in line]
     assert found == ["lamp above table"]
 
 
@@ -113,21 +113,23 @@ def test_what_is_built_in_stands_on_nothing(boxes):
         "ceiling": ((0, 0, 2.6), (8, 6, 2.7)), "lamp": ((4, 1, 2.0), (4.3, 1.3, 2.6)),
         "sofa": ((7, 2, 0), (7.9, 3, 0.8)),
     })  # fmt: skip
-    found = {line for line in told(model) if " next to " not in line}
+    found = {line for line in name_relations(model) if " next to " not in line}
     assert found == {
         "north wall standing on floor", "window sill wall standing on floor",
         "window attached to window sill wall", "door attached to north wall",
         "curtain attached to north wall", "glass door standing on floor",
         "lamp attached to ceiling", "sofa standing on floor",
     }  # fmt: skip
-    assert {"sofa next to window", "window next to sofa"} <= told(model), "it begins above the seat"
+    assert {"sofa next to window", "window next to sofa"} <= name_relations(model), (
+        "it begins above the seat"
+    )
 
 
 @pytest.mark.parametrize("rooms", [[0, 0, 0, -1], [0, 1, 0, -1], [0, -1, 0, -1]])
 def test_nothing_is_next_to_what_is_in_another_room(boxes, rooms):
     model = boxes({"bed": ((0, 0, 0), (2, 2, 0.5)), "desk": ((2.3, 0, 0), (3, 2, 0.7)),
                    "door": ((2.1, 2.1, 0), (2.2, 3, 2))} | HALL)  # fmt: skip
-    found = {line for line in told(model, rooms=np.array(rooms)) if " next to " in line}
+    found = {line for line in name_relations(model, rooms=np.array(rooms)) if " next to " in line}
     ends = [("bed", "door"), ("desk", "door"), *([("bed", "desk")] if rooms[1] < 1 else [])]
     assert found == {f"{a} next to {b}" for x, y in ends for a, b in ((x, y), (y, x))}
 

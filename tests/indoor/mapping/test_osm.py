@@ -58,15 +58,21 @@ def test_walls_are_shared_and_open_where_doors_are(hall):
     middle = scene.bounds.mean(axis=0)[:2]
     south = np.array([middle[0] - 5.0, middle[1] - 6.0])
 
-    def seen(at, towards):
+    def cast_distance(at, towards):
         start = np.array([[*(south + at), 1.0]], np.float32)
         way = np.array([[*towards, 0.0]], np.float32)
         return float(scene.caster.cast(start, way).distance[0])
 
-    assert seen((3, 2), (0, 1)) == pytest.approx(5.0, abs=0.1)  # through the door, to the far wall
-    assert seen((1, 2), (0, 1)) == pytest.approx(2.95, abs=0.02)  # a wall of 0.1 m in the middle
-    assert seen((3, 2), (1, 0)) == pytest.approx(2.95, abs=0.02)
-    assert seen((3, 2), (-1, 0)) == pytest.approx(3.0, abs=0.02)  # beyond an outline of one room
+    assert cast_distance((3, 2), (0, 1)) == pytest.approx(
+        5.0, abs=0.1
+    )  # through the door, to the far wall
+    assert cast_distance((1, 2), (0, 1)) == pytest.approx(
+        2.95, abs=0.02
+    )  # a wall of 0.1 m in the middle
+    assert cast_distance((3, 2), (1, 0)) == pytest.approx(2.95, abs=0.02)
+    assert cast_distance((3, 2), (-1, 0)) == pytest.approx(
+        3.0, abs=0.02
+    )  # beyond an outline of one room
 
 
 def test_levels_are_chosen(hall):

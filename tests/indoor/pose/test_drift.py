@@ -36,7 +36,7 @@ def drifting(truth, degrees, rng, systematic):
     return Chain.of(chained(steps), NOISE)
 
 
-def seen(truth, rng, rows=slice(None)):
+def observe_poses(truth, rng, rows=slice(None)):
     """What frames say of their poses, each with its own error."""
     factors = QuadraticFactors.zeros(truth + rng.normal(size=truth.shape) * KNOWN)
     factors.information[rows] = np.diag(1.0 / KNOWN**2)
@@ -61,7 +61,7 @@ def errors_of(course, truth):
 def test_drift_is_found(rng, degrees, systematic):
     truth = walk()
     chain = drifting(truth, degrees, rng, systematic)
-    course = settled(chain, seen(truth, rng), truth[-1])
+    course = settled(chain, observe_poses(truth, rng), truth[-1])
     error = errors_of(course, truth)
     assert np.abs(error[:, 3]).max() < 3 * KNOWN[3]
     assert np.linalg.norm(error[-1, :3]) < 0.06
@@ -75,7 +75,7 @@ def test_where_odometry_is_good_the_chain_is_stiff():
     chain = Chain.of(between(truth[:1], truth), NOISE)
     ends, scales = [], []
     for _ in range(40):
-        course = settled(chain, seen(truth, rng), truth[-1])
+        course = settled(chain, observe_poses(truth, rng), truth[-1])
         ends.append(errors_of(course, truth)[-1])
         scales.append(course.scales)
     assert (np.std(ends, axis=0) < 0.7 * KNOWN).all()
@@ -85,7 +85,7 @@ def test_where_odometry_is_good_the_chain_is_stiff():
 def test_a_frame_that_says_nothing_follows_its_neighbours(rng):
     truth = walk()
     chain = Chain.of(between(truth[:1], truth), NOISE)
-    course = settled(chain, seen(truth, rng, rows=slice(0, 6)), truth[-1])
+    course = settled(chain, observe_poses(truth, rng, rows=slice(0, 6)), truth[-1])
     led = compose(course.poses[5], between(truth[5], truth[6:]))
     np.testing.assert_allclose(course.poses[6:, :3], led[:, :3], atol=0.02)
     sd = np.sqrt(np.einsum("tii->ti", course.covariances))
@@ -94,7 +94,7 @@ def test_a_frame_that_says_nothing_follows_its_neighbours(rng):
 
 def test_bends_cost(rng):
     truth = walk()
-    factors = seen(truth, rng)
+    factors = observe_poses(truth, rng)
     good = settled(Chain.of(between(truth[:1], truth), NOISE), factors, truth[-1])
     chain = drifting(truth, 2.0, rng, systematic=True)
     bent = settled(chain, factors, truth[-1])
@@ -103,7 +103,7 @@ def test_bends_cost(rng):
 
 def test_a_single_frame_goes_where_it_is_seen(rng):
     truth = walk(1)
-    factors = seen(truth, rng)
+    factors = observe_poses(truth, rng)
     chain = Chain.of(np.zeros((1, 4)), NOISE)
     course = settled(chain, factors, truth[0] + 0.05)
     np.testing.assert_allclose(course.poses, factors.at, atol=1e-3)

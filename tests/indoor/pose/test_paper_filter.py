@@ -134,12 +134,12 @@ def test_the_start(scene, rng):
     cells = np.unique(table.positions[:, :2], axis=0)
     ours, other = everywhere(window, window.options, rng), theirs.start(cells, scene.floors[0], rng)
 
-    def told(poses):
+    def count_particles(poses):
         cell = np.floor((poses[:, :2] - table.origin) / theirs.CELL)
         columns = np.column_stack([cell, poses[:, 2].round(6)])
         return np.unique(columns, axis=0, return_counts=True)
 
-    for a, b in zip(told(ours), told(other), strict=True):
+    for a, b in zip(count_particles(ours), count_particles(other), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
     for axis in (0, 1, 3):
         size = theirs.CELL if axis < 2 else 2 * np.pi

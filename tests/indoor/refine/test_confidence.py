@@ -88,12 +88,12 @@ def test_noise_that_neighbours_share_counts_once(room, exact, held, kit):
     surfaces, rng = Surfaces.of(room), np.random.default_rng(0)
     better = kit.moved(exact.poses, (0.01, 0.0, 0.0))
 
-    def told(noise):
+    def compute_gain(noise):
         off = [replace(h, depth=np.float32(h.depth + (h.depth > 0) * noise(h))) for h in held]
         return depth_evidence(surfaces, off, [better, exact.poses]).gain(1).sum()
 
-    alone = told(lambda h: rng.normal(0, 0.02, len(h.depth)))
-    shared = told(lambda _: rng.normal(0, 0.02))
+    alone = compute_gain(lambda h: rng.normal(0, 0.02, len(h.depth)))
+    shared = compute_gain(lambda _: rng.normal(0, 0.02))
     assert abs(shared) < 0.5 * alone
 
 

@@ -18,7 +18,7 @@ STEP = 1e-6
 SMALL = st.floats(-0.05, 0.05)
 
 
-def turned(pose, d):
+def perturb_pose(pose, d):
     """A pose (4, 4) after a shift and a turn `d` (6,) in map axes."""
     out = pose.copy()
     out[:3, :3] = rotation_from_vector(d[3:]) @ pose[:3, :3]
@@ -42,37 +42,43 @@ def frame(walked):
 
 
 @pytest.fixture(scope="module")
-def seen(frame):
+def sample_frame(frame):
     return sample_readings(frame, frame.depth(), 200)
 
 
 @settings(max_examples=25)
 @given(st.tuples(SMALL, SMALL, SMALL, SMALL, SMALL, SMALL), st.floats(2.0, 30.0))
-def test_depth_equations_are_those_of_planes_that_are_held(hall, way, seen, d, width):
-    pose = turned(way[0], np.array(d))
+def test_depth_equations_are_those_of_planes_that_are_held(hall, way, sample_frame, d, width):
+    pose = perturb_pose(way[0], np.array(d))
     noise = 0.01, 0.003, 0.008
     kernel = Kernel(*noise, (0.5, 0.85), width)
     shares = np.array([1.0, 0.3])
     h, g, told, sums = depth_system(
-        Surfaces.of(hall), shares, *parts(pose), seen.directions, seen.depth, seen.normals, kernel
+        Surfaces.of(hall),
+        shares,
+        *parts(pose),
+        sample_frame.directions,
+        sample_frame.depth,
+        sample_frame.normals,
+        kernel,
     )
-    aims = seen.directions @ pose[:3, :3].T
+    aims = sample_frame.directions @ pose[:3, :3].T
     hits = hall.caster.cast(np.broadcast_to(pose[:3, 3], aims.shape), aims)
-    rows = (hits.triangle >= 0) & (seen.depth > 0)
+    rows = (hits.triangle >= 0) & (sample_frame.depth > 0)
     normal = Surfaces.of(hall).normals[hits.triangle[rows]].astype(float)
-    aims, depth = aims[rows], seen.depth[rows].astype(float)
+    aims, depth = aims[rows], sample_frame.depth[rows].astype(float)
     points = pose[:3, 3] + aims * hits.distance[rows, None]
-    inside = seen.directions[rows] * depth[:, None]
+    inside = sample_frame.directions[rows] * depth[:, None]
 
     def errors(d):
-        moved = turned(pose, d)
+        moved = perturb_pose(pose, d)
         at = inside @ moved[:3, :3].T + moved[:3, 3]
         return np.sum(normal * (at - points), axis=1)
 
     j, e = derivatives(errors), errors(np.zeros(6))
     slant = np.sum(normal * aims, axis=1)
     variance = ((noise[0] + noise[1] * depth**2) * slant) ** 2 + noise[2] ** 2
-    facing = np.abs(np.sum((normal @ pose[:3, :3]) * seen.normals[rows], axis=1))
+    facing = np.abs(np.sum((normal @ pose[:3, :3]) * sample_frame.normals[rows], axis=1))
     share = np.clip((facing - 0.5) / 0.35, 0, 1)
     ratio = e**2 / (variance * width**2)
     objects = hall.mesh.object_of[hits.triangle[rows]]
@@ -85,18 +91,24 @@ def test_depth_equations_are_those_of_planes_that_are_held(hall, way, seen, d, w
     np.testing.assert_allclose(g, j.T @ (w * e), atol=off)
     np.testing.assert_allclose(told[:, 0], np.bincount(objects, robust, 2), rtol=1e-3)
     np.testing.assert_array_equal(told[:, 1], np.bincount(objects, minlength=2))
-    assert sums[0] == np.count_nonzero(seen.depth > 0)
+    assert sums[0] == np.count_nonzero(sample_frame.depth > 0)
     assert sums[2] == np.count_nonzero(rows)
     assert 0.0 <= sums[1] <= sums[0]
 
 
-def test_what_faces_away_has_no_say(hall, way, seen):
+def test_what_faces_away_has_no_say(hall, way, sample_frame):
     kernel = Kernel(0.01, 0.0, 0.01, (0.5, 0.85), 5.0)
-    rest = Surfaces.of(hall), np.ones(2), *parts(way[0]), seen.directions, seen.depth
-    across = np.roll(seen.normals, 1, axis=1) * [[0.0, 1.0, 0.0]]
+    rest = (
+        Surfaces.of(hall),
+        np.ones(2),
+        *parts(way[0]),
+        sample_frame.directions,
+        sample_frame.depth,
+    )
+    across = np.roll(sample_frame.normals, 1, axis=1) * [[0.0, 1.0, 0.0]]
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    full = depth_system(*rest, seen.normals, kernel)[2][:, 0].sum()
-    assert depth_system(*rest, np.zeros_like(seen.normals), kernel)[2][:, 0].sum() == 0.0
+    full = depth_system(*rest, sample_frame.normals, kernel)[2][:, 0].sum()
+    assert depth_system(*rest, np.zeros_like(sample_frame.normals), kernel)[2][:, 0].sum() == 0.0
     assert depth_system(*rest, across.astype(np.float32), kernel)[2][:, 0].sum() < 0.7 * full
 
 
@@ -128,15 +140,15 @@ def test_distances_from_a_wall_are_along_its_normal(kit):
 )
 def test_pixel_equations_are_those_of_reprojection(d, seed, width):
     rng = np.random.default_rng(seed)
-    pose = turned(np.eye(4), rng.normal(size=6))
+    pose = perturb_pose(np.eye(4), rng.normal(size=6))
     inside = rng.uniform([-1, -1, 0.5], [1, 1, 4], (12, 3))
     points = inside @ pose[:3, :3].T + pose[:3, 3]
     rays = inside[:, :2] / inside[:, 2:] + rng.normal(size=(12, 2)) * 0.01
     sigma, focal = rng.uniform(0.5, 3.0, 12), 150.0
-    start = turned(pose, np.array(d))
+    start = perturb_pose(pose, np.array(d))
 
     def errors(d):
-        moved = turned(start, d)
+        moved = perturb_pose(start, d)
         at = (points - moved[:3, 3]) @ moved[:3, :3]
         return (focal * (at[:, :2] / at[:, 2:] - rays)).ravel()
 

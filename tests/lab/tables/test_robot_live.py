@@ -73,7 +73,7 @@ def test_a_walk_without_end(recordings):
     assert np.all(np.diff([frame.stamp for frame, _, _ in drawn]) > 0)
 
 
-def seen(text):
+def parse_frames(text):
     """A frame a letter: o OK and right, m OK, F OK and false, . lost; after a bar it was kidnapped."""
     out, kidnapped = [], False
     for letter in text:
@@ -88,10 +88,10 @@ def seen(text):
 
 
 def test_what_is_counted():
-    walk = seen("ooom|FF.mo|.....|oF")
+    walk = parse_frames("ooom|FF.mo|.....|oF")
     assert recoveries(walk) == [4, None, 0]
     assert longest(walk, lambda s: s.false) == 2
-    row = Row.of("room", 0.5, [walk, seen("oo")])
+    row = Row.of("room", 0.5, [walk, parse_frames("oo")])
     assert row.frames == 18
     assert (row.right, row.sure) == (pytest.approx(7 / 18), pytest.approx(12 / 18))
     assert row.tracked == pytest.approx(7 / 12)

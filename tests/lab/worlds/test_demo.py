@@ -25,7 +25,7 @@ def content(path):
     return lzma.decompress(path.read_bytes()) if path.name.endswith(".xz") else path.read_bytes()
 
 
-def alike(ours, theirs):
+def is_same_output(ours, theirs):
     if not isinstance(ours, dict):
         return ours == theirs
     images = [name for name in ours if name.endswith((".jpg", ".png"))]
@@ -51,7 +51,7 @@ def test_the_same_files_ship(drawn):
     assert {p.name for p in DATA.iterdir()} == {p.name for p in drawn.iterdir()}
     for path in drawn.iterdir():
         if path.suffix != ".scene":
-            assert alike(content(DATA / path.name), content(path)), path.name
+            assert is_same_output(content(DATA / path.name), content(path)), path.name
 
 
 @pytest.mark.all

@@ -37,6 +37,6 @@ def statement(description, s):
 
 
 @pytest.fixture(scope="session")
-def said():
+def list_statements():
     """Return what a description says, one line a statement."""
     return lambda description: [statement(description, s) for s in description.statements]

@@ -43,20 +43,22 @@ def label(description, n):
 
 
 @given(st.lists(sentences, min_size=1, max_size=8))
-def test_the_papers_form_comes_back(said):
-    text = " ".join(f"The {a} is on the {d} of the {b}." for a, d, b in said)
+def test_the_papers_form_comes_back(list_statements):
+    text = " ".join(f"The {a} is on the {d} of the {b}." for a, d, b in list_statements)
     found = [
         (label(d, s.source), round(degrees(s.bearing)), label(d, s.target))
         for d in [describe(text)]
         for s in d.statements
     ]
-    assert found == [(normalise(a), COMPASS[d], normalise(b)) for a, d, b in said]
+    assert found == [(normalise(a), COMPASS[d], normalise(b)) for a, d, b in list_statements]
 
 
 @given(st.lists(sentences, min_size=1, max_size=6))
-def test_things_of_one_label_are_one_thing(said):
+def test_things_of_one_label_are_one_thing(list_statements):
     text = " ".join(
-        f"The {a} is on the {d} of the {b}." for a, d, b in said if normalise(a) != normalise(b)
+        f"The {a} is on the {d} of the {b}."
+        for a, d, b in list_statements
+        if normalise(a) != normalise(b)
     )
     if text:
         mentions = describe(text).mentions[2:]

@@ -40,13 +40,13 @@ def cases(name):
 
 
 @pytest.mark.parametrize(("name", "least"), [("sentences.txt", 110), ("human.txt", 10)])
-def test_understood(name, least, said):
+def test_understood(name, least, list_statements):
     found = cases(name)
     assert len(found) >= least
     for case in found:
         read = describe(case.text, heading=case.heading)
         ignored = [f"{i.text}: {i.reason}" for i in read.ignored]
-        told = case.text, said(read), ignored, list(read.conflicts)
+        told = case.text, list_statements(read), ignored, list(read.conflicts)
         assert told == (case.text, case.said, case.ignored, case.conflicts)
 
 

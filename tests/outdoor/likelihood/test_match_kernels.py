@@ -50,33 +50,35 @@ def weight(score):
 
 
 @pytest.mark.parametrize("target", ["me", BAKERY])
-def test_directions_are_soft(target, around, said, weight):
+def test_directions_are_soft(target, around, make_description, weight):
     city, p = around([(0, 15, tags(FOUNTAIN)), (0, -15, tags(BAKERY)), (9, 0, tags(BENCH))])
 
-    def heard(degrees):
-        return weight(city, said((FOUNTAIN, float(np.radians(degrees)), target)), p(0, 0))
+    def weigh_statement(degrees):
+        return weight(
+            city, make_description((FOUNTAIN, float(np.radians(degrees)), target)), p(0, 0)
+        )
 
-    exact, a_little, much, opposite = map(heard, (0, 50, 90, 180))
+    exact, a_little, much, opposite = map(weigh_statement, (0, 50, 90, 180))
     assert exact - a_little > 0.5
     assert a_little - opposite > 1.0
     assert much - opposite < 0.5
-    assert heard(20) > exact - 0.3
+    assert weigh_statement(20) > exact - 0.3
     for degrees in (10, 45, 70, 120):
-        assert heard(degrees) == pytest.approx(heard(-degrees), abs=0.1)
-    inverse = weight(city, said((target, "south", FOUNTAIN)), p(0, 0))
+        assert weigh_statement(degrees) == pytest.approx(weigh_statement(-degrees), abs=0.1)
+    inverse = weight(city, make_description((target, "south", FOUNTAIN)), p(0, 0))
     assert inverse == pytest.approx(exact, abs=0.02), "A north of B is B south of A"
 
 
-def test_loosely_meant_directions_are_softer(around, said, weight):
+def test_loosely_meant_directions_are_softer(around, make_description, weight):
     city, p = around([(0, 15, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
 
-    def heard(degrees, sigma):
+    def weigh_statement(degrees, sigma):
         bearing = float(np.radians(degrees))
         statement = (FOUNTAIN, bearing, "me", {"bearing_sigma": sigma})
-        return weight(city, said(statement), p(0, 0))
+        return weight(city, make_description(statement), p(0, 0))
 
-    assert heard(60, 0.8) > heard(60, 0.5) > heard(60, 0.25)
-    assert heard(0, 0.25) > heard(90, 0.25) + 2
+    assert weigh_statement(60, 0.8) > weigh_statement(60, 0.5) > weigh_statement(60, 0.25)
+    assert weigh_statement(0, 0.25) > weigh_statement(90, 0.25) + 2
 
 
 @given(st.floats(0.1, 1.2), st.floats(0, 0.5))
@@ -88,14 +90,17 @@ def test_direction_tables_fall_from_ahead_to_behind(sigma, slip):
     assert np.isfinite(table).all()
 
 
-def test_no_direction_where_two_things_are_one_place(around, said, weight):
+def test_no_direction_where_two_things_are_one_place(around, make_description, weight):
     city, p = around([(0, 0, tags(FOUNTAIN)), (5, -5, tags(BENCH))])
-    heard = [weight(city, said((FOUNTAIN, w, "me")), p(0, 0)) for w in ("north", "south", "east")]
+    heard = [
+        weight(city, make_description((FOUNTAIN, w, "me")), p(0, 0))
+        for w in ("north", "south", "east")
+    ]
     assert np.ptp(heard) < 0.05
     assert np.isfinite(heard).all()
 
 
-def test_one_road_for_two_sentences_beats_two(around, said, weight):
+def test_one_road_for_two_sentences_beats_two(around, make_description, weight):
     """A road runs between bakery and church, another one past them."""
     one, p = around(
         [(0, -60, {}), (0, 60, {}), (-12, 6, tags(BAKERY)), (12, -6, tags(CHURCH)),
@@ -103,15 +108,17 @@ def test_one_road_for_two_sentences_beats_two(around, said, weight):
         [([0, 1], tags(ROAD)), ([4, 5], tags(ROAD))],
     )  # fmt: skip
     position = p(4, 4)
-    text = said((BAKERY, "west", ROAD), (CHURCH, "east", ROAD))
-    apart = said((BAKERY, "west", ROAD), (CHURCH, "east", f"{ROAD}#2"))
+    text = make_description((BAKERY, "west", ROAD), (CHURCH, "east", ROAD))
+    apart = make_description((BAKERY, "west", ROAD), (CHURCH, "east", f"{ROAD}#2"))
     assert weight(one, text, position) > weight(one, apart, position) + 0.02
-    torn = said((BAKERY, "west", ROAD), (CHURCH, "south", ROAD))  # which only the other road serves
-    torn_apart = said((BAKERY, "west", ROAD), (CHURCH, "south", f"{ROAD}#2"))
+    torn = make_description(
+        (BAKERY, "west", ROAD), (CHURCH, "south", ROAD)
+    )  # which only the other road serves
+    torn_apart = make_description((BAKERY, "west", ROAD), (CHURCH, "south", f"{ROAD}#2"))
     assert weight(one, torn, position) < weight(one, torn_apart, position) - 0.02
 
 
-def test_coherence_prefers_where_one_thing_serves_all(said, score, build_world, at):
+def test_coherence_prefers_where_one_thing_serves_all(make_description, score, build_world, at):
     """At one place a bench is north and in the park; at the other these are two benches."""
     park = [(-10, -10, {}), (10, -10, {}), (10, 10, {}), (-10, 10, {})]
 
@@ -125,7 +132,7 @@ def test_coherence_prefers_where_one_thing_serves_all(said, score, build_world, 
         [*whole, *torn],
         [([0, 1, 2, 3, 0], tags(PARK)), ([start + i for i in (0, 1, 2, 3, 0)], tags(PARK))],
     )
-    text = said((BENCH, "north", "me"), (BENCH, "inside", PARK))
+    text = make_description((BENCH, "north", "me"), (BENCH, "inside", PARK))
     positions = [at(city, (0, 0)), at(city, (400, 0))]
     together, _, served = score(city, text, positions, together=0.9)
     apart, _, _ = score(city, text, positions, together=0.0)
@@ -133,32 +140,37 @@ def test_coherence_prefers_where_one_thing_serves_all(said, score, build_world, 
     assert served[0, 0, 0] == served[0, 1, 0], "one bench serves both"
 
 
-def test_one_bench_cannot_be_north_of_itself(around, said, weight):
+def test_one_bench_cannot_be_north_of_itself(around, make_description, weight):
     city, p = around([(0, 12, tags(BENCH)), (12, 0, tags(FOUNTAIN)), (3, 3, tags(BAKERY))])
     two, q = around([(0, 12, tags(BENCH)), (0, -12, tags(BENCH)), (3, 3, tags(BAKERY))])
-    text = said((BENCH, "north", f"{BENCH}#2"))
+    text = make_description((BENCH, "north", f"{BENCH}#2"))
     assert weight(two, text, q(0, 0)) > weight(city, text, p(0, 0)) + 1
 
 
-def test_served_are_the_right_things(around, said, score):
+def test_served_are_the_right_things(around, make_description, score):
     things = [(0, 15, FOUNTAIN), (0, -15, FOUNTAIN), (15, 0, BENCH), (-15, 0, BENCH)]
     city, p = around([(east, north, tags(label)) for east, north, label in things])
     _, _, served = score(
-        city, said((FOUNTAIN, "south", "me"), (BENCH, "west", "me")), p(0, 0), together=0.9
+        city,
+        make_description((FOUNTAIN, "south", "me"), (BENCH, "west", "me")),
+        p(0, 0),
+        together=0.9,
     )
     [[fountain, _], [bench, _]] = served[0]
     np.testing.assert_allclose(city.objects.center[fountain] - p(0, 0), (0, -15), atol=1)
     np.testing.assert_allclose(city.objects.center[bench] - p(0, 0), (-15, 0), atol=1)
 
 
-def test_near(around, said, weight):
+def test_near(around, make_description, weight):
     city, p = around([(0, 0, tags(BAKERY)), (5, 3, tags(BENCH))])
-    heard = [weight(city, said(("me", "near", BAKERY)), p(-x, 0)) for x in (3, 20, 30, 60)]
+    heard = [
+        weight(city, make_description(("me", "near", BAKERY)), p(-x, 0)) for x in (3, 20, 30, 60)
+    ]
     assert heard == sorted(heard, reverse=True)
     assert heard[0] > heard[-1] + 2
     close, p = around([(0, 8, tags(BAKERY)), (4, 10, tags(FOUNTAIN))])
     apart, q = around([(0, 22, tags(BAKERY)), (0, -22, tags(FOUNTAIN))])
-    text = said((BAKERY, "near", FOUNTAIN))
+    text = make_description((BAKERY, "near", FOUNTAIN))
     assert weight(close, text, p(0, 0)) > weight(apart, text, q(0, 0)) + 0.5
 
 
@@ -170,64 +182,64 @@ def park_world():
     return nodes, ways, [([(0, "outer"), (1, "inner")], tags(PARK))]
 
 
-def test_inside(around, said, weight):
+def test_inside(around, make_description, weight):
     city, p = around(*park_world())
-    text = said(("me", "inside", PARK))
+    text = make_description(("me", "inside", PARK))
     inside, edge, beside, away = (weight(city, text, p(x, 15)) for x in (0, 29, 45, 90))
     assert inside == pytest.approx(edge, abs=0.5)
     assert inside > beside + 0.5
     assert beside > away
     assert weight(city, text, p(0, 0)) <= inside + 1e-3, "in a hole of the park"
-    assert weight(city, said((FOUNTAIN, "inside", PARK)), p(15, 10)) > 2
-    assert weight(city, said((STOP, "inside", PARK)), p(15, 10)) < 0
-    negated = said(("me", "inside", PARK, {"negated": True}))
+    assert weight(city, make_description((FOUNTAIN, "inside", PARK)), p(15, 10)) > 2
+    assert weight(city, make_description((STOP, "inside", PARK)), p(15, 10)) < 0
+    negated = make_description(("me", "inside", PARK, {"negated": True}))
     assert weight(city, negated, p(15, 15)) < weight(city, negated, p(120, 0)) - 0.5
 
 
-def test_along(around, said, weight):
+def test_along(around, make_description, weight):
     road = [(-80, 0, {}), (80, 0, {})]
     city, p = around([*road, (0, 4, tags(BAKERY)), (40, 25, tags(BAKERY))], [([0, 1], tags(ROAD))])
-    text = said(("me", "along", ROAD))
+    text = make_description(("me", "along", ROAD))
     on, beside, away = (weight(city, text, p(-20, y)) for y in (1, 20, 60))
     assert on > beside > away
-    assert weight(city, said((BAKERY, "along", ROAD)), p(0, 10)) > 1
+    assert weight(city, make_description((BAKERY, "along", ROAD)), p(0, 10)) > 1
 
 
-def test_across(around, said, weight):
+def test_across(around, make_description, weight):
     road = [(-80, 0, {}), (80, 0, {})]
     city, p = around([*road, (0, 12, tags(BAKERY))], [([0, 1], tags(ROAD))])
-    text = said((BAKERY, "across", "me", {"target2": ROAD}))
+    text = make_description((BAKERY, "across", "me", {"target2": ROAD}))
     across, at_it, away = (weight(city, text, p(0, y)) for y in (-8, 12, -120))
     assert across > at_it
     assert across > away + 1
 
 
-def test_between(around, said, weight):
+def test_between(around, make_description, weight):
     city, p = around([(-18, 0, tags(BAKERY)), (18, 0, tags(FOUNTAIN)), (0, 4, tags(BENCH))])
-    me = said(("me", "between", BAKERY, {"target2": FOUNTAIN}))
+    me = make_description(("me", "between", BAKERY, {"target2": FOUNTAIN}))
     between, aside, beyond = (weight(city, me, p(*q)) for q in ((0, 0), (0, 20), (25, 0)))
     assert between > aside > beyond
     assert between > beyond + 1
-    bench = said((BENCH, "between", BAKERY, {"target2": FOUNTAIN}))
+    bench = make_description((BENCH, "between", BAKERY, {"target2": FOUNTAIN}))
     assert weight(city, bench, p(0, 0)) > 1
-    other = said((BAKERY, "between", BENCH, {"target2": FOUNTAIN}))
+    other = make_description((BAKERY, "between", BENCH, {"target2": FOUNTAIN}))
     assert weight(city, bench, p(0, 0)) > weight(city, other, p(0, 0)) + 1
 
 
-def test_distances(around, said, weight):
+def test_distances(around, make_description, weight):
     city, p = around([(0, 0, tags(BAKERY)), (2, 2, tags(BENCH))])
 
-    def heard(said_m, true_m):
+    def weigh_statement(said_m, true_m):
         statement = ("me", "near", BAKERY, {"distance": float(said_m)})
-        return weight(city, said(statement), p(0, -true_m))
+        return weight(city, make_description(statement), p(0, -true_m))
 
-    assert heard(10, 10) > heard(30, 10) > heard(60, 10)
-    assert heard(30, 30) > heard(30, 5)
-    assert heard(30, 30) > heard(30, 80)
-    assert heard(60, 60) > heard(60, 5), "from out of sight too"
-    assert heard(100, 100) > heard(100, 10)
+    assert weigh_statement(10, 10) > weigh_statement(30, 10) > weigh_statement(60, 10)
+    assert weigh_statement(30, 30) > weigh_statement(30, 5)
+    assert weigh_statement(30, 30) > weigh_statement(30, 80)
+    assert weigh_statement(60, 60) > weigh_statement(60, 5), "from out of sight too"
+    assert weigh_statement(100, 100) > weigh_statement(100, 10)
     direction = [
-        weight(city, said((BAKERY, "north", "me", {"distance": d})), p(0, -25))
+        weight(city, make_description((BAKERY, "north", "me", {"distance": d})), p(0, -25))
         for d in (25.0, 70.0)
     ]
     assert direction[0] > direction[1] + 0.5
@@ -241,61 +253,64 @@ NEGATIONS = [
 
 
 @pytest.mark.parametrize("statement", NEGATIONS, ids=str)
-def test_negation_turns_a_statement_round(statement, around, said, weight):
+def test_negation_turns_a_statement_round(statement, around, make_description, weight):
     city, p = around([(0, 5, tags(BAKERY)), (0, -6, tags(BENCH)), (90, 0, tags(FOUNTAIN))])
-    no = said((*statement, {"negated": True}))
+    no = make_description((*statement, {"negated": True}))
     there, elsewhere = weight(city, no, p(0, 0)), weight(city, no, p(85, 0))
     assert there < elsewhere - 0.5, "what is denied is there"
     assert elsewhere == pytest.approx(0, abs=0.15)
-    yes = said(statement)
+    yes = make_description(statement)
     assert weight(city, yes, p(0, 0)) > weight(city, yes, p(85, 0)) + 1
 
 
-def test_a_denied_direction_spares_the_others(around, said, weight):
+def test_a_denied_direction_spares_the_others(around, make_description, weight):
     city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
-    north = weight(city, said((BAKERY, "north", "me", {"negated": True})), p(0, 0))
-    south = weight(city, said((BAKERY, "south", "me", {"negated": True})), p(0, 0))
+    north = weight(city, make_description((BAKERY, "north", "me", {"negated": True})), p(0, 0))
+    south = weight(city, make_description((BAKERY, "south", "me", {"negated": True})), p(0, 0))
     assert south > north + 0.5
 
 
 @pytest.mark.parametrize("there", [1, 2, 4])
-def test_numbers(there, around, said, weight):
+def test_numbers(there, around, make_description, weight):
     trees = [(6 * i - 9, 12 + (i % 2), tags(TREE)) for i in range(there)]
     city, p = around([*trees, (8, -8, tags(FOUNTAIN)), (-8, -8, tags(BENCH))])
     heard = {
-        n: weight(city, said((TREE, "north", "me", {"count": n})), p(0, 0)) for n in (1, 2, 4, 12)
+        n: weight(city, make_description((TREE, "north", "me", {"count": n})), p(0, 0))
+        for n in (1, 2, 4, 12)
     }
     assert max(heard, key=heard.get) == there
     assert heard[there] > heard[12] + 0.5
     if there == 4:
         four, one = (
-            weight(city, said((TREE, "north", FOUNTAIN, {"count": n})), p(0, 0)) for n in (4, 1)
+            weight(city, make_description((TREE, "north", FOUNTAIN, {"count": n})), p(0, 0))
+            for n in (4, 1)
         )
         assert four > one
 
 
-def test_rare_things_say_more(around, said, weight):
+def test_rare_things_say_more(around, make_description, weight):
     city, p = around([(0, 10, tags(BAKERY)), (0, 12, tags(BENCH))])
-    rare = weight(city, said((BAKERY, "north", "me")), p(0, 0))
-    common = weight(city, said((BENCH, "north", "me")), p(0, 0))
+    rare = weight(city, make_description((BAKERY, "north", "me")), p(0, 0))
+    common = weight(city, make_description((BENCH, "north", "me")), p(0, 0))
     assert rare > common + 1
 
 
-def test_names_say_more_than_kinds(around, said, weight):
+def test_names_say_more_than_kinds(around, make_description, weight):
     nodes = [(0, 10, tags(BAKERY, name="Kern")), (0, 300, tags(BAKERY, name="Brot"))]
     city, p = around(nodes)
     name, kind, wrong = (
-        weight(city, said((what, "north", "me")), p(0, 0)) for what in ("Kern", BAKERY, "Brot")
+        weight(city, make_description((what, "north", "me")), p(0, 0))
+        for what in ("Kern", BAKERY, "Brot")
     )
     assert name > kind
     assert name > wrong + 2
 
 
-def test_hedged_statements_say_less(around, said, weight):
+def test_hedged_statements_say_less(around, make_description, weight):
     city, p = around([(0, 10, tags(BAKERY)), (9, -6, tags(BENCH))])
 
     def weights(what):
-        texts = (said((what, "north", "me", {"certainty": c})) for c in (1.0, 0.5, 0.1))
+        texts = (make_description((what, "north", "me", {"certainty": c})) for c in (1.0, 0.5, 0.1))
         return [weight(city, text, p(0, 0)) for text in texts]
 
     right, wrong = weights(BAKERY), weights(STOP)
@@ -304,18 +319,20 @@ def test_hedged_statements_say_less(around, said, weight):
     assert right[-1] > 0 > wrong[-1]
 
 
-def test_statements_add_up(around, said, weight):
+def test_statements_add_up(around, make_description, weight):
     city, p = around([(0, 10, tags(BAKERY)), (10, 0, tags(FOUNTAIN)), (-5, -5, tags(BENCH))])
     one, two = (BAKERY, "north", "me"), (FOUNTAIN, "east", "me")
-    both = weight(city, said(one, two), p(0, 0))
-    alone = weight(city, said(one), p(0, 0)) + weight(city, said(two), p(0, 0))
+    both = weight(city, make_description(one, two), p(0, 0))
+    alone = weight(city, make_description(one), p(0, 0)) + weight(
+        city, make_description(two), p(0, 0)
+    )
     assert both == pytest.approx(alone, abs=0.05)
-    assert weight(city, said(two, one), p(0, 0)) == pytest.approx(both, abs=1e-3)
+    assert weight(city, make_description(two, one), p(0, 0)) == pytest.approx(both, abs=1e-3)
 
 
-def test_moving_the_world_changes_nothing(make_city, said, score):
+def test_moving_the_world_changes_nothing(make_city, make_description, score):
     here = Town.load("hafenstadt")
-    text = said(
+    text = make_description(
         (BENCH, "near", "me"), ("amenity=cafe", "east", BENCH), ("me", "inside", "place=square")
     )
     totals = []
@@ -331,18 +348,22 @@ def test_moving_the_world_changes_nothing(make_city, said, score):
         assert abs(moved.max() - totals[0].max()) < 0.3
 
 
-def test_more_things_than_are_weighed(around, said, weight):
+def test_more_things_than_are_weighed(around, make_description, weight):
     """Of a crowd only so many things are looked at; that must not run over."""
     crowd = [(0.5 * (i % 20) - 5, 0.5 * (i // 20) + 2, tags(TREE)) for i in range(3 * MAX_OBJECTS)]
     city, p = around([*crowd, (0, -5, tags(BENCH))])
-    text = said((TREE, "north", "me"), (TREE, "north", BENCH), (BENCH, "near", f"{TREE}#2"))
+    text = make_description(
+        (TREE, "north", "me"), (TREE, "north", BENCH), (BENCH, "near", f"{TREE}#2")
+    )
     assert np.isfinite(weight(city, text, p(0, 0)))
-    assert weight(city, said((TREE, "north", "me")), p(0, 0)) > -1
+    assert weight(city, make_description((TREE, "north", "me")), p(0, 0)) > -1
 
 
-def test_things_nobody_sees(around, said, score):
+def test_things_nobody_sees(around, make_description, score):
     city, p = around([(0, 10, tags(BAKERY))])
-    far_off = score(city, said((BAKERY, "north", BENCH), (BENCH, "near", "me")), p(-5000, -5000))
+    far_off = score(
+        city, make_description((BAKERY, "north", BENCH), (BENCH, "near", "me")), p(-5000, -5000)
+    )
     assert np.isfinite(far_off[0]).all()
     assert (far_off[1] <= 0).all()
     assert (far_off[2] == -1).all()

@@ -293,7 +293,7 @@ def test_columns_that_make_no_sense_are_refused(harbour, name, change, says):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
+def test_a_forged_index_is_searched_without_harm(harbour, make_description, seed):
     rng, columns = np.random.default_rng(seed), harbour.views.arrays()
     names = "things run_tiles run_slots run_first postings run_pairs run_total"
     for name in names.split():
@@ -301,8 +301,12 @@ def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
         columns[name] = raw.view(columns[name].dtype)
     forged = replace(harbour)
     forged.__dict__["_views"] = ViewIndex.of(columns, harbour.views.grid)
-    forged.locate(said(("amenity=bench", "near", "me"), ("natural=tree", "north", "amenity=bench")))
-    forged.locate(said(("amenity=bench", "near", "me")), near=(0.0, 0.0), radius=1e7)
+    forged.locate(
+        make_description(
+            ("amenity=bench", "near", "me"), ("natural=tree", "north", "amenity=bench")
+        )
+    )
+    forged.locate(make_description(("amenity=bench", "near", "me")), near=(0.0, 0.0), radius=1e7)
 
 
 @pytest.fixture

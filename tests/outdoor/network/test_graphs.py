@@ -171,8 +171,8 @@ def test_any_scene_graph_becomes_a_place(spots, center):
     assert np.count_nonzero(total[0]) >= min(np.count_nonzero(far), MAX_OBJECTS)
 
 
-def test_a_text_is_its_speaker_and_what_statements_speak_of(said):
-    text = said(
+def test_a_text_is_its_speaker_and_what_statements_speak_of(make_description):
+    text = make_description(
         (BAKERY, "north", "me"),
         ("Kern", "near", BAKERY),
         (FOUNTAIN, "visible", "me", {"count": 3}),
@@ -192,17 +192,17 @@ def test_a_text_is_its_speaker_and_what_statements_speak_of(said):
     assert np.count_nonzero(r) == 8
 
 
-def test_the_speaker_is_there_whatever_is_said(said):
-    graphs = TextGraphs.of([said((BAKERY, "north", FOUNTAIN)), said()])
+def test_the_speaker_is_there_whatever_is_said(make_description):
+    graphs = TextGraphs.of([make_description((BAKERY, "north", FOUNTAIN)), make_description()])
     assert graphs.starts.tolist() == [0, 3, 4]
     assert graphs.mentions.tolist() == [0, 2, 3, 0]
     assert graphs.edge_starts.tolist() == [0, 1, 1]
 
 
-def test_bearings_between_two_winds_are_half_each(said):
-    r = statements_of(TextGraphs.of([said((BAKERY, "northeast", "me"))]))
+def test_bearings_between_two_winds_are_half_each(make_description):
+    r = statements_of(TextGraphs.of([make_description((BAKERY, "northeast", "me"))]))
     assert r[[NORTH, EAST], 1, 0] == pytest.approx(0.5, abs=1e-5)
-    r = statements_of(TextGraphs.of([said((BAKERY, np.radians(20.0), "me"))]))
+    r = statements_of(TextGraphs.of([make_description((BAKERY, np.radians(20.0), "me"))]))
     assert r[NORTH, 1, 0] > 0.97
     assert r[NORTH, 1, 0] + r[EAST, 1, 0] == pytest.approx(1.0)
 
@@ -217,15 +217,17 @@ def test_words_are_senses_then_names_then_the_bare_word():
     assert weigh_words(Mention(2, "Zwirbel")) == [("zwirbel", 1.0)]
 
 
-def test_the_listener_and_what_exceeds_the_limits_is_left_out(said):
+def test_the_listener_and_what_exceeds_the_limits_is_left_out(make_description):
     many = [(f"thing {i}", "near", "me") for i in range(MAX_MENTIONS + 9)]
-    texts = TextGraphs.of([said(*many), said((BAKERY, "north", "you"), (BENCH, "near", "me"))])
+    texts = TextGraphs.of(
+        [make_description(*many), make_description((BAKERY, "north", "you"), (BENCH, "near", "me"))]
+    )
     assert texts.starts[1] == 1 + MAX_MENTIONS
     assert texts.edge_starts[1] == MAX_MENTIONS  # nothing is said of what is left out
     assert texts.edge_starts[2] - texts.edge_starts[1] == 1
     assert 1 not in texts.mentions
     talk = [(BAKERY, bearing, BENCH) for bearing in np.linspace(0.0, 6.0, MAX_STATEMENTS + 5)]
-    texts = TextGraphs.of([said(*talk), said((BENCH, "near", "me"))])
+    texts = TextGraphs.of([make_description(*talk), make_description((BENCH, "near", "me"))])
     assert texts.edge_starts.tolist() == [0, MAX_STATEMENTS, MAX_STATEMENTS + 1]
 
 

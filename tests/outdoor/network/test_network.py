@@ -97,7 +97,9 @@ def test_the_order_of_things_does_not_matter(network, texts, places, words, some
     assert_equal(theirs, ours)
 
 
-def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, places, some, said):
+def test_the_order_of_mentions_and_statements_does_not_matter(
+    network, harbour, places, some, make_description
+):
     statements = [
         (TREE, "north", BENCH),
         (BAKERY, "near", "me"),
@@ -106,7 +108,7 @@ def test_the_order_of_mentions_and_statements_does_not_matter(network, harbour, 
     ]
     found = []
     for order in ([0, 1, 2, 3], [2, 3, 1, 0]):
-        text = said(*(statements[i] for i in order))
+        text = make_description(*(statements[i] for i in order))
         graphs = TextGraphs.of([text])
         fits = find_word_weights(graphs, [compile_query(text, harbour)])
         words = make_word_fits(fits, *harbour.word_counts)

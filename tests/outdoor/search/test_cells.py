@@ -28,8 +28,8 @@ BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
 
 
 @pytest.fixture(scope="module")
-def text(said):
-    return said(
+def text(make_description):
+    return make_description(
         (FOUNTAIN, "north", "me"), ("me", "inside", "place=square"), (BENCH, "near", FOUNTAIN)
     )
 
@@ -146,16 +146,16 @@ def test_views_in_cells_are_those_that_lie_there(harbour):
     assert find_views_in_cells(harbour, rows[:0]).shape == (0,)
 
 
-def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
-    text = said((TREE, "near", "me", {"negated": True}))
+def test_what_is_only_absent_finds_nothing(harbour, encoded, make_description):
+    text = make_description((TREE, "near", "me", {"negated": True}))
     assert retrieve(harbour, text, by="sparse", encoded=encoded).cells == ()
     dense = retrieve(harbour, text, by="dense", matcher="relational", encoded=encoded)
     assert (dense.scores == -1e9).all()
 
 
-def test_edit_distance_needs_things(harbour, encoded, said):
+def test_edit_distance_needs_things(harbour, encoded, make_description):
     with pytest.raises(DescriptionError):
-        retrieve(harbour, said(), matcher="edit-distance", by="all", encoded=encoded)
+        retrieve(harbour, make_description(), matcher="edit-distance", by="all", encoded=encoded)
 
 
 def test_the_encoded_city_is_read_once(harbour, encoded):
@@ -197,11 +197,13 @@ def test_fusing_nothing_is_relational_matching(harbour, make_network, text):
 
 
 @pytest.mark.parametrize("by", ["auto", *WAYS])
-def test_locating_within_a_region_stays_there(harbour, encoded, text, said, by):
+def test_locating_within_a_region_stays_there(harbour, encoded, text, make_description, by):
     west, south, east, north = whole(harbour)
     half = Region(west, south, (west + east) / 2, north)
     slack = 50.0 / 70_000.0  # a cell whose centre is in the region may reach beyond
-    rare = said((FOUNTAIN, "near", "me"), ("tourism=museum", "south", "me", {"far": True}))
+    rare = make_description(
+        (FOUNTAIN, "near", "me"), ("tourism=museum", "south", "me", {"far": True})
+    )
     for matcher in ("relational", "fused", "transformer"):
         for told in (text, rare):
             found = harbour.locate(told, matcher=matcher, by=by, region=half, encoded=encoded)
@@ -233,13 +235,13 @@ def test_locating_asks_a_store(harbour, encoded, text):
     assert found.best.probability == pytest.approx(again.best.probability)
 
 
-def test_a_region_is_believed(harbour, encoded, text, said):
+def test_a_region_is_believed(harbour, encoded, text, make_description):
     at = harbour.locate(text, encoded=encoded).best
     assert at is not None
     d = 40.0 / 70_000.0
     box = Region(at.longitude - d, at.latitude - d, at.longitude + d, at.latitude + d)
     for by in ("auto", *WAYS):
-        vague = said((BENCH, "near", "me"))
+        vague = make_description((BENCH, "near", "me"))
         anywhere = harbour.locate(vague, by=by, encoded=encoded)
         here = harbour.locate(vague, by=by, region=box, encoded=encoded)
         assert here.status is not Status.LOST

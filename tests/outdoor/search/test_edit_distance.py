@@ -61,7 +61,7 @@ def place(*things, names=(), extra=()):
     )
 
 
-def said(mentions, statements):
+def make_description(mentions, statements):
     """Mentions as a label, (label, weight) pairs, or a `Mention`; statements as their fields."""
     nodes = [Mention(0, "I"), Mention(1, "you")]
     for i, m in enumerate(mentions, 2):
@@ -78,7 +78,7 @@ def toward(source, direction, target):
 
 BAKERY, CHURCH, BENCH = "shop=bakery", "building=church", "amenity=bench"
 SQUARE = place((BAKERY, 0, 10), (CHURCH, 0, 0), (BENCH, 20, 0))
-TEXT = said([BAKERY, CHURCH], [toward(2, "north", 3)])
+TEXT = make_description([BAKERY, CHURCH], [toward(2, "north", 3)])
 
 
 @pytest.mark.parametrize(
@@ -95,14 +95,14 @@ TEXT = said([BAKERY, CHURCH], [toward(2, "north", 3)])
     ],
 )
 def test_costs_by_hand(mentions, statements, cost):
-    found = edit_distance(said(mentions, statements), SQUARE)
+    found = edit_distance(make_description(mentions, statements), SQUARE)
     assert found.cost == pytest.approx(cost)
     assert found.exact
 
 
 def test_names_are_names():
     def named(name, *senses):
-        return said([Mention(2, "x", tuple(Sense(s, 1.0) for s in senses), name), CHURCH],
+        return make_description([Mention(2, "x", tuple(Sense(s, 1.0) for s in senses), name), CHURCH],
                     [toward(2, "north", 3)])  # fmt: skip
 
     town = place((BAKERY, 0, 10), (CHURCH, 0, 0), names=("Bäckerei Kern", ""))
@@ -113,7 +113,7 @@ def test_names_are_names():
 
 
 def test_near_and_inside_are_relations_too():
-    near = said([BENCH, CHURCH], [(Relation.NEAR, 2, 3), toward(2, "east", 3)])
+    near = make_description([BENCH, CHURCH], [(Relation.NEAR, 2, 3), toward(2, "east", 3)])
     assert edit_distance(near, SQUARE).cost == 1.0
     touching = place((BENCH, 5, 0), (CHURCH, 0, 0), extra=[(0, 1, "near")])
     assert edit_distance(near, touching).cost == 0.0
@@ -123,11 +123,13 @@ def test_a_direction_between_two_is_served_by_either():
     diagonal = (Relation.DIRECTION, 2, 3, None, 0.25 * math.pi)
     for east, north, cost in ((9, 1, 0.0), (1, 9, 0.0), (-9, 1, 1.0)):
         town = place((BAKERY, east, north), (CHURCH, 0, 0))
-        assert edit_distance(said([BAKERY, CHURCH], [diagonal]), town).cost == cost
+        assert edit_distance(make_description([BAKERY, CHURCH], [diagonal]), town).cost == cost
 
 
 def test_the_speaker_stands_in_the_middle():
-    text = said([BAKERY, BENCH], [toward(2, "north", SPEAKER), toward(SPEAKER, "west", 3)])
+    text = make_description(
+        [BAKERY, BENCH], [toward(2, "north", SPEAKER), toward(SPEAKER, "west", 3)]
+    )
     assert edit_distance(text, SQUARE, center=(0.0, 2.0)).cost == 0.0
     assert edit_distance(text, SQUARE, center=(30.0, 0.0)).cost == 2.0
     assert edit_distance(text, SQUARE).cost == 0.0  # unknown: only the things count
@@ -135,7 +137,7 @@ def test_the_speaker_stands_in_the_middle():
 
 def test_what_is_denied_does_not_count():
     no_tree = Statement(Relation.VISIBLE, 4, SPEAKER, negated=True)
-    text = said([BAKERY, CHURCH, "natural=tree"], [toward(2, "north", 3)])
+    text = make_description([BAKERY, CHURCH, "natural=tree"], [toward(2, "north", 3)])
     text = Description("", text.mentions, (*text.statements, no_tree))
     assert edit_distance(text, SQUARE).cost == 0.0
 
@@ -239,7 +241,7 @@ def test_when_time_is_up_the_bound_is_returned(text, where):
 
 def test_a_crowd_is_bounded_in_time():
     crowd = place(*((BENCH, 7 * i % 61, i) for i in range(60)))
-    text = said([BENCH] * 5, [toward(i, "north", i + 1) for i in range(2, 6)])
+    text = make_description([BENCH] * 5, [toward(i, "north", i + 1) for i in range(2, 6)])
     hasty = edit_distance(text, crowd, timeout=0.01)
     assert 0.0 <= hasty.cost < 9.0  # the truth is 0; deleting all of the text is 9
     assert hasty.exact == (hasty.cost == 0.0)
@@ -254,7 +256,7 @@ def test_a_real_cell(harbour):
     rows = [j for j, r in enumerate(graph.relations) if r in BEARING][:6]
     mentioned = sorted({int(i) for j in rows for i in (graph.sources[j], graph.targets[j])})
     node = {row: i for i, row in enumerate(mentioned, 2)}
-    text = said(
+    text = make_description(
         [graph.labels[i] for i in mentioned],
         [toward(node[int(graph.sources[j])], graph.relations[j], node[int(graph.targets[j])])
          for j in rows],
@@ -273,7 +275,7 @@ def test_bad_options_are_refused():
     with pytest.raises(OptionError, match="centers"):
         rank(TEXT, [SQUARE], centers=[(0.0, 0.0), (1.0, 1.0)])
     with pytest.raises(DescriptionError, match="no object"):
-        edit_distance(said([], []), SQUARE)
+        edit_distance(make_description([], []), SQUARE)
 
 
 def test_networkx_is_asked_for(monkeypatch):

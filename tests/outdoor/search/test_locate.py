@@ -27,10 +27,12 @@ def world(build_world, at):
 
 
 @pytest.fixture
-def judge(world, said):
+def judge(world, make_description):
     """Evidence of statements at the viewpoint."""
     city, position = world
-    return lambda *statements: find_evidence(position, city, compile_query(said(*statements), city))
+    return lambda *statements: find_evidence(
+        position, city, compile_query(make_description(*statements), city)
+    )
 
 
 def test_what_is_true_speaks_for(judge):
@@ -79,17 +81,17 @@ def test_what_cannot_be_used_is_silent_and_comes_last(judge):
     assert "not on the map" in last.note
 
 
-def test_a_place_where_nothing_is(world, said):
+def test_a_place_where_nothing_is(world, make_description):
     city, _ = world
-    query = compile_query(said((BAKERY, "north", "me"), (BENCH, "west", BAKERY)), city)
+    query = compile_query(make_description((BAKERY, "north", "me"), (BENCH, "west", BAKERY)), city)
     for evidence in find_evidence(np.array([-9000.0, 9000.0]), city, query):
         assert evidence.verdict == "against"
         assert evidence.objects == ()
 
 
-def test_statements_in_words(world, said):
+def test_statements_in_words(world, make_description):
     city, _ = world
-    description = said(
+    description = make_description(
         (BAKERY, "north", "me"),
         ("me", "near", BENCH, {"negated": True}),
         (BENCH, "between", "Kern", {"target2": BAKERY}),

@@ -123,8 +123,8 @@ class FakeEncoding:
 
 
 @pytest.fixture(scope="module")
-def scored(harbour, said):
-    text = said(("natural=tree", "near", "me"), ("amenity=bench", "east", "me"))
+def scored(harbour, make_description):
+    text = make_description(("natural=tree", "near", "me"), ("amenity=bench", "east", "me"))
     query = compile_query(text, harbour)
     request = Request(harbour, query)
     found = score_candidates(request, find_candidates(request))
@@ -221,9 +221,9 @@ QUERIES = {
 
 
 @pytest.fixture(scope="module", params=QUERIES)
-def everywhere(request, harbour, said):
+def everywhere(request, harbour, make_description):
     """A description, and positions around all viewpoints with their scores."""
-    description = said(*QUERIES[request.param])
+    description = make_description(*QUERIES[request.param])
     request = Request(harbour, compile_query(description, harbour))
     every = Candidates.of_views(request, np.arange(len(harbour.views)))
     positions, scores = score_around(request, every.rows, every.distant)
@@ -275,29 +275,32 @@ def search(city, text):
     return search_views(Request(city, compile_query(text, city)))
 
 
-def test_an_object_out_of_sight_is_found(harbour, said, hafenstadt):
+def test_an_object_out_of_sight_is_found(harbour, make_description, hafenstadt):
     """The only museum is 70 m south: no viewpoint there has it in sight."""
-    text = said(("me", "along", "Hafenstraße"), ("tourism=museum", "south", "me", {"far": True}))
+    text = make_description(
+        ("me", "along", "Hafenstraße"), ("tourism=museum", "south", "me", {"far": True})
+    )
     best = find_modes(search(harbour, text), 1, SPACING)[0]
     museum = harbour.plane.to_plane(hafenstadt.position("I"))
     assert best.position[1] > museum[1] + 50
 
 
-def test_nothing_is_in_sight_of_anything(harbour, said):
-    found = search(harbour, said(("Brotkorb", "north", "Rathaus", {"negated": True})))
+def test_nothing_is_in_sight_of_anything(harbour, make_description):
+    found = search(harbour, make_description(("Brotkorb", "north", "Rathaus", {"negated": True})))
     assert found.probabilities.sum() + found.elsewhere <= 1 + 1e-6
 
 
-def test_candidates_do_not_depend_on_the_order_of_statements(harbour, said):
+def test_candidates_do_not_depend_on_the_order_of_statements(harbour, make_description):
     statements = [s for name in ("square and fountain", "names") for s in QUERIES[name]]
     one, two = (
-        find_modes(search(harbour, said(*s)), 3, SPACING) for s in (statements, statements[::-1])
+        find_modes(search(harbour, make_description(*s)), 3, SPACING)
+        for s in (statements, statements[::-1])
     )
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a.position, b.position, atol=1.0)
         assert a.probability == pytest.approx(b.probability, abs=0.02)
 
 
-def test_few_viewpoints_are_scored(monaco, said):
-    found = search(monaco, said(("amenity=fountain", "north", "me")))
+def test_few_viewpoints_are_scored(monaco, make_description):
+    found = search(monaco, make_description(("amenity=fountain", "north", "me")))
     assert 0 < len(found.positions) < 0.2 * len(monaco.views)

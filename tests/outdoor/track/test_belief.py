@@ -128,9 +128,9 @@ def test_who_was_lost_may_be_anywhere_again(grid):
 
 
 @pytest.mark.parametrize("name", QUERIES)
-def test_closer_looks_are_looks(name, harbour, said, request):
+def test_closer_looks_are_looks(name, harbour, make_description, request):
     look = request.getfixturevalue("score")
-    description = said(*QUERIES[name])
+    description = make_description(*QUERIES[name])
     found = score_belief(compile_query(description, harbour), harbour, np.ones(len(harbour.views)))
     assert found.positions.shape == (len(found.refined), len(FINE_OFFSETS), 2)
     off = []
@@ -144,9 +144,11 @@ def test_closer_looks_are_looks(name, harbour, said, request):
 
 
 @pytest.mark.parametrize("name", ["one bench", "tree and bench", "names", "no trees"])
-def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said, request, rng):
+def test_a_believed_place_is_looked_at_however_badly_it_fits(
+    name, harbour, make_description, request, rng
+):
     look = request.getfixturevalue("score")
-    description = said(*QUERIES[name])
+    description = make_description(*QUERIES[name])
     query = compile_query(description, harbour)
     n = len(harbour.views)
     for view in rng.choice(n, 12, replace=False):
@@ -158,9 +160,9 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
         assert found.views[view] == pytest.approx(exact, abs=0.8)
 
 
-def test_nothing_drops_to_zero(harbour, said):
+def test_nothing_drops_to_zero(harbour, make_description):
     for name, statements in QUERIES.items():
-        query = compile_query(said(*statements), harbour)
+        query = compile_query(make_description(*statements), harbour)
         found = score_belief(query, harbour, np.ones(len(harbour.views)))
         assert np.isfinite(found.views).all(), name
         assert found.views.min() >= np.log(query.statements.noise).sum() - 3.0
@@ -169,16 +171,16 @@ def test_nothing_drops_to_zero(harbour, said):
         )
 
 
-def test_no_belief_on_the_map_is_no_error(harbour, said):
-    query = compile_query(said(*QUERIES["one bench"]), harbour)
+def test_no_belief_on_the_map_is_no_error(harbour, make_description):
+    query = compile_query(make_description(*QUERIES["one bench"]), harbour)
     found = score_belief(query, harbour, np.zeros(len(harbour.views)))
     assert len(found.refined) == 0
     assert (found.views == found.nothing).all()
 
 
-def test_many_are_left_with_their_bounds(monaco, said):
+def test_many_are_left_with_their_bounds(monaco, make_description):
     """More viewpoints see a building than are scored; the rest still tell good from bad."""
-    description = said(("building=yes", "north", "highway=footway"))
+    description = make_description(("building=yes", "north", "highway=footway"))
     query = compile_query(description, monaco)
     weights = np.ones(len(monaco.views))
     found = score_belief(query, monaco, weights)

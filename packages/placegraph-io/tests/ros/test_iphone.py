@@ -31,7 +31,7 @@ def write(path, world):
     return path
 
 
-def said(world):
+def sidecar(world):
     still = {"xyz": [0, 0, 0], "xyzw": [0, 0, 0, 1]}
     half = np.sqrt(0.5)
     return {
@@ -51,7 +51,7 @@ def said(world):
 def test_points_and_colours(turns, recorded, tmp_path):
     world = recorded(turns=turns, shrink=1)
     path = write(tmp_path / "walk.bag", world)
-    (tmp_path / "walk.bag.json").write_text(json.dumps(said(world)))
+    (tmp_path / "walk.bag.json").write_text(json.dumps(sidecar(world)))
     capture = open_capture(path)
     np.testing.assert_allclose(capture.stamps, world.stamps)
     world.check(capture)
@@ -62,7 +62,7 @@ def test_what_is_missing_is_named(recorded, tmp_path):
     path = write(tmp_path / "walk.bag", world)
     with pytest.raises(InputError, match=r"CameraInfo|intrinsics|camera"):
         open_capture(path)
-    beside = said(world)
+    beside = sidecar(world)
     del beside["transforms"], beside["frame"]
     (tmp_path / "walk.bag.json").write_text(json.dumps(beside))
     with pytest.raises(InputError, match="camera_rgb_frame"):

@@ -80,8 +80,8 @@ def train_scene(
     maps: Annotated[
         Path | None,
         Argument(
-            help="Folder of scene maps NAME.scene, each with one or more captures in a folder NAME, with poses "
-            "in the map's frame."
+            help="Folder of scene maps NAME.scene, each with one or more captures in a folder NAME, "
+            "with poses in the map's frame."
         ),
     ] = None,
     synthetic: Annotated[

@@ -53,14 +53,14 @@ def test_speakers_stand_in_their_tiles_and_are_seeded(speakers, held):
 def talk(speakers, monkeypatch):
     """Statements of speakers with habits: `talk(about, n, erring)` yields city, example, statement."""
 
-    def said(about, n, erring=0.0):
+    def draw_statements(about, n, erring=0.0):
         habits = sample._Habits(erring, 0.0, "tags", "de", 0.0, about)
         monkeypatch.setattr(sample, "draw_habits", lambda _: habits)
         for example in examples(speakers[0], n):
             for statement in example.description.statements:
                 yield speakers[0].city, example, statement
 
-    return said
+    return draw_statements
 
 
 def things(city, words):

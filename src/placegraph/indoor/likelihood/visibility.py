@@ -123,7 +123,7 @@ class VisibilityTable:
             _samples(view, turn, lanes, t, noise, blur)
             for t, (view, turn) in enumerate(zip(views, turns, strict=True))
         ]
-        parts = _alike(parts)
+        parts = _fill_missing_senses(parts)
         first = np.cumsum([0, *[len(p.semantic) for p in parts]])
         shifted = [p._replace(patch=p.patch + n) for p, n in zip(parts, first, strict=False)]
         columns = [np.concatenate(column) for column in zip(*shifted, strict=True)]
@@ -254,7 +254,7 @@ def _samples(
     return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
 
 
-def _alike(parts: list[Samples]) -> list[Samples]:
+def _fill_missing_senses(parts: list[Samples]) -> list[Samples]:
     """Fill in zeros for senses that some views have and others lack."""
     semantic, depth, colour = (
         max((rows for rows in kind), key=len)[:1] * np.float32(0)

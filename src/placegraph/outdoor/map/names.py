@@ -77,12 +77,12 @@ class NameIndex:
             return None
         if words not in self.close:
             found = process.extractOne(
-                words, self._alike(words), scorer=fuzz.ratio, score_cutoff=100 * CLOSE
+                words, self._list_similar(words), scorer=fuzz.ratio, score_cutoff=100 * CLOSE
             )
             self.close[words] = None if found is None else (found[0], found[1] / 100)
         return self.close[words]
 
-    def _alike(self, words: str) -> Iterable[str]:
+    def _list_similar(self, words: str) -> Iterable[str]:
         """Return names that words may be a misspelling of."""
         del words
         return self.by_words.keys()

@@ -43,7 +43,7 @@ def labelled(value, index=0):
     )  # fmt: skip
 
 
-def said(noisy, value, index=0):
+def count_words(noisy, value, index=0):
     """How often each word of the vocabulary and the label itself is said, as shares."""
     got = noisy.patches(labelled(value, index)).reshape(-1, noisy.dimension)
     words = [*VOCABULARY[:4], NAMES[value]]
@@ -54,7 +54,7 @@ def said(noisy, value, index=0):
 def test_labels_err_to_all_others_of_the_vocabulary_equally_often(value):
     noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.3, seed=3)
     assert isinstance(noisy, Encoder)
-    got = said(noisy, value)
+    got = count_words(noisy, value)
     assert got.pop(NAMES[value]) == pytest.approx(0.7, abs=0.03)
     # four labels: a sofa is a couch, and what is unknown is no label
     assert list(got.values()) == pytest.approx([0.1] * 3, abs=0.02)

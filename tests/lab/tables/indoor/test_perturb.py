@@ -36,12 +36,14 @@ def test_every_family_changes_what_is_told_and_is_drawn_anew_alike(clip, family)
     )
     assert first.frames[-1].index == clip.frames[-1].index
     assert first.truth.shape == (len(first.frames), 4, 4)
-    assert _told(first) == _told(again)
-    assert len({_told(clip), _told(first), _told(other)}) == 3
-    assert _told(clip) == _told(Clip.of(clip.recording, range(2, 8))), "the recording is untouched"
+    assert _frame_contents(first) == _frame_contents(again)
+    assert len({_frame_contents(clip), _frame_contents(first), _frame_contents(other)}) == 3
+    assert _frame_contents(clip) == _frame_contents(Clip.of(clip.recording, range(2, 8))), (
+        "the recording is untouched"
+    )
 
 
-def _told(clip):
+def _frame_contents(clip):
     """All that a localizer is told of a clip."""
     return tuple(
         (
