@@ -1,22 +1,51 @@
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
+from tests.indoor.encode.conftest import timm  # noqa: F401  # fixture
 
-from placegraph.core.geometry import Camera
+from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.errors import InputError
+from placegraph.indoor.encode import encoder
 from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.tum import write_tum
+from placegraph_lab.tables.indoor import sg2loc as sources
 from placegraph_lab.tables.indoor.sg2loc import LAYOUT, How, Set, Walk, WindowRunner, recipes
+from placegraph_lab.tables.named.scene_retrieval import BASELINES, PAPER, STORAGE
 from placegraph_lab.tables.named.sg2loc import SPECS
 from placegraph_lab.tables.named.sg2loc import read_published as figures
 from placegraph_lab.tables.runner import Run, load, names
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.walks import stroll
 from placegraph_lab.worlds.home.home import change_home, home, record, scene_of, visit
 
 TABLES = [f"sg2loc-{n}" for n in range(1, 15)]
 CAMERA = Camera(96, 72, 69.0, 69.0, 48.0, 36.0)
 FRAMES = 5
+
+
+CELL = """
+[flat]
+name = Cell
+height = 2.6
+[drawing]
+################
+#              #
+#              #
+#    TTTT      #
+#    TTTT      #
+#              #
+#         1    #
+#              #
+#              #
+################
+[legend]
+1 room: label=study
+T table: label=desk
+"""
 
 
 def room(seed):
@@ -33,38 +62,77 @@ def room(seed):
         )
 
 
-@pytest.fixture(scope="module")
-def users(tmp_path_factory, scan3r_world, scannet_world):
-    """A user's folder: three rooms of 3RScan, and one of ScanNet, two scans each."""
-    root = tmp_path_factory.mktemp("users")
-    scans, rooms = root / "ScanNet/scans", [(f"{r}0-x", f"{r}1-x") for r in "abc"]
-    for seed, both in enumerate(rooms):
-        for number, (name, made) in enumerate(zip(both, room(seed), strict=True)):
+def cell(seed):
+    """A room of seven objects, with one frame of it for a map, and two later."""
+    rng, flat = np.random.default_rng(seed), Flat.parse(CELL)
+    interior = flat.furnish(rng)
+    for frames in (1, 2):
+        way = stroll(flat, rng, frames=frames, through="1", height=1.6)
+        yield (
+            scene_of(interior),
+            record(interior, way, rng, camera=CAMERA, depth=True, labels=None),
+            way.map_from_camera,
+        )
+
+
+def write_scannet_scan(folder, world, made):
+    scene, capture, truth = made
+    mesh = world.ObjectMesh(scene)
+    palette = np.random.default_rng(0).integers(0, 256, (len(scene), 3))
+    mesh.colours = palette[np.array(mesh.segments) - 100].astype(np.uint8)
+    world.Scan(folder, mesh, name=folder.name)
+    world.Recording.of(capture, world.SCAN_FROM_MAP @ truth).export(folder)
+    for file in sorted(folder.glob("*/[0-9]*.*"), key=lambda p: -int(p.stem)):
+        file.rename(file.with_stem(str(25 * int(file.stem))))  # one in 25 is asked
+
+
+def write_users(root, scan3r_world, scannet_world, rooms, of_scannet=1):
+    """A user's folder: rooms of 3RScan, the first of them of ScanNet, too, two scans each."""
+    names = [(f"{r}0-x", f"{r}1-x") for r, _ in zip("abc", rooms, strict=False)]
+    aligned, pairs = " ".join(str(v) for v in np.eye(4).ravel()), []
+    for number, (both, scans) in enumerate(zip(names, rooms, strict=True)):
+        called = [f"scene{number:04d}_0{i}" for i in range(2)]
+        for name, other, made in zip(both, called, scans, strict=True):
             scan3r_world.write_scan(root / "3RScan", name, *made)
-            if seed == 0:
-                scene, capture, truth = made
-                called = f"scene0000_0{number}"
-                mesh = scannet_world.ObjectMesh(scene)
-                palette = np.random.default_rng(0).integers(0, 256, (len(scene), 3))
-                mesh.colours = palette[np.array(mesh.segments) - 100].astype(np.uint8)
-                folder = scannet_world.Scan(scans / called, mesh, name=called).folder
-                poses = scannet_world.SCAN_FROM_MAP @ truth
-                scannet_world.Recording.of(capture, poses).export(folder)
-                for file in sorted(folder.glob("*/[0-9]*.*"), key=lambda p: -int(p.stem)):
-                    file.rename(file.with_stem(str(25 * int(file.stem))))  # one in 25 is asked
-    scan3r_world.write_rooms(root / "3RScan", rooms)
-    aligned = " ".join(str(v) for v in np.eye(4).ravel())
-    (root / "ScanNet/pairs.txt").write_text(f"scene0000_00 scene0000_01 {aligned}\n")
+            if number < of_scannet:
+                write_scannet_scan(root / "ScanNet/scans" / other, scannet_world, made)
+        if number < of_scannet:
+            pairs.append(f"{' '.join(called)} {aligned}\n")
+    scan3r_world.write_rooms(root / "3RScan", names)
+    (root / "ScanNet/pairs.txt").write_text("".join(pairs))
     return root
 
 
 @pytest.fixture(scope="module")
-def table(measure, users, tmp_path_factory):
+def users(tmp_path_factory, scan3r_world, scannet_world):
+    """A user's folder: three rooms of 3RScan, and one of ScanNet, two scans each."""
+    root, rooms = tmp_path_factory.mktemp("users"), [list(room(seed)) for seed in range(3)]
+    return write_users(root, scan3r_world, scannet_world, rooms)
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory, scan3r_world, scannet_world):
+    """A user's folder of single rooms: three of 3RScan and of ScanNet, with lists of pairs."""
+    root, rooms = tmp_path_factory.mktemp("cells"), [list(cell(seed)) for seed in range(3)]
+    write_users(root, scan3r_world, scannet_world, rooms, of_scannet=3)
+    (root / "3RScan/pairs.txt").write_text("".join(f"{r}0-x {r}1-x\n" for r in "abc"))
+    (root / "slam").mkdir()
+    tilted = np.eye(4)
+    tilted[:3, :3] = rotation_from_vector(np.array([0.4, -0.2, 1.0]))
+    for number, (_, (_, _, truth)) in enumerate(rooms):
+        for scan in (f"{'abc'[number]}1-x", f"scene{number:04d}_01"):
+            write_tum(root / f"slam/{scan}.tum", [0.0, 1.0], tilted @ truth)
+    return root
+
+
+@pytest.fixture(scope="module")
+def asked(measure, tmp_path_factory):
+    """Run a table on a user's folder: what it prints, its rows, and what it tells."""
     cache = tmp_path_factory.mktemp("cache")
 
-    def run(name, *options):
+    def run(data, name, *options):
         out = cache / f"{name}.json"
-        result = measure(name, "--data", users, "--cache", cache, "--out", out, *options)
+        result = measure(name, "--data", data, "--cache", cache, "--out", out, *options)
         assert result.exit_code == 0, (result.output, result.exception)
         return result.stdout, json.loads(out.read_text())["rows"], result.stderr
 
@@ -79,15 +147,126 @@ def test_every_number_is_a_table():
 
 
 @pytest.mark.all
-def test_one_table_of_a_users_3rscan(table):
-    asked = ["SG2Loc (Coarse)", "placegraph's default"]
-    options = ("--sets", "3RScan", "--lengths", "5", "--frames", "5", "--only", ";".join(asked))
-    text, rows, told = table("sg2loc-13", *options)
+def test_one_table_of_a_users_3rscan(asked, users):
+    wanted = ["SG2Loc (Coarse)", "placegraph's default"]
+    options = ("--sets", "3RScan", "--lengths", "5", "--frames", "5", "--only", ";".join(wanted))
+    text, rows, told = asked(users, "sg2loc-13", *options)
     assert "3RScan, test: 6 pairs of 6 scans." in told
     assert "| paper: 3RScan: SG2Loc (Coarse)" in text
     ours = [row for row in rows if row["set"] == "3RScan"]
-    assert [row["row"] for row in ours] == asked
+    assert [row["row"] for row in ours] == wanted
     assert ours[-1]["25 cm / 2° / both"] == [1.0, 1.0, 1.0]
+
+
+@pytest.fixture(scope="module")
+def small_network(tmp_path_factory):
+    """SceneGraphLoc on features of colour, drawn at random."""
+    torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[learn]'")
+    from placegraph_learn.scenegraphloc.features import ColourFeatures
+    from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
+    from placegraph_learn.scenegraphloc.weights import write_weights
+
+    path = tmp_path_factory.mktemp("weights") / "small.safetensors"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(11)
+        network = SceneGraphLoc(Widths.small(ColourFeatures.dimension))
+    write_weights(path, network, {"features": ColourFeatures.key})
+    return f"scenegraphloc weights={path}"
+
+
+SHORT = ("--lengths", 2, "--odometry", "exact")
+
+
+def check_rows(rows, name, places=("3RScan", "ScanNet")):
+    """Rows of both sets hold figures, of two frames of three scans each."""
+    ours = [row for row in rows if row.get("set") in places]
+    assert {row["set"] for row in ours} == set(places)
+    if name == "sg2loc-5":
+        counts = {(row["set"], row["method"], row["pool"]): row["queries"] for row in ours}
+        assert set(counts.values()) == {3}
+        assert {method for _, method, _ in counts} == {"paper", "ours"}
+        return
+    assert all(row["windows"] == 3 for row in ours)
+    assert {row["row"] for row in ours if "particles" in row} >= {
+        row for row, *_ in SPECS[int(name.partition("-")[2])].rows
+    } or name in {"sg2loc-6", "sg2loc-11", "sg2loc-14"}  # whose rows say more
+
+
+@pytest.mark.parametrize("name", ["sg2loc-1", "sg2loc-5"])
+def test_scenegraphloc_gets_the_images_of_a_map(name, asked, cells, small_network):
+    """Vectors of objects are those of their views in the recording of the map's own scan."""
+    options = () if name == "sg2loc-5" else (*SHORT, "--only", "placegraph's default")
+    _, rows, _ = asked(cells, name, "--encoder", small_network, *options)
+    if name == "sg2loc-5":
+        check_rows(rows, name)
+    else:
+        assert {row["windows"] for row in rows if row["set"] in {"3RScan", "ScanNet"}} == {3}
+    run = Run(name, cells, cells)
+    of = sources.of_3rscan(run, "test")
+    its, scene = encoder(small_network), of.scene("a0-x")
+    seen = its.objects(scene, of.pictures("a0-x"))
+    blind = encoder(f"{small_network} views=False").objects(scene)
+    assert np.abs(seen - blind).max() > 1e-3
+    cached = sources.CachedEncoder(its, cells / "vectors")
+    for _ in range(2):
+        np.testing.assert_array_equal(cached.objects(scene, of.pictures("a0-x")), seen)
+        (frame,) = of.pictures("a0-x")[0]
+        np.testing.assert_array_equal(cached.patches(frame), its.patches(frame))
+    assert cached.spared > 0
+
+
+@pytest.fixture(scope="module")
+def published_network(timm, tmp_path_factory):  # noqa: F811  # the fixture
+    """SceneGraphLoc and DINOv2 ViT-g/14 as their authors save them, drawn at random: 4.5 GB."""
+    torch = pytest.importorskip("torch")
+    from placegraph_learn.scenegraphloc.features import MODEL
+    from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
+
+    folder = tmp_path_factory.mktemp("published")
+    free = shutil.disk_usage(folder).free / 1e9
+    if free < 7:
+        pytest.skip(f"needs 7 GB of disk, and has {free:.1f}")
+    snapshot, dino = folder / "snapshot.pth.tar", folder / "dinov2_vitg14_pretrain.pth"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(11)
+        torch.save({"model": SceneGraphLoc(Widths()).state_dict()}, snapshot)
+    with torch.device("meta"):
+        model = timm.create_model(MODEL, num_classes=0)
+    drawn, state = torch.Generator().manual_seed(0), {}
+    for name, known in model.state_dict().items():
+        middle = 0.1 if "gamma" in name else float("norm" in name and name.endswith("weight"))
+        spelled = name.replace("mlp.fc1", "mlp.w12").replace("mlp.fc2", "mlp.w3")
+        state[spelled] = middle + 0.02 * torch.randn(known.shape, generator=drawn)
+    torch.save(state | {"mask_token": torch.zeros(1, model.embed_dim)}, dino)
+    del state
+    yield f"scenegraphloc weights={snapshot} feature_weights={dino}"
+    dino.unlink()
+
+
+@pytest.mark.all
+@pytest.mark.xdist_group("published_network")
+@pytest.mark.parametrize("name", TABLES)
+def test_every_table_with_scenegraphloc_of_the_true_size(name, asked, cells, published_network):
+    """Random weights know nothing: what counts is that every table of the paper can be run."""
+    number = int(name.partition("-")[2])
+    options = ["--encoder", published_network, *SHORT]
+    if number in {3, 5}:
+        options = options[:2] if number == 5 else []
+    if number == 6:
+        options += ["--pace", 0.1]
+    if number == 14:
+        options[-1] = cells / "slam"
+    text, rows, _ = asked(cells, name, *options)
+    assert "paper" in text
+    if number in {3, 4}:
+        own = [row for row in rows if row["row"].startswith(("3RScan", "ScanNet"))]
+        assert len(own) == (2 if number == 3 else 2 * len(SPECS[4].rows))
+        return
+    check_rows(rows, name)
+    if number == 14:
+        assert [row["row"] for row in rows if row["set"] == "ScanNet"] == [
+            f"{row}, {kind} odometry" for kind in ("exact", "SLAM") for row, *_ in SPECS[14].rows
+        ]
 
 
 def test_what_is_missing_is_told(measure, tmp_path):
@@ -165,6 +344,10 @@ def test_the_papers_figures_stand_in_the_paper(shared):
         if table == 11:
             numbers[0] = round(100 * numbers[0], 1)
         (by_columns if table == 6 else lines).append((name, numbers))
+    for n, (ten, a, fifty, b) in PAPER.items():
+        lines.append((f"Table 5, {n}", [*ten, a, *fifty, b, STORAGE]))
+    for name, (ten, a, fifty, b, megabytes) in BASELINES.items():
+        lines.append((name, [*ten, a, *fifty, b, megabytes]))
     lines += [("Table 6", list(pair)) for pair in zip(*(n for _, n in by_columns), strict=True)]
     for name, numbers in lines:
         size = len(numbers)

@@ -100,7 +100,7 @@ class Encoder(Protocol):
 def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
     """Make an encoder by name, one of `ENCODERS`; options are those of its class.
 
-    Options may stand in the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`parse_encoder`).
+    Options may stand in the name: ``"scenegraphloc weights=a.pth views=False"`` (`parse_encoder`).
 
     Raises
     ------
@@ -125,7 +125,7 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
 
 
 def parse_encoder(text: str) -> tuple[str, dict[str, Any]]:
-    """Split text like ``scenegraphloc weights=a.pth rotate=True`` into a name and options.
+    """Split text like ``scenegraphloc weights=a.pth views=False`` into a name and options.
 
     Values are literals of Python, or else text. Raises `OptionError` where an option has no value.
     """

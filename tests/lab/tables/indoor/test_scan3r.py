@@ -5,16 +5,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph.core.geometry import between, rotation_from_vector
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.pose.window import level_poses
+from placegraph.io.capture.tum import write_tum
 from placegraph_io.dataset.scan3r import read_rooms
 from placegraph_lab.tables.indoor import scan3r
 from placegraph_lab.tables.indoor.scan3r import (
     cross_temporal_pairs,
+    read_pairs,
     read_query,
     scan_folder,
     split_rooms,
 )
-from placegraph_lab.tables.indoor.windows import drifting_windows
+from placegraph_lab.tables.indoor.windows import Odometry, drifting_windows
 
 
 def transform(yaw, x, y):
@@ -125,3 +129,86 @@ def test_windows(rooms, tmp_path):
         read_query(tmp_path, pair, every=0)
     with pytest.raises(InputError, match="contains no scan c0-x"):
         scan_folder(tmp_path, "c0-x")
+
+
+def odometry_of(name, rooms, tmp_path, count=6):
+    """Capture of a scan that lies on its side, its truth, and windows of three frames of it."""
+    lying = np.array([[0, 0, 1, 0.0], [0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    lying[:3, 1] = np.cross(lying[:3, 2], lying[:3, 0])
+    poses = np.array([transform(0.1 * i, 0.2 * i, 0.3) @ lying for i in range(count)])
+    write_sequence(tmp_path / "c1-x/sequence", poses)
+    (pair,) = (p for p in cross_temporal_pairs(rooms.rooms) if p.query == "c1-x")
+    capture, truth = read_query(tmp_path, pair)
+    windows = drifting_windows(
+        pair.name, capture, truth, 3, np.random.default_rng(0),
+        odometry=Odometry.named(name), recording=pair.query,
+    )  # fmt: skip
+    return poses, capture, truth, windows
+
+
+def relative(poses):
+    return np.linalg.inv(poses[0]) @ poses[1:]
+
+
+def test_exact_odometry_is_the_truth_in_a_frame_of_its_own(rooms, tmp_path):
+    _, _, truth, windows = odometry_of("exact", rooms, tmp_path)
+    for window, rows in zip(windows, (slice(3), slice(3, 6)), strict=True):
+        own = window.capture.odometry
+        np.testing.assert_allclose(relative(own), relative(truth[rows]), atol=1e-9)
+        assert np.abs(own[0, :3, 3]).max() < 1e-9 < np.abs(truth[rows][0, :3, 3]).max()
+        down = np.einsum("tij,tj->ti", truth[rows][:, :3, :3], window.capture.gravity)
+        np.testing.assert_allclose(down, np.tile([0, 0, -1.0], (3, 1)), atol=1e-9)
+    *_, drifting = odometry_of("drift", rooms, tmp_path / "other")
+    for one, other in zip(windows, drifting, strict=True):
+        turned = np.arccos((one.capture.gravity * other.capture.gravity).sum(axis=1))
+        assert 1e-4 < turned.max() < 0.02
+        assert (
+            np.abs(relative(one.capture.odometry) - relative(other.capture.odometry)).max() > 1e-4
+        )
+
+
+def test_odometry_of_a_slam_system(rooms, tmp_path):
+    """In a tilted frame, of images as they are stored; lost frames are left out."""
+    poses, *_ = odometry_of("exact", rooms, tmp_path / "exact")
+    tilted = np.eye(4)
+    tilted[:3, :3] = rotation_from_vector(np.array([0.7, -0.4, 2.0]))
+    bent = poses.copy()
+    bent[:, 2, 3] += 0.03 * np.arange(len(poses))  # it climbs, and nobody did
+    kept = [0, 1, 2, 4, 5]
+    (tmp_path / "slam").mkdir()
+    write_tum(tmp_path / "slam/c1-x.tum", kept, (tilted @ bent)[kept])
+    for given in (tmp_path / "slam", tmp_path / "slam/c1-x.tum"):
+        _, capture, truth, windows = odometry_of(str(given), rooms, tmp_path / given.name / "scan")
+        assert [[f.index for f in w.capture] for w in windows] == [kept[:3]]
+        np.testing.assert_allclose(windows[0].truth, truth[2])
+        level = level_poses(windows[0].capture.odometry, windows[0].capture.gravity)
+        exact = level_poses(truth[:3], windows[0].capture.gravity)
+        climbed = (level - exact)[:, 2]
+        np.testing.assert_allclose(np.diff(climbed), 0.03, atol=1e-6)
+        steps, right = (between(p[:-1], p[1:])[:, [0, 1, 3]] for p in (level, exact))
+        np.testing.assert_allclose(steps, right, atol=1e-6)
+        assert windows[0].capture.gravity == pytest.approx(capture.gravity[:3], abs=1e-6)
+    with pytest.raises(InputError, match="exact, drift, a trajectory"):
+        Odometry.named(str(tmp_path / "none"))
+    before = Odometry.named(str(tmp_path / "slam")).digest()
+    write_tum(tmp_path / "slam/c1-x.tum", kept, poses[kept])
+    assert Odometry.named(str(tmp_path / "slam")).digest() != before
+
+
+def test_a_list_of_pairs(rooms, tmp_path):
+    path = tmp_path / "pairs.txt"
+    path.write_text("b2-x b0-x  # the first\n\nc0-x c1-x\n")
+    found = read_pairs(path, rooms)
+    assert [(pair.map, pair.query, pair.room) for pair in found] == [
+        ("b2-x", "b0-x", "b0-x"), ("c0-x", "c1-x", "c0-x"),
+    ]  # fmt: skip
+    (same,) = (p for p in cross_temporal_pairs(rooms.rooms) if p.query == "c1-x")
+    np.testing.assert_allclose(found[1].map_from_query, same.map_from_query)
+    for text, why in (
+        ("", "holds no pair"), ("b0-x", "line 1: a line is"), ("\nb0-x b0-x", "line 2"),
+        ("b0-x c0-x", "are not two aligned scans"), ("f0-x f1-x", "are not two aligned scans"),
+        ("q0-x q1-x", "line 1"),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(InputError, match=why):
+            read_pairs(path, rooms)

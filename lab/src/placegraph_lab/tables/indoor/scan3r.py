@@ -127,6 +127,33 @@ def cross_temporal_pairs(rooms: Iterable[Room], rng: Generator | None = None) ->
     return pairs
 
 
+def read_pairs(path: str | PathLike[str], rooms: Rooms) -> list[ScanPair]:
+    """Pairs of a text file, `map query` a line: ids of two scans of one room; `#` begins a comment.
+
+    Raises `InputError`, which names the line, where a line is not that, or 3RScan keeps back how the
+    scans are aligned.
+    """
+    path, pairs = Path(path), []
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        where = f"{path}, line {number}"
+        if len(words) != 2 or words[0] == words[1]:
+            raise InputError(f"{where}: a line is `map query`, the ids of two scans of one room.")
+        try:
+            room = rooms.room_of(words[0])
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+        scans = {scan.id: scan for scan in room.scans if scan.reference_from_scan is not None}
+        if not set(words) <= set(scans):
+            raise InputError(f"{where}: {' and '.join(words)} are not two aligned scans of a room.")
+        pairs.append(_pair(room, scans[words[0]], scans[words[1]]))
+    if not pairs:
+        raise InputError(f"{path} holds no pair; a line is `map query`, the ids of two scans.")
+    return pairs
+
+
 def _pair(room: Room, one: Scan, query: Scan) -> ScanPair:
     reference_from_map = cast("Floats", one.reference_from_scan)
     reference_from_query = cast("Floats", query.reference_from_scan)

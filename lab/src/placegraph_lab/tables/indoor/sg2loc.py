@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -12,19 +12,23 @@ from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encode_objects, encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.frame import Frame
 from placegraph_io.dataset.scan3r import read_rooms
+from placegraph_io.dataset.scan3r_sequence import read_scan3r_sequence
 from placegraph_io.dataset.scannet import axis_alignment
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor import scan3r, scannet
@@ -33,12 +37,14 @@ from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.scannet import register_scans
 from placegraph_lab.tables.indoor.windows import (
-    DRIFT,
+    DRIFTING,
     HALVES,
     OFFICE_STRIDE,
+    Odometry,
     Window,
     drifting_windows,
     is_changed,
+    sample_frames,
     true_poses,
 )
 from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
@@ -68,6 +74,8 @@ class Walk:
     """Its frames, and their true map_from_camera (T, 4, 4)."""
     changed: bool | None = None
     """Whether things were moved since the map was made; None where nobody knows."""
+    recording: str = ""
+    """Name of its trajectory, if `Odometry` brings any; `name` if empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +89,28 @@ class Set:
     rate: float  # frames a second of a recording
     own_ids: bool = False  # instances of its label images are ids of the map's objects
     frames: int = 0  # of a walk, where that is known before one is opened
+    pictures: Callable[[str], tuple[Capture, ...]] = lambda _: ()
+    """Images that show a map's objects to an encoder, posed in the map; none where there are none."""
 
     @cached_property
     def longest(self) -> int:
         return self.frames or max((len(walk.open()[0]) for walk in self.walks), default=0)
 
     def windows(
-        self, length: int, frames: int, seed: int, drift: tuple[float, float] = DRIFT
+        self, length: int, frames: int, seed: int, odometry: Odometry = DRIFTING
     ) -> list[tuple[Walk, Window]]:
-        """Windows that do not overlap, of at most so many frames in all by state; 0: all of them."""
+        """Windows that do not overlap, of at most so many frames in all by state; 0: all of them.
+
+        `odometry`: where their odometry and gravity come from.
+        """
         found: dict[bool | None, list[tuple[Walk, Window]]] = {}
         for walk in self.walks:
             capture, truth = walk.open()
             rng = np.random.default_rng([seed, crc32(walk.name.encode())])
             made = drifting_windows(
-                walk.name, capture, truth, length, rng, changed=walk.changed, drift=drift
-            )
+                walk.name, capture, truth, length, rng,
+                changed=walk.changed, odometry=odometry, recording=walk.recording,
+            )  # fmt: skip
             found.setdefault(walk.changed, []).extend((walk, window) for window in made)
         return [pair for of_state in found.values() for pair in _thinned(of_state, frames, length)]
 
@@ -141,7 +155,8 @@ def of_office(data: Path, cache: Path) -> Set:
     folder = data / "office"
     spans = {half: slice(*made) for half, (made, _) in HALVES.items()}
     rooms = dict.fromkeys(spans, "office")
-    return Set("office", tuple(walks), _halves(folder, cache, spans), rooms, 5.0)
+    scene = _halves(folder, cache, spans)
+    return Set("office", tuple(walks), scene, rooms, 5.0, pictures=_pictures(folder, spans))
 
 
 def of_freiburg(data: Path, cache: Path) -> Set:
@@ -153,7 +168,21 @@ def of_freiburg(data: Path, cache: Path) -> Set:
     ]
     spans = {half: slice(low, low + 52) for half, (low, *_) in RPY.items()}
     scene = _halves(folder, cache, spans, floor=0.0)  # which one half does not show
-    return Set("freiburg1_rpy", tuple(walks), scene, dict.fromkeys(spans, "desk"), 30 / 7)
+    rooms = dict.fromkeys(spans, "desk")
+    pictures = _pictures(folder, spans)
+    return Set("freiburg1_rpy", tuple(walks), scene, rooms, 30 / 7, pictures=pictures)
+
+
+def _pictures(folder: Path, spans: dict[str, slice]) -> Callable[[str], tuple[Capture, ...]]:
+    """Return what gives the frames that a half's map was made of, posed in the map."""
+    return lambda half: (_posed(*_recorded(folder, spans[half])),)
+
+
+def _posed(capture: Capture, map_from_camera: Floats) -> Capture:
+    frames = tuple(
+        replace(frame, odometry=pose) for frame, pose in zip(capture, map_from_camera, strict=True)
+    )
+    return replace(capture, frames=frames)
 
 
 def _halves(
@@ -204,22 +233,32 @@ def _recorded(path: Path, rows: slice = slice(None)) -> tuple[Capture, Floats]:
     return capture[rows], truth[rows]
 
 
-def of_3rscan(run: Run, split: scan3r.Split) -> Set:
-    """3RScan: each scan of a split is asked in one other of its room, drawn, as far as they are there."""
+def of_3rscan(run: Run, split: scan3r.Split, listed: Path | None = None) -> Set:
+    """3RScan: each scan of a split is asked in one other of its room, drawn, as far as they are there.
+
+    `listed`: file with the pairs instead (`scan3r.read_pairs`); if not given, `pairs.txt` if it exists.
+    """
     root = run.shared / "3RScan"
     rooms = read_rooms(root / "3RScan.json")
     lists = root / "files"
-    listed = any((lists / name).exists() for name in scan3r.LISTS.values())
+    parted = any((lists / name).exists() for name in scan3r.LISTS.values())
     there = [
         replace(room, scans=tuple(s for s in room.scans if _has(root, s.id)))
-        for room in scan3r.split_rooms(rooms, lists if listed else None)[split]
+        for room in scan3r.split_rooms(rooms, lists if parted else None)[split]
     ]
-    pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
+    listed = listed or root / "pairs.txt"
+    if listed.exists():
+        pairs = scan3r.read_pairs(listed, rooms)
+        there = list({pair.room: rooms.room_of(pair.room) for pair in pairs}.values())
+    else:
+        pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
     if not pairs:
         raise InputError(
             f"{root} contains no two scans of one room of the split {split!r}. {LAYOUT}"
         )
-    walks = [Walk(p.name, p.map, partial(scan3r.read_query, root, p), p.changed) for p in pairs]
+    walks = [
+        Walk(p.name, p.map, partial(scan3r.read_query, root, p), p.changed, p.query) for p in pairs
+    ]
     run.log(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
 
     def scene(scan: str) -> SceneMap:
@@ -228,18 +267,26 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
             build_scene(scan3r.scan_folder(root, scan), path)
         return SceneMap.open(path)
 
-    rooms_of = {scan.id: room.reference for room in there for scan in room.scans}
-    return Set("3RScan", tuple(walks), cache_maps(scene), rooms_of, 10.0)
+    def pictures(scan: str) -> tuple[Capture, ...]:
+        return (read_scan3r_sequence(scan3r.scan_folder(root, scan)),)  # in the scan's own axes
+
+    rooms_of = {
+        scan.id: room.reference for room in there for scan in room.scans if _has(root, scan.id)
+    }
+    return Set("3RScan", tuple(walks), cache_maps(scene), rooms_of, 10.0, pictures=pictures)
 
 
 def _has(root: Path, scan: str) -> bool:
     return any((folder / scan).is_dir() for folder in (root, root / "scenes"))
 
 
-def of_scannet(run: Run) -> Set:
-    """ScanNet: pairs of scans of a room, one image in 25; what cannot be registered is left out."""
+def of_scannet(run: Run, listed: Path | None = None) -> Set:
+    """ScanNet: pairs of scans of a room, one image in 25; what cannot be registered is left out.
+
+    `listed`: file with the pairs (`scannet.read_pairs`); if not given, `pairs.txt` if it exists.
+    """
     scans = _Scans(run)
-    listed = scans.root / "pairs.txt"
+    listed = listed or scans.root / "pairs.txt"
     pairs = (
         scannet.read_pairs(listed)
         if listed.exists()
@@ -249,9 +296,13 @@ def of_scannet(run: Run) -> Set:
     run.log(f"ScanNet: {len(known)} of {len(pairs)} pairs are registered.")
     if not known:
         raise InputError(f"{scans.root}: no two scans of a room could be registered. {LAYOUT}")
-    walks = [Walk(p.name, p.map, partial(scannet.read_query, scans.folder, p)) for p in known]
+    walks = [
+        Walk(p.name, p.map, partial(scannet.read_query, scans.folder, p), recording=p.query)
+        for p in known
+    ]
     rooms_of = {walk.map: walk.map.partition("_")[0] for walk in walks}
-    return Set("ScanNet", tuple(walks), cache_maps(scans.scene), rooms_of, 30 / scannet.EVERY)
+    scene, rate = cache_maps(scans.scene), 30 / scannet.EVERY
+    return Set("ScanNet", tuple(walks), scene, rooms_of, rate, pictures=scans.pictures)
 
 
 class _Scans:
@@ -275,6 +326,13 @@ class _Scans:
             mesh = self.folder / scan / f"{scan}_vh_clean_2.ply"
             build_scene(self._predicted(scan), path, reader={"mesh": mesh})
         return SceneMap.open(path)
+
+    def pictures(self, scan: str) -> tuple[Capture, ...]:
+        """One image in 25 of the scan that a map shows, posed in the axes of `scene`."""
+        capture = sample_frames(open_capture(self.folder / scan), scannet.EVERY)
+        if self._predicted(scan).is_dir():
+            return (capture,)
+        return (_posed(capture, axis_alignment(self.folder / scan) @ capture.odometry),)
 
     def _annotated(self, scan: str) -> SceneMap:
         path = place(self._cache, f"scannet_{scan}")
@@ -352,6 +410,59 @@ class How:
     matcher: str
     seed: int
     device: str
+    odometry: str = "drift"
+    """``exact``, ``drift`` or a path (`Odometry.named`)."""
+
+
+class CachedEncoder:
+    """Encoder whose vectors of maps and frames are kept in files: some take seconds a frame.
+
+    `spared` counts the seconds that encoding took when it was done: whoever measures time adds them.
+    """
+
+    def __init__(self, encoder: Encoder, folder: Path) -> None:
+        self.encoder, self.name, self.key = encoder, encoder.name, encoder.key
+        self.dimension, self.temperature = encoder.dimension, encoder.temperature
+        self.camera = encoder.camera
+        self.folder = folder / hashlib.sha256(encoder.key.encode()).hexdigest()[:16]
+        self.spared = 0.0
+
+    def patches(self, image: Frame) -> NDArray[np.float32] | None:
+        """Return the encoder's vectors of a frame, which depend on its colours and on its way up."""
+        x, y = image.gravity[:2].tolist()
+        parts = (image.rgb(), np.array([x > y, x > -y]))
+        found = self._kept(parts, lambda: self.encoder.patches(image))
+        return found if found.size else None
+
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+        """Return the encoder's vectors (N, d) of a map's objects."""
+        mesh, said = scene.mesh, repr([(str(c.path), len(c)) for c in captures]).encode()
+        parts = (mesh.vertices, mesh.triangles, mesh.object_of, np.frombuffer(said, np.uint8))
+        return self._kept(parts, lambda: self.encoder.objects(scene, captures))
+
+    def _kept(
+        self,
+        parts: Sequence[NDArray[Any]],
+        make: Callable[[], NDArray[np.float32] | None],
+    ) -> NDArray[np.float32]:
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(repr(part.shape).encode() + np.ascontiguousarray(part).tobytes())
+        path = self.folder / f"{digest.hexdigest()[:32]}.npz"
+        if path.exists():
+            with np.load(path) as file:
+                self.spared += float(file["seconds"])
+                vectors: NDArray[np.float32] = file["vectors"]
+            return vectors
+        start = time.perf_counter()
+        made = make()
+        vectors = np.zeros(0, np.float32) if made is None else made
+        self.folder.mkdir(parents=True, exist_ok=True)
+        partial_ = path.with_suffix(".part")
+        with partial_.open("wb") as out:
+            np.savez(out, vectors=vectors, seconds=time.perf_counter() - start)
+        partial_.replace(path)
+        return vectors
 
 
 class WindowRunner:
@@ -363,6 +474,23 @@ class WindowRunner:
         self._code = code_key((*INDOOR, *WORLDS))  # once: what is loaded now is what answers
         self._warm: set[str] = set()
         self._merged = lru_cache(maxsize=2)(merged_scenes)
+        self.odometry = Odometry.named(how.odometry)
+
+    @cached_property
+    def named(self) -> CachedEncoder | None:
+        """The encoder that was asked for by name; None where none was."""
+        if not self.how.encoder:
+            return None
+        return CachedEncoder(encoder(self.how.encoder), self.run.cache / "sg2loc_vectors")
+
+    @property
+    def spared(self) -> float:
+        """Seconds of encoding that were spared so far, as it had been done."""
+        return self.named.spared if self.named else 0.0
+
+    def windows(self, of: Set, length: int) -> list[tuple[Walk, Window]]:
+        """Windows of a set that are asked about, with the odometry that was asked for."""
+        return of.windows(length, self.how.frames, self.how.seed, self.odometry)
 
     def replies(
         self,
@@ -370,14 +498,17 @@ class WindowRunner:
         recipe: str,
         length: int,
         *,
-        drift: tuple[float, float] = DRIFT,
+        odometry: Odometry | None = None,
         step: int = 1,
         merged: int = 1,
     ) -> list[Reply]:
         """Replies to windows of a set; of each, every `step`-th frame is used, the last of them too."""
         how, its = self.how, recipes()[recipe]
-        asked = of.windows(length, how.frames, how.seed, drift)
-        said = repr((its, replace(how, frames=0), drift, merged, str(self.run.shared.resolve())))
+        odometry = odometry or self.odometry
+        asked = of.windows(length, how.frames, how.seed, odometry)
+        known = self.named.key if self.named else "", odometry, odometry.digest()
+        where = str(self.run.shared.resolve())
+        said = repr((its, replace(how, frames=0, odometry=""), known, merged, where))
         base = f"{self._code} {of.name} {hashlib.sha256(said.encode()).hexdigest()[:12]}"
         asked = [(walk, _keyframes(window, step)) for walk, window in asked]
         keys = [f"{base} {walk.map} {window.name}" for walk, window in asked]
@@ -409,13 +540,13 @@ class WindowRunner:
         """Localize a window in a map; `name`: the right one of merged scenes."""
         how = self.how
         matcher = how.matcher if isinstance(recipe.refine, RefineOptions) else "auto"
-        encoder = self.ready(of, recipe, scene, window)
-        start = time.perf_counter()
+        encoder = self.ready(of, recipe, scene, window, name)
+        start = time.perf_counter() + self.spared
         estimate = scene.localize(
             window.capture, encoder=encoder, options=recipe.options,
             refine=recipe.refine, matcher=matcher, seed=how.seed, device=how.device,
         )  # fmt: skip
-        seconds, coarse, refining = time.perf_counter() - start, estimate, 0.0
+        seconds, coarse, refining = time.perf_counter() + self.spared - start, estimate, 0.0
         if estimate.refinement is not None:
             coarse = replace(estimate, modes=(estimate.refinement.coarse, *estimate.modes[1:]))
             refining = sum(estimate.refinement.stats["seconds"].values())
@@ -427,21 +558,31 @@ class WindowRunner:
             right=best is not None and (len(scene.scenes) == 1 or best.scene == name),
         )
 
-    def ready(self, of: Set, recipe: Recipe, scene: SceneMap, window: Window) -> MapEncoder:
+    def ready(
+        self, of: Set, recipe: Recipe, scene: SceneMap, window: Window, name: str
+    ) -> MapEncoder:
         """Make what a map needs before it is asked, its mapping in Table 4; returns its encoder."""
         scene.visibility(recipe.options)  # whose panoramas every start needs; casts rays, too
-        return self.encoder(of, scene, window)
+        return self.encoder(of, scene, window, name)
 
-    def encoder(self, of: Set, scene: SceneMap, window: Window) -> MapEncoder:
+    def encoder(self, of: Set, scene: SceneMap, window: Window, name: str) -> MapEncoder:
+        """Return the encoder of a window, bound to a map, `name`, or to merged maps."""
         if of.own_ids and not self.how.encoder:
             return NoisyEncoder(InstancesEncoder(scene), seed=self.how.seed, name=window.place)
         its = self.unbound(window)
-        known = scene.compute_once(("sg2loc", its.key), lambda s: encode_objects(its, s))
-        return BoundEncoder(its, known)
+        if self.named is None:
+            known = scene.compute_once(("sg2loc", its.key), lambda s: encode_objects(its, s))
+            return BoundEncoder(its, known)
+        # merged scenes are encoded separately, and their objects stand one after the other (App. D)
+        names = scene.scenes if len(scene.scenes) > 1 else (name,)
+        made = [encode_objects(its, of.scene(n), of.pictures(n)) for n in names]
+        return BoundEncoder(its, np.concatenate(made))
 
     def unbound(self, window: Window) -> Encoder:
-        if self.how.encoder or window.capture.label_kind != "labels":
-            return encoder(self.how.encoder or IMAGES)
+        if self.named is not None:
+            return self.named
+        if window.capture.label_kind != "labels":
+            return encoder(IMAGES)
         words = window.capture.label_names.values()
         return NoisyLabels(LabelsEncoder(), words, seed=self.how.seed, name=window.place)
 

@@ -6,6 +6,7 @@ nothing of the truth in it.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, rotation_from_vector
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.capture import Capture, open_capture, replace_poses
 from placegraph.io.capture.frame import Images
 from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.walks import add_drift
@@ -38,10 +39,78 @@ COVERED = (
 )
 TILT = np.radians(0.2)
 """Noise of gravity where a recording has none of its own, as the office's is [rad]."""
-DRIFT = (0.01, np.radians(0.1))
-"""Error of a step along each axis, as a share of its length, and in yaw [rad]."""
 TOLERANCE = 0.10
 """A reading is covered where the map's surface is this near to it along the optical axis [m]."""
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Source of the odometry and gravity of windows whose truth is known.
+
+    Both are the truth with these errors. The papers use the truth itself (`EXACT`), but for Table 14.
+    """
+
+    drift: float = 0.01
+    """Error of a step along each axis, as a share of its length."""
+    yaw_drift: float = float(np.radians(0.1))
+    """Error of a step in yaw [rad]."""
+    tilt: float = float(TILT)
+    """Error of gravity along each axis [rad]."""
+    trajectories: Path | None = None
+    """File in TUM's format, or a folder with NAME.tum of each recording: a SLAM system's poses, used
+    instead of the truth with errors. Gravity is the true one."""
+
+    @classmethod
+    def named(cls, text: str) -> Odometry:
+        """Return the source of a name: ``exact``, ``drift``, or a path (`trajectories`)."""
+        known = {"exact": EXACT, "drift": DRIFTING}
+        if text in known:
+            return known[text]
+        if not Path(text).exists():
+            raise InputError(
+                f"odometry: {text!r} does not exist; give exact, drift, a trajectory in TUM's format, "
+                "or a folder with NAME.tum of each recording."
+            )
+        return replace(EXACT, trajectories=Path(text))
+
+    def digest(self) -> str:
+        """Return hexadecimal digits of the contents of all trajectories; empty without any."""
+        if self.trajectories is None:
+            return ""
+        files = sorted(self.trajectories.glob("*.tum")) or [self.trajectories]
+        texts = [file.read_bytes() for file in files if file.is_file()]
+        return hashlib.sha256(b"\0".join(texts)).hexdigest()[:12]
+
+    def applied(
+        self, name: str, capture: Capture, truth: Floats, rng: Generator
+    ) -> tuple[Capture, Floats]:
+        """Return a recording with this odometry and gravity, and its truth (T, 4, 4).
+
+        `name`: of the recording. Frames without a pose in its trajectory are left out.
+        """
+        if self.trajectories is not None:
+            folder = self.trajectories
+            known = replace_poses(capture, folder / f"{name}.tum" if folder.is_dir() else folder)
+            used = {frame.index for frame in known}
+            truth = truth[[frame.index in used for frame in capture]]
+            capture, odometry = known, known.odometry
+        else:
+            odometry = add_drift(truth, rng, drift=self.drift, yaw_drift=self.yaw_drift)
+        down = -truth[:, 2, :3]  # the third row of map_from_camera: the map's z in the camera
+        if self.tilt:
+            down = capture.gravity + self.tilt * rng.standard_normal(capture.gravity.shape)
+        down = down / np.linalg.norm(down, axis=1, keepdims=True)
+        frames = tuple(
+            replace(frame, odometry=pose, gravity=its)
+            for frame, pose, its in zip(capture, odometry, down, strict=True)
+        )
+        return replace(capture, frames=frames), truth
+
+
+EXACT = Odometry(0.0, 0.0, 0.0)
+"""Quasi ground truth, as in Tables 1 to 13 of SG2Loc."""
+DRIFTING = Odometry()
+"""Drift of a good SLAM system, which the tables have by default."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,38 +219,25 @@ def drifting_windows(
     rng: np.random.Generator,
     *,
     changed: bool | None = None,
-    drift: tuple[float, float] = DRIFT,
+    odometry: Odometry = Odometry(),  # frozen
+    recording: str = "",
 ) -> list[Window]:
     """Windows of `length` frames that do not overlap, of a recording whose truth is known.
 
-    Their odometry is made of `truth` (T, 4, 4), map_from_camera, in a frame of its own, and drifts
-    as `worlds.flat.walks.add_drift` says; gravity is off by `TILT` along each axis. Raises
-    `OptionError` where `length` is less than 1.
+    `truth`: (T, 4, 4) map_from_camera, of which `odometry` makes odometry and gravity; `recording`:
+    name of its trajectory, `place` if not given. Raises `OptionError` where `length` is less than 1.
     """
     if length < 1:
         raise OptionError(f"length is {length}; it is 1 or more.")
-    return [
-        Window(
-            place,
-            _drifting(capture[s : s + length], truth[s : s + length], drift, rng),
-            truth[s + length - 1],
-            changed,
-        )
-        for s in starts(len(capture), length, length)
-    ]
-
-
-def _drifting(
-    capture: Capture, truth: Floats, drift: tuple[float, float], rng: np.random.Generator
-) -> Capture:
-    odometry = add_drift(truth, rng, drift=drift[0], yaw_drift=drift[1])
-    gravity = capture.gravity + TILT * rng.standard_normal(capture.gravity.shape)
-    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
-    frames = tuple(
-        replace(frame, odometry=pose, gravity=down)
-        for frame, pose, down in zip(capture, odometry, gravity, strict=True)
-    )
-    return replace(capture, frames=frames)
+    if odometry.trajectories is not None:  # whose frames may be fewer
+        capture, truth = odometry.applied(recording or place, capture, truth, rng)
+    found = []
+    for s in starts(len(capture), length, length):
+        part, poses = capture[s : s + length], truth[s : s + length]
+        if odometry.trajectories is None:
+            part, poses = odometry.applied(place, part, poses, rng)
+        found.append(Window(place, part, poses[-1], changed))
+    return found
 
 
 def is_changed(path: Path) -> bool | None:

@@ -45,6 +45,12 @@ PAPER = {
     50: ((0.89, 0.96, 0.98), 15.0, (0.81, 0.89, 0.92), 75.0),
 }
 """Table 5 on 3RScan: recalls and milliseconds among 10 and among 50 scenes, by length."""
+BASELINES = {
+    "CVNet": ((0.79, 0.91, 0.95), 60.0, (0.67, 0.77, 0.82), 311.1, 239.1),
+    "AnyLoc": ((0.88, 0.95, 0.98), 1826.4, (0.81, 0.87, 0.90), 1451.1, 5720.3),
+}
+"""The same of the baselines in Table 5, and megabytes of their maps; no length is printed."""
+STORAGE = 5.4  # of the paper's map [MB], as for its baselines
 BINS = 10
 CAPTION = (
     "The rooms of the house and the office were looked at while the method was made, too; the homes "
@@ -85,19 +91,16 @@ def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
 
 def main_table(rows: Sequence[Row]) -> str:
     """Recall and time by encoder, method and length."""
+    printed = [("3RScan: SGL" if n == 1 else "3RScan: Seq. SGL", str(n), *told, STORAGE)
+               for n, told in PAPER.items()]  # fmt: skip
+    printed += [(f"3RScan: {name}", "–", *told) for name, told in BASELINES.items()]
     lines: list[Any] = [
         [
-            "the paper on 3RScan",
-            str(n),
-            lab.shares(ten),
-            f"{a:.1f}",
-            lab.shares(fifty),
-            f"{b:.1f}",
-            "–",
-            "–",
+            f"*paper, {name}, {megabytes:,.1f} MB*", n, lab.shares(ten), f"{a:.1f}",
+            lab.shares(fifty), f"{b:.1f}", "–", "–",
         ]
-        for n, (ten, a, fifty, b) in PAPER.items()
-    ]
+        for name, n, ten, a, fifty, b, megabytes in printed
+    ]  # fmt: skip
     lines += [
         (row, method, n, row.answers.get((method, "10", n), []), fifty)
         for row in rows for method in WHOLE for n in LENGTHS

@@ -10,6 +10,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -19,8 +20,7 @@ import typer
 from placegraph.errors import InputError
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.indoor import sg2loc as at_hand
-from placegraph_lab.tables.indoor import sg2loc as brought
+from placegraph_lab.tables.indoor import sg2loc as sources
 from placegraph_lab.tables.indoor.metrics import score
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.scan3r import Split
@@ -34,15 +34,23 @@ from placegraph_lab.tables.indoor.sg2loc import (
     group,
     recipes,
 )
-from placegraph_lab.tables.indoor.windows import DRIFT
+from placegraph_lab.tables.indoor.windows import DRIFTING, EXACT, Odometry
 from placegraph_lab.tables.named.scene_retrieval import figures, main_table
-from placegraph_lab.tables.scene.places import FIRST, HOMES, NOISY, Place, Walk, homes
+from placegraph_lab.tables.scene.places import (
+    FIRST,
+    HOMES,
+    NOISY,
+    Place,
+    Walk,
+    encoder_of,
+    homes,
+)
 from placegraph_lab.tables.scene.search import Cosines, Scenes, Study
 
 
 def read_published(table: int) -> list[tuple[str, list[list[float | None]]]]:
     """Rows of a table: name, and published by sequence length; None where there is none."""
-    text = Path(at_hand.__file__).with_suffix(".txt").read_text("utf-8")
+    text = Path(sources.__file__).with_suffix(".txt").read_text("utf-8")
     lines = [line.split(";") for line in text.splitlines() if not line.startswith("#")]
     return [
         (
@@ -64,6 +72,7 @@ class Spec(NamedTuple):
     """Name, recipe, and whether what comes after the filter counts."""
     pace: float = 0.0  # seconds in which a frame is done with (Table 6); 0: as measured
     rooms: int = 1  # fewest rooms that a set shows
+    scenes: int = 0  # scenes of 3RScan that the paper has; 0: all of the split
 
 
 FULL = (
@@ -96,7 +105,7 @@ SPECS = {
         "What remains of 100 frames that come as fast as they were taken?",
         (*ERRORS, NEAR), (100,), FULL[::2],
     ),
-    7: Spec("What is each part of the method worth?", (TWO,), (5,), ABLATION),
+    7: Spec("What is each part of the method worth?", (TWO,), (5,), ABLATION, scenes=4),
     8: Spec("What is each signal worth alone?", (*ERRORS, TWO), (5,), ONE_SIGNAL),
     9: Spec("What are the signals worth, by length? Errors.", ERRORS, LENGTHS[:3], (SEMANTIC, ALL, FULL[0])),
     10: Spec("What are the signals worth, by length? Recall.", (TWO,), LENGTHS[:3], (SEMANTIC, ALL, FULL[0])),
@@ -137,13 +146,13 @@ def seconds(spec: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
     for its in of:
         for name, recipe, _ in spec.rows:
             replies = [r for n in spec.lengths for r in asking.replies(its, recipe, n)]
-            walk, window = its.windows(min(spec.lengths), 1, 0)[0]
+            walk, window = its.windows(min(spec.lengths), 1, 0, asking.odometry)[0]
             mapping = []
             for _again in range(3):  # the first compiles
                 scene = _filed(its.scene(walk.map))[0]
-                start = time.perf_counter()
-                asking.ready(its, recipes()[recipe], scene, window)
-                mapping.append(time.perf_counter() - start)
+                start = time.perf_counter() + asking.spared
+                asking.ready(its, recipes()[recipe], scene, window, walk.map)
+                mapping.append(time.perf_counter() + asking.spared - start)
             told = (
                 min(mapping),
                 float(np.median([r.filter.seconds / r.filter.frames for r in replies])),
@@ -163,9 +172,13 @@ def retrieval(_: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
             places = [place for place, _ in made]
             walks = [own[i % 2] for i, (_, own) in enumerate(made)]
         else:
-            places = [Place(name, its.scene(name), room) for name, room in its.rooms.items()]
+            show = its.pictures if asking.named else lambda _: ()
+            places = [
+                Place(name, its.scene(name), room, show(name)) for name, room in its.rooms.items()
+            ]
             walks = [Walk(w.name, w.map, w.open()[0], bool(w.changed)) for w in its.walks]
-        study = Study(places, walks, asking.run.cache, asking.journal, asking.run.log)
+        named = (lambda _: asking.named) if asking.named else encoder_of
+        study = Study(places, walks, asking.run.cache, asking.journal, asking.run.log, named)
         labelled = any(w.capture.label_kind == "labels" for w in walks)
         row = study.row(asking.how.encoder or (NOISY if labelled else "appearance"))
         text += [f"#### {its.name}: {len(places)} scenes, {len(walks)} walks", main_table([row])]
@@ -264,10 +277,10 @@ def report(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
     return lab.markdown(["", "frames", "windows", *columns, "s/frame", "particles"], lines)
 
 
-ODOMETRY = {
-    "exact": (0.0, 0.0), "SLAM-like": DRIFT, "drifting": (0.05, math.radians(1.0)),
+DRIFTS = {
+    "exact": EXACT, "SLAM-like": DRIFTING, "drifting": Odometry(0.05, math.radians(1.0)),
 }  # fmt: skip
-"""Error of a step as a share of its length, and in yaw [rad]."""
+"""Rows of Table 14 where no trajectories are given."""
 MERGED = {"homes": (2, 5, 10), "3RScan": (3,), "ScanNet": (3,)}
 """Scenes that are one map; the paper has 3."""
 
@@ -327,9 +340,10 @@ def _merged(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any
 def _retrieved(asking: WindowRunner, of: Set, length: int, frames: int, count: int) -> list[bool]:
     """Whether the paper's sum (Sec. 4) names the right one of the scenes that are merged."""
     found = []
-    for walk, window in of.windows(length, asking.how.frames, asking.how.seed):
+    for walk, window in asking.windows(of, length):
         names = group(of, walk.map, count)
-        scenes = Scenes([Place(name, of.scene(name)) for name in names])
+        show = of.pictures if asking.named else lambda _: ()
+        scenes = Scenes([Place(name, of.scene(name), pictures=show(name)) for name in names])
         its = asking.unbound(window)
         scenes.know(its)
         told = Cosines(scenes.library(names, [its])).search(window.capture[:frames])
@@ -338,40 +352,60 @@ def _retrieved(asking: WindowRunner, of: Set, length: int, frames: int, count: i
 
 
 def _drifting(spec: Spec, asking: WindowRunner, of: Set) -> Iterator[dict[str, Any]]:
-    for title, drift in ODOMETRY.items():
+    given, kinds = asking.odometry, DRIFTS
+    if given.trajectories is not None or given == EXACT:
+        kinds = {"exact": EXACT} | ({"SLAM": given} if given != EXACT else {})
+    for title, odometry in kinds.items():
         for length in spec.lengths:
             for name, recipe, refined in spec.rows:
-                replies = asking.replies(of, recipe, length, drift=drift)
+                replies = asking.replies(of, recipe, length, odometry=odometry)
                 yield from summarize_set(
                     of.name, f"{name}, {title} odometry", replies, refined=refined
                 )
 
 
-_OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace"}
+_OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace", "odometry"}
 UNUSED = {3: {*_OF_POSES, "encoder"}, 5: _OF_POSES, 6: set[str]()}
 """Options that a table does not have; of those not named here, the pace."""
 
 
-def find_sets(run: lab.Run, names: list[str], split: Split) -> Iterator[Set]:
-    """The sets named, or all whose data there are; `InputError` where they are not."""
+BROUGHT = ("3RScan", "ScanNet")
+"""Sets that a user brings."""
+
+
+def find_sets(
+    run: lab.Run, names: list[str], split: Split, pairs: Path | None, scenes: int
+) -> Iterator[Set]:
+    """The sets named, or all whose data there are; `InputError` where they are not.
+
+    `pairs`: list of the pairs of scans of the one set that is named; `scenes`: first scenes that are
+    asked of sets that a user brings, 0: all.
+    """
     data, cache = run.data, run.cache
-    sources: dict[str, tuple[Path, Callable[[], Set]]] = {
-        "3RScan": (run.shared / "3RScan", lambda: brought.of_3rscan(run, split)),
-        "ScanNet": (run.shared / "ScanNet", lambda: brought.of_scannet(run)),
-        "house": (data / "house", lambda: at_hand.of_house(data, cache)),
-        "office": (data / "office", lambda: at_hand.of_office(data, cache)),
-        "freiburg1_rpy": (data / "freiburg1_rpy", lambda: at_hand.of_freiburg(data, cache)),
-        "homes": (data, lambda: at_hand.of_homes(cache)),
+    known: dict[str, tuple[Path, Callable[[], Set]]] = {
+        "3RScan": (run.shared / "3RScan", lambda: sources.of_3rscan(run, split, pairs)),
+        "ScanNet": (run.shared / "ScanNet", lambda: sources.of_scannet(run, pairs)),
+        "house": (data / "house", lambda: sources.of_house(data, cache)),
+        "office": (data / "office", lambda: sources.of_office(data, cache)),
+        "freiburg1_rpy": (data / "freiburg1_rpy", lambda: sources.of_freiburg(data, cache)),
+        "homes": (data, lambda: sources.of_homes(cache)),
     }
-    found = names or [name for name, (path, _) in sources.items() if path.is_dir()]
+    found = names or [name for name, (path, _) in known.items() if path.is_dir()]
     for name in found:
-        if name not in sources:
-            raise InputError(f"sets: there is no {name!r}; there are {', '.join(sources)}.")
-        if name != "homes" and not sources[name][0].is_dir():
-            raise InputError(f"{sources[name][0]} is not there. {LAYOUT}")
+        if name not in known:
+            raise InputError(f"sets: there is no {name!r}; there are {', '.join(known)}.")
+        if name != "homes" and not known[name][0].is_dir():
+            raise InputError(f"{known[name][0]} is not there. {LAYOUT}")
     if not found:
         raise InputError(f"{run.shared} holds nothing to measure. {LAYOUT}")
-    return (sources[name][1]() for name in found)
+    if pairs is not None and (len(found) > 1 or found[0] not in BROUGHT):
+        raise InputError(f"pairs: a list is of one set; name it: --sets {' or '.join(BROUGHT)}.")
+
+    def first(of: Set) -> Set:
+        few = scenes and of.name in BROUGHT
+        return replace(of, walks=of.walks[:scenes]) if few else of
+
+    return (first(known[name][1]()) for name in found)
 
 
 def answerable(run: lab.Run, of: Spec, sets: list[Set]) -> list[Set]:
@@ -429,7 +463,27 @@ def make_table(table: int) -> lab.Table:
             str, lab.option(f"Of images; {IMAGES}, where they bring no labels.")
         ] = "",
         matcher: Annotated[str, lab.option("Of the paper's final fit; theirs is roma.")] = "sift",
+        odometry: Annotated[
+            str,
+            lab.option(
+                "exact: the true poses, as in the paper; drift: with errors of 1 % and 0.1 degrees a "
+                "step; or a SLAM system's: a TUM file, or a folder with SCAN.tum."
+            ),
+        ] = "drift",
         split: Annotated[Split, lab.option("Of 3RScan.")] = "test",
+        pairs: Annotated[
+            Path | None,
+            lab.option(
+                "List of the pairs of 3RScan or ScanNet, map and query a line, instead of pairs.txt."
+            ),
+        ] = None,
+        scenes: Annotated[
+            int,
+            typer.Option(
+                min=0,
+                help="First scenes of 3RScan and ScanNet; 0: all, in Table 7 four as printed.",
+            ),
+        ] = 0,
         seed: lab.Seed = 0,
         device: lab.Device = "auto",
         quick: lab.Quick = False,
@@ -438,8 +492,10 @@ def make_table(table: int) -> lab.Table:
         of = select_part(spec, lengths, only, pace)
         if quick:
             frames, of = 10, of._replace(lengths=of.lengths[:1])
-        chosen = answerable(run, of, list(find_sets(run, lab.parts(sets), split)))
-        asking = WindowRunner(run, How(frames, encoder, matcher, seed, device), fresh=fresh)
+        scenes = scenes or (0 if pairs else spec.scenes)
+        chosen = answerable(run, of, list(find_sets(run, lab.parts(sets), split, pairs, scenes)))
+        how = How(frames, encoder, matcher, seed, device, odometry)
+        asking = WindowRunner(run, how, fresh=fresh)
         costs = {3: storage, 4: seconds, 5: retrieval}.get(table)
         text, rows = costs(of, asking, chosen) if costs else poses(table, of, asking, chosen)
         print(f"Table {table}. {spec.asks}\n\n{text}")

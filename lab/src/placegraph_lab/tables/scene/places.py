@@ -160,6 +160,8 @@ class Place:
     scene: SceneMap
     room: str = ""
     """Places of one room, at different times, are not to be told apart; empty: it has but this."""
+    pictures: tuple[Capture, ...] = ()
+    """Images of it, posed in its map, for encoders that need some."""
 
 
 @dataclass(frozen=True, eq=False)

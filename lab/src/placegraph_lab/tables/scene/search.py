@@ -162,9 +162,11 @@ class Scenes:
         for place in self._places:
             known = self.signatures.get(place.name)
             if known is None:
-                self.signatures[place.name] = compute_signature(place.scene, [encoder])
+                made = compute_signature(place.scene, [encoder], place.pictures)
+                self.signatures[place.name] = made
             elif encoder.key not in known.vectors:
-                vectors = {**known.vectors, encoder.key: encode_objects(encoder, place.scene, ())}
+                new = encode_objects(encoder, place.scene, place.pictures)
+                vectors = {**known.vectors, encoder.key: new}
                 self.signatures[place.name] = replace(known, vectors=vectors)
 
     def library(self, names: Iterable[str], encoders: Sequence[Encoder]) -> SceneLibrary:
@@ -260,7 +262,8 @@ class Study:
     """Places, walks, and what was asked about them.
 
     `places`, `walks`: scenes, and what is asked about them; `cache`: folder for vectors; `journal`:
-    where answers are written down; `tell`: is told what is being done.
+    where answers are written down; `tell`: is told what is being done; `named`: makes the encoder of a
+    part of a row.
     """
 
     def __init__(
@@ -270,9 +273,10 @@ class Study:
         cache: Path,
         journal: Journal,
         tell: Callable[[str], None] = lambda _: None,
+        named: Callable[[str], Encoder] = encoder_of,
     ) -> None:
         self.places, self.walks, self.cache, self.journal = places, walks, cache, journal
-        self.tell = tell
+        self.tell, self.named = tell, named
         names = {name for walk in walks for name in walk.capture.label_names.values()}
         self.vocabulary = sorted(names)
         """All that label images of any walk say."""
@@ -308,13 +312,13 @@ class Study:
         return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
 
     def _encode_walks(self, name: str) -> tuple[list[Encoder], list[EncodedWalk]]:
-        encoders = [encoder_of(part) for part in ROWS[name]]
+        parts = ROWS.get(name, (name,))
+        encoders = [self.named(part) for part in parts]
         self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
         for encoder in encoders:
             self._scenes.know(encoder)
         found = (
-            all_encoded(walk, ROWS[name], encoders, self.vocabulary, self.cache)
-            for walk in self.walks
+            all_encoded(walk, parts, encoders, self.vocabulary, self.cache) for walk in self.walks
         )
         return [replay(e) for e in encoders], [known for known in found if known is not None]
 

@@ -54,7 +54,8 @@ class SceneGraphLocEncoder:
         File with the attribute words in the order of training (`words.read_attributes`). Without
         it the attributes of objects are vectors of zeros, as in networks trained here without.
     rotate
-        Turn images clockwise before they are looked at: True as on 3RScan; None each by its gravity.
+        Turn images before they are encoded: None each upright, by its gravity; True all clockwise once,
+        as 3RScan's as they are stored need (`read_scan3r_sequence` has already turned them); False none.
     points
         Where the points of objects come from (`inputs.rooms_of`).
     views

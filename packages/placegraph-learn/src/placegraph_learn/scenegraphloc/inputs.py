@@ -80,8 +80,8 @@ class _ObjectView(NamedTuple):
 def quarter_turns(frame: Frame, rotate: bool | None) -> int:
     """Return quarter turns clockwise that a frame's image is given before it is looked at.
 
-    `rotate`: True turns every image once, as 3RScan's are; None turns each so that it stands
-    upright by its gravity: phones are held in many ways.
+    `rotate`: None turns each so that it stands upright by its gravity: phones are held in many ways.
+    True turns every image once, False none.
     """
     if rotate is not None:
         return int(rotate)
