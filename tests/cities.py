@@ -69,7 +69,8 @@ def adding(arrays, weight):
     for name, array in loud.items():
         if name.endswith("verdict.weight"):
             array[1] *= weight
-    loud["prior"] = np.ones(3, np.float32)
+    if "prior" in arrays:
+        loud["prior"] = np.ones(3, np.float32)
     return loud
 
 

@@ -36,9 +36,9 @@ Near = Annotated[
 Preset = Annotated[
     str,
     Option(
-        help="default; paper (embeddings propose 10 cells, the transformer ranks them by "
-        "cosine); or published (embeddings alone, as in the paper's code). The options "
-        "below override it.",
+        help="default; paper (GOTLoc as printed: graphs of labels and four directions, embeddings "
+        "propose 10 cells, cross attention ranks them by cosine); or published (embeddings alone, as "
+        "in the paper's code). The options below override it.",
         panel=JUDGED,
     ),
 ]
@@ -53,7 +53,8 @@ Store = Annotated[
 Weights = Annotated[
     Path | None,
     Option(
-        help="Network weights from `placegraph city train`; the shipped ones if not given.",
+        help="Network weights from `placegraph city train`, or printed: those of the paper's network; "
+        "the shipped ones if not given.",
         panel=JUDGED,
     ),
 ]
@@ -67,7 +68,8 @@ def matching(
 
     Raises `StoreError` where the store is of another map or of other weights.
     """
-    encoded = _encoded(city, weights)
+    printed = weights is None and arguments.get("preset", "default") != "default"
+    encoded = encode(city, Path(PRINTED) if printed else weights)
     if encoded is not None:
         arguments["encoded"] = encoded
     if store is None:
@@ -79,9 +81,16 @@ def matching(
         yield arguments | {"store": opened}
 
 
-def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
+PRINTED = "printed"
+"""Weights of the network that the paper prints, which come with placegraph."""
+
+
+def encode(city: CityMap, weights: Path | None) -> EncodedCity | None:
+    """Encode a city by the network of a weights file; None where none is given."""
     if weights is None:
         return None
+    if str(weights) == PRINTED:
+        return city.encoded_as_printed
     from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     return EncodedCity(city, GraphTransformer.open(weights))
@@ -455,6 +464,7 @@ def embed(
     resume: Annotated[
         bool, Option("--resume", help="Resume an interrupted load into a server.")
     ] = False,
+    weights: Weights = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -480,7 +490,7 @@ def embed(
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
         tell("embedding")
-        made = city.encoded.save_embeddings(
+        made = (encode(city, weights) or city.encoded).save_embeddings(
             store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
             progress=lambda step, done, total: tell(f"{step} {done:,} of {total:,} cells"),
         )  # fmt: skip

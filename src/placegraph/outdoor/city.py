@@ -46,6 +46,13 @@ class CityMap(HtmlRepr, City):
 
         return EncodedCity.of_city(self)
 
+    @cached_property
+    def encoded_as_printed(self) -> EncodedCity:
+        """The city as the network that the paper prints reads it; derived on first use."""
+        from placegraph.outdoor.network.network import EncodedCity
+
+        return EncodedCity.of_city(self, printed=True)
+
     @property
     def embeddings(self) -> NDArray[np.float32]:
         """Embeddings (C, D) of all cells by the shipped network (Eq. 10)."""
@@ -85,7 +92,7 @@ class CityMap(HtmlRepr, City):
         matching
             `language` of the text ("de"), told from its words where not given; `preset`
             (`Matching.preset`), and what overrides it: `matcher`, `score`, `by`,
-            `candidates`, `store`, `region`, `encoded`; see `Matching`.
+            `candidates`, `store`, `region`, `printed`, `encoded`; see `Matching`.
 
         Returns
         -------
@@ -111,7 +118,8 @@ class CityMap(HtmlRepr, City):
         hints = Hints(near, radius, heading, listener, answers, language)
         chosen = Matching.preset(matching.pop("preset", "default"), **matching)
         if chosen.uses_network and chosen.encoded is None:
-            chosen = replace(chosen, encoded=self.encoded)
+            encoded = self.encoded_as_printed if chosen.printed else self.encoded
+            chosen = replace(chosen, encoded=encoded)
         return locate(self, text, top=top, hints=hints, matching=chosen)
 
     def track(

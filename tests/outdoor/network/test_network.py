@@ -147,23 +147,6 @@ def test_cross_attention_sees_the_partner(network, make_network, texts, places, 
     assert np.abs(of_text - of_text[0]).max() < 1e-6
 
 
-def test_without_statements_only_the_embeddings_are_judged(
-    make_network, texts, places, words, some
-):
-    """The paper's joint model: what a text says word for word, and how its ends fare, is not told."""
-    paper = make_network(statements=False)
-    assert not any("verdict" in name or "evidence" in name for name in paper.arrays)
-    loud = replace(paper, arrays=paper.arrays | {"prior": 9.0 * paper.arrays["prior"]})
-    once, again = (n.match(texts, 0, places, some, words) for n in (paper, loud))
-    assert once.logit.tolist() == again.logit.tolist()
-    assert not once.residual.any()
-    # cross attention is there all the same
-    blind = make_network(statements=False, crossings=0)
-    assert np.ptp(once.cosine) > 0.0
-    alone = blind.match(texts, 0, places, some, words)
-    assert once.cosine != pytest.approx(alone.cosine, abs=1e-3)
-
-
 def test_a_place_without_things_is_a_place(network, texts, harbour, words):
     none = np.zeros(0, np.int64)
     empty = SceneGraph((), (), np.zeros((0, 2)), none, none, ())
@@ -197,8 +180,8 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     return tuple(np.asarray(score.cpu()) for score in scores)
 
 
-SIZES = [{}, {"heads": 1, "subwords": 2.0}, {"known": WORD_VECTORS}, {"statements": False}]
-MORE_SIZES = [{"layers": 0}, {"crossings": 0}, {"statements": False, "crossings": 0}]
+SIZES = [{}, {"heads": 1, "subwords": 2.0}, {"known": WORD_VECTORS}]
+MORE_SIZES = [{"layers": 0}, {"crossings": 0}]
 
 
 @pytest.mark.parametrize(
@@ -241,7 +224,7 @@ def test_weights_have_the_names_and_shapes_of_torch(make_network):
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
     from placegraph_learn.city.network import Network
 
-    for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}, {"statements": False}):
+    for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}, {"printed": True}):
         shape = make_network(**sizes).shape
         state = Network(shape).state_dict()
         assert {n: tuple(p.shape) for n, p in state.items()} == shape.arrays()
@@ -352,8 +335,8 @@ def test_weights_are_small_and_their_fingerprint_is_of_the_arrays(file, made):
     assert replace(made, training={}).fingerprint == made.fingerprint
 
 
-def test_weights_of_before_are_those_with_statements(file, made):
-    plain = {k: v for k, v in made.shape.to_dict().items() if k != "statements"}
+def test_weights_of_before_are_not_those_as_printed(file, made):
+    plain = {k: v for k, v in made.shape.to_dict().items() if k != "printed"}
     found = read_weights(rewritten(file, meta={"shape": plain}))
     assert found.shape == made.shape
     assert found.fingerprint == made.fingerprint

@@ -5,8 +5,6 @@ from placegraph.outdoor.network.graphs import (
     PlaceGraphs,
     WordWeights,
     list_nodes,
-    make_place_batch,
-    make_text_batch,
     make_word_fits,
 )
 from placegraph.outdoor.network.network_kernels import (
@@ -22,13 +20,13 @@ from placegraph_learn.city.batches import pair_batch
 
 def test_a_text_in_a_batch_is_that_text(texts):
     every = np.arange(len(texts))
-    batch = make_text_batch(texts, every)
+    batch = texts.batch(every)
     sizes = np.diff(texts.starts)
     assert batch.mask.sum(1).tolist() == sizes.tolist()
     assert batch.nodes[:, 0, 0].tolist() == [1.0] * len(texts)
     assert not batch.nodes[batch.mask == 0].any()
     for q in every:
-        alone, n = make_text_batch(texts, np.array([q])), sizes[q]
+        alone, n = texts.batch(np.array([q])), sizes[q]
         assert np.array_equal(batch.relations[q, :, :n, :n], alone.relations[0])
         assert np.array_equal(batch.nodes[q, :n], alone.nodes[0])
         assert not batch.relations[q, :, n:].any()
@@ -37,10 +35,10 @@ def test_a_text_in_a_batch_is_that_text(texts):
 
 def test_a_place_in_a_batch_is_that_place(places):
     rows = np.arange(0, len(places), 7)
-    batch = make_place_batch(places, rows)
+    batch = places.batch(rows)
     for i, k in enumerate(rows):
         alone, n = (
-            make_place_batch(places, rows[i : i + 1]),
+            places.batch(rows[i : i + 1]),
             places.starts[k + 1] - places.starts[k] + 1,
         )
         assert batch.mask[i].tolist() == [1.0] * n + [0.0] * (batch.mask.shape[1] - n)
@@ -54,8 +52,8 @@ def test_a_place_in_a_batch_is_that_place(places):
 
 def test_words_of_nodes_stand_where_their_nodes_do(places):
     rows = np.array([3, 0, 11])
-    words = make_place_batch(places, rows).words
-    size = make_place_batch(places, rows).mask.shape[1]
+    words = places.batch(rows).words
+    size = places.batch(rows).mask.shape[1]
     bounds = [*words.starts.tolist(), len(words.words)]
     nodes, at = list_nodes(np.array([5, 0]), np.array([2, 3]), 4)
     assert nodes.tolist() == [5, 6, 0, 1, 2]
@@ -106,7 +104,7 @@ def test_agreement_is_how_well_words_of_the_map_fit(harbour, pool, paired):
 
 def test_what_holds_is_what_was_said_of_what_is_there(pool, paired):
     places, _, batch = paired
-    there = make_place_batch(places, np.arange(len(places))).relations
+    there = places.batch(np.arange(len(places))).relations
     spoken = batch.spoken.astype(bool)
     said = batch.channels[..., : len(CHANNELS)]
     assert spoken.sum(1).tolist() == np.diff(pool.texts.edge_starts)[batch.text].tolist()

@@ -1,7 +1,7 @@
 """Cells and their scene graphs (GOTLoc, Eq. 5 and 7-8): a grid, and objects where they are nearest.
 
 A road passes through many cells and stands, in each, where it is nearest to the cell's centre; an
-area that holds the centre stands at the centre itself (distance 0). Eq. 6 is in `directions_kernels`.
+area that holds the centre stands at the centre itself (distance 0). Eq. 5-6 are in `directions_kernels`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.core.graph import SceneGraph
 from placegraph.core.pickling import PickleFields
 from placegraph.errors import MapError, OptionError
-from placegraph.outdoor.map.directions_kernels import name_direction
+from placegraph.outdoor.map.directions_kernels import WINDS, relate_pairs
 from placegraph.outdoor.map.geometry_kernels import _collect, nearest_on_parts
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.options import LARGEST, SMALLEST
@@ -295,7 +295,7 @@ def find_occupied(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.i
 
 
 def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
-    """Build the scene graph of a cell (Eq. 7): objects at their nearest points, relations of Eq. 6.
+    """Build the scene graph of a cell (Eq. 7): objects at their nearest points, relations of Eq. 5-6.
 
     Every ordered pair nearer than the edge distance is an edge "source is <relation> of target";
     pairs closer than 10 m are also `near`, what stands in an area is `inside` it, and what stands
@@ -307,12 +307,18 @@ def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
     grid = Grid(float(center[0]), float(center[1]), cells.grid.stride, 1, 1)
     seen = find_in_cells(objects, grid, cells.size)
     rows, at = seen.objects, center + seen.offsets
+    _, ends, winds = relate_pairs(np.array([0, len(rows)]), at, cells.edge_distance)
+    direction = {(i, j): WINDS[wind] for (i, j), wind in zip(ends.tolist(), winds, strict=True)}
     edges = [
         (source, target, relation)
         for source in range(len(rows))
         for target in range(len(rows))
         if source != target
-        for relation in _relations(objects, rows, at, source, target, cells.edge_distance)
+        for relation in (
+            direction.get((source, target)),
+            *_relations(objects, rows, at, source, target),
+        )
+        if relation
     ]
     sources, targets, relations = zip(*edges, strict=True) if edges else ((), (), ())
     return SceneGraph(
@@ -332,14 +338,9 @@ def _relations(
     at: NDArray[np.float64],
     source: int,
     target: int,
-    edge_distance: float,
 ) -> Iterator[str]:
-    """Yield the relations of a source to a target, by the difference of their positions (Eq. 5)."""
-    delta = at[source] - at[target]
-    apart = float(np.hypot(*delta))
-    if 0.0 < apart <= edge_distance:
-        yield name_direction(delta)
-    if apart <= NEAR:
+    """Yield the relations of a source to a target that the paper has not."""
+    if np.hypot(*(at[source] - at[target])) <= NEAR:
         yield "near"
     kind = objects.kind[rows[target]]
     if kind in (LINE, AREA):

@@ -1,8 +1,8 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
 """Direction of the difference of two positions (GOTLoc, Eq. 5-6): named, shared, or compared.
 
-`name_direction` is Eq. 6 as published, for scene graphs of cells; `share_winds` softens it for the
-network, `direction_table` and `direction_fit` for the likelihood of statements at viewpoints.
+`relate_pairs` and `find_wind` are Eq. 5 and 6 as printed, for the graphs of cells; `share_winds` softens
+Eq. 6 for our network, `direction_table` and `direction_fit` for the likelihood of statements at viewpoints.
 """
 
 from __future__ import annotations
@@ -20,15 +20,53 @@ SOFT = 0.1
 """Width of a wind's edge, as a share of its half sector."""
 
 
-def name_direction(delta: NDArray[np.float64]) -> str:
-    """Return the relation of Eq. 6 for the vector (2,) east, north from a target to a source.
+WINDS = ("north", "south", "east", "west")
+"""The four directions of Eq. 6."""
+
+
+@kernel
+def find_wind(east, north):
+    """Return the row of `WINDS` for a vector [m] from a target to a source (Eq. 6).
 
     The equation leaves |dx| = |dy| open; here north and south win.
     """
-    east, north = delta
     if abs(east) > abs(north):
-        return "east" if east > 0 else "west"
-    return "north" if north > 0 else "south"
+        return 2 if east > 0 else 3
+    return 0 if north > 0 else 1
+
+
+@kernel
+def relate_pairs(starts, positions, edge_distance):
+    """Relate the nodes of K graphs by the differences of their positions (Eq. 5).
+
+    `starts` (K + 1,) delimit the nodes of a graph, `positions` (N, 2) are east and north [m]. Every
+    ordered pair at most `edge_distance` [m] apart is an edge, unless both stand at one point. Returns
+    the edges as CSR: starts (K + 1,), ends (E, 2) int32 counted within the graph, and the row of
+    `WINDS` (E,) uint8: end 0 is <wind> of end 1.
+    """
+    most = 0
+    for k in range(len(starts) - 1):
+        most += (starts[k + 1] - starts[k]) * (starts[k + 1] - starts[k] - 1)
+    edge_starts = np.zeros(len(starts), np.int64)
+    ends, winds = np.empty((most, 2), np.int32), np.empty(most, np.uint8)
+    n = 0
+    for k in range(len(starts) - 1):
+        first, last = starts[k], starts[k + 1]
+        for i in range(first, last):
+            for j in range(first, last):
+                east = positions[i, 0] - positions[j, 0]
+                north = positions[i, 1] - positions[j, 1]
+                if 0.0 < np.hypot(east, north) <= edge_distance:
+                    ends[n, 0], ends[n, 1] = i - first, j - first
+                    winds[n] = find_wind(east, north)
+                    n += 1
+        edge_starts[k + 1] = n
+    return edge_starts, ends[:n], winds[:n]
+
+
+def name_direction(delta: NDArray[np.float64]) -> str:
+    """Return the name of the direction of Eq. 6 of a vector (2,) east, north from a target to a source."""
+    return WINDS[find_wind(float(delta[0]), float(delta[1]))]
 
 
 @kernel

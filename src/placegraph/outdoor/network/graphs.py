@@ -192,6 +192,22 @@ class TextGraphs:
             vocabulary=tuple(rows),
         )
 
+    def batch(self, rows: Rows) -> GraphBatch:
+        """Pad the graphs of texts `rows` (B,)."""
+        rows = np.asarray(rows, np.int64)
+        counts = self.starts[rows + 1] - self.starts[rows]
+        size = int(counts.max())
+        node, at = list_nodes(self.starts[rows], counts, size)
+        nodes = np.zeros((len(rows), size, 2), np.float32)
+        nodes[:, 0, 0] = 1.0
+        nodes.reshape(-1, 2)[at, 1] = self.counts[node]
+        return GraphBatch(
+            nodes,
+            make_mask(counts, size),
+            text_relations(self.edge_starts, self.ends, self.channels, self.negated, rows, size),
+            _words(self.word_starts, self.words, self.weights, node, at),
+        )
+
 
 def _number_mentions(description: Description) -> dict[int, int]:
     """Number the mentions of statements; the speaker is always node 0."""
@@ -288,6 +304,25 @@ class PlaceGraphs:
             word_starts, words, weights, city.words,
         )  # fmt: skip
 
+    def batch(self, rows: Rows) -> GraphBatch:
+        """Pad the graphs of places `rows` (B,)."""
+        rows = np.asarray(rows, np.int64)
+        counts = self.starts[rows + 1] - self.starts[rows]
+        size = int(counts.max(initial=0)) + 1
+        thing, at = list_nodes(self.starts[rows], counts, size, skip=1)
+        nodes = np.zeros((len(rows), size, 7), np.float32)
+        nodes[:, 0, 0] = 1.0
+        flat = nodes.reshape(-1, 7)
+        flat[at, 1 + self.kinds[thing]] = 1.0
+        flat[at, 4:6] = self.offsets[thing] / 25.0
+        flat[at, 6] = np.hypot(flat[at, 4], flat[at, 5])
+        return GraphBatch(
+            nodes,
+            make_mask(counts + 1, size),
+            place_relations(self.starts, self.offsets, self.kinds, rows, size),
+            _words(self.word_starts, self.words, self.weights, thing, at),
+        )
+
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.int64]
@@ -315,43 +350,6 @@ class GraphBatch(NamedTuple):
     relations: Floats
     """(B, R, size, size) `CHANNELS` of node i to node j."""
     words: NodeWords
-
-
-def make_text_batch(texts: TextGraphs, rows: Rows) -> GraphBatch:
-    """Pad the graphs of texts `rows` (B,)."""
-    rows = np.asarray(rows, np.int64)
-    counts = texts.starts[rows + 1] - texts.starts[rows]
-    size = int(counts.max())
-    node, at = list_nodes(texts.starts[rows], counts, size)
-    nodes = np.zeros((len(rows), size, 2), np.float32)
-    nodes[:, 0, 0] = 1.0
-    nodes.reshape(-1, 2)[at, 1] = texts.counts[node]
-    return GraphBatch(
-        nodes,
-        make_mask(counts, size),
-        text_relations(texts.edge_starts, texts.ends, texts.channels, texts.negated, rows, size),
-        _words(texts.word_starts, texts.words, texts.weights, node, at),
-    )
-
-
-def make_place_batch(places: PlaceGraphs, rows: Rows) -> GraphBatch:
-    """Pad the graphs of places `rows` (B,)."""
-    rows = np.asarray(rows, np.int64)
-    counts = places.starts[rows + 1] - places.starts[rows]
-    size = int(counts.max(initial=0)) + 1
-    thing, at = list_nodes(places.starts[rows], counts, size, skip=1)
-    nodes = np.zeros((len(rows), size, 7), np.float32)
-    nodes[:, 0, 0] = 1.0
-    flat = nodes.reshape(-1, 7)
-    flat[at, 1 + places.kinds[thing]] = 1.0
-    flat[at, 4:6] = places.offsets[thing] / 25.0
-    flat[at, 6] = np.hypot(flat[at, 4], flat[at, 5])
-    return GraphBatch(
-        nodes,
-        make_mask(counts + 1, size),
-        place_relations(places.starts, places.offsets, places.kinds, rows, size),
-        _words(places.word_starts, places.words, places.weights, thing, at),
-    )
 
 
 def list_nodes(starts: Rows, counts: Rows, size: int, *, skip: int = 0) -> tuple[Rows, Rows]:

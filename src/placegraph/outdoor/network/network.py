@@ -31,6 +31,7 @@ from placegraph.core.weights import hash_weights, read_arrays, round_to_float16,
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.directions_kernels import WINDS
 from placegraph.outdoor.network import network_kernels as kernels
 from placegraph.outdoor.network.graphs import (
     Floats,
@@ -43,10 +44,9 @@ from placegraph.outdoor.network.graphs import (
     WordVectors,
     compute_agreements,
     find_word_weights,
-    make_place_batch,
-    make_text_batch,
     make_word_fits,
 )
+from placegraph.outdoor.network.label_graphs import LabelGraphs
 from placegraph.outdoor.network.network_kernels import (
     BUCKETS,
     CHANNELS,
@@ -81,13 +81,12 @@ class Shape:
     subwords: float = option(
         1.0, "Length of the sum of a word's subwords, against 1 of the whole word.", maximum=4096
     )
-    statements: bool = option(
-        True,
-        "Score every statement literally and by the objects that its arguments attend to; "
-        "otherwise use the paper's joint model: cross attention and a perceptron on both "
-        "embeddings (Eq. 14-17).",
+    printed: bool = option(
+        False,
+        "Train the network that GOTLoc prints: graphs of labels and four directions, one encoder for "
+        "text and place, cross attention, and a perceptron on both embeddings (Eq. 5-17).",
         repr=False,  # digests are of the repr
-        flag="--statements/--no-statements",
+        flag="--printed/--no-printed",
         panel=NETWORK,
     )
 
@@ -98,6 +97,16 @@ class Shape:
                 f"The width {self.width} does not fit {self.heads} heads; choose an even "
                 "multiple of the number of heads."
             )
+
+    @property
+    def sides(self) -> dict[str, int]:
+        """Encoders, and the number of features of their nodes beside words; one if `printed`."""
+        return {"graph": 0} if self.printed else {"text": 2, "place": 7}
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Relations of two nodes that are told apart."""
+        return WINDS if self.printed else CHANNELS
 
     def arrays(self) -> dict[str, tuple[int, ...]]:  # noqa: C901  # one line a weight
         """List the shape of every weight, by PyTorch's names."""
@@ -121,14 +130,15 @@ class Shape:
             linear(f"{name}.gate", 1, d)
             linear(f"{name}.out", out, d)
 
-        for side, features in (("text", 2), ("place", 7)):
-            linear(f"{side}.features", d, features)
+        for side, features in self.sides.items():
+            if features:
+                linear(f"{side}.features", d, features)
             norm(f"{side}.norm")
             pool(f"{side}.pool")
             for i in range(self.layers):
                 layer = f"{side}.layers.{i}"
                 linear(f"{layer}.message", d // 2, d, bias=False)
-                linear(f"{layer}.along", d, len(CHANNELS) * (d // 2))
+                linear(f"{layer}.along", d, len(self.channels) * (d // 2))
                 linear(f"{layer}.qkv", 3 * d, d, bias=False)
                 linear(f"{layer}.out", d, d, bias=False)
                 norm(f"{layer}.norm")
@@ -141,16 +151,17 @@ class Shape:
                 linear(f"{layer}.out_{side}", d, d)
                 norm(f"{layer}.norm_{side}")
                 feed(f"{layer}.feed_{side}")
-            found[f"{layer}.nothing"] = found[f"{layer}.word"] = (2, heads)
-            if self.statements:
+            if not self.printed:
+                found[f"{layer}.nothing"] = found[f"{layer}.word"] = (2, heads)
                 linear(f"{layer}.evidence", e, 3 * heads + LITERAL + len(CHANNELS) + 3)
                 linear(f"{layer}.said", 2 * d, e, bias=False)
                 linear(f"{layer}.verdict", 2, e, bias=False)
-        pool("pool_text")
-        pool("pool_place")
-        linear("judge.0", out, (3 if self.statements else 2) * out)
+        linear("judge.0", out, (2 if self.printed else 3) * out)
         linear("judge.2", 1, out)
-        found["prior"] = (3,)
+        if not self.printed:
+            pool("pool_text")
+            pool("pool_place")
+            found["prior"] = (3,)
         return found
 
     def to_dict(self) -> dict[str, float]:
@@ -160,7 +171,7 @@ class Shape:
     @classmethod
     def from_dict(cls, plain: dict[str, float]) -> Shape:
         """Make a shape of plain numbers; raises `TypeError` or `ValueError` where they are none."""
-        kinds = {"subwords": float, "statements": bool}
+        kinds = {"subwords": float, "printed": bool}
         return cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
 
 
@@ -169,7 +180,8 @@ VERSION = 1
 LABELS = {"buckets": BUCKETS, "subwords": [SHORTEST, LONGEST]}
 """Hashing of words to rows of the table; weights belong to one."""
 GRAPHS = {"channels": list(CHANNELS), "reach": REACH, "things": MAX_OBJECTS}
-"""Construction of graphs; weights belong to one."""
+PRINTED_GRAPHS = {"channels": list(WINDS)}
+"""Construction of graphs, and as printed; weights belong to one."""
 WORDS, VECTORS, MEANING = "words", "word_vectors", "meaning.weight"
 """Columns of a network with word vectors: the words, their vectors, and the map (d, n) of these."""
 
@@ -209,7 +221,7 @@ def write_weights(path: str | PathLike[str], weights: Weights) -> None:
     meta = {
         "shape": weights.shape.to_dict(),
         "labels": _labels(0 if weights.words is None else len(weights.words.words)),
-        "graphs": GRAPHS,
+        "graphs": PRINTED_GRAPHS if weights.shape.printed else GRAPHS,
         "training": weights.training,
     }
     arrays: dict[str, NDArray[Any]] = {**to_float16(weights.arrays)}
@@ -232,7 +244,8 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     """
     file = _open_weights(path)
     known = file.strings(WORDS) if WORDS in file.arrays else ()
-    for part, here in (("labels", _labels(len(known))), ("graphs", GRAPHS)):
+    graphs = PRINTED_GRAPHS if file.meta.get("graphs") == PRINTED_GRAPHS else GRAPHS
+    for part, here in (("labels", _labels(len(known))), ("graphs", graphs)):
         if file.meta.get(part) != here:
             raise MapError(
                 f"{path}: the network was trained with different {part} "
@@ -282,9 +295,10 @@ def _open_weights(path: str | PathLike[str]) -> MapFile:
     return file
 
 
-def find_shipped_weights() -> Path:
-    """Return the path of the weights that come with placegraph."""
-    with as_file(files("placegraph.outdoor.network") / "data" / "city.weights") as path:
+def find_shipped_weights(*, printed: bool = False) -> Path:
+    """Return the path of the weights that come with placegraph: ours, or of the network as printed."""
+    name = "printed.weights" if printed else "city.weights"
+    with as_file(files("placegraph.outdoor.network") / "data" / name) as path:
         return Path(path)
 
 
@@ -300,6 +314,8 @@ def round_weights(
     )
 
 
+NEVER = np.float32(-1e30)
+"""Logit of what is never attended to."""
 BATCH_SIZE = 1024
 """Number of places that are embedded at once."""
 
@@ -350,22 +366,28 @@ class _Pairs(NamedTuple):
 
 
 def _pair(
-    texts: TextGraphs,
+    texts: TextGraphs | LabelGraphs,
     text: int,
-    places: PlaceGraphs,
+    places: PlaceGraphs | LabelGraphs,
     rows: Rows,
-    words: WordFits,
+    words: WordFits | None,
     encoded: EncodedGraphs,
 ) -> _Pairs:
     k = len(rows)
     nodes = slice(*texts.starts[text : text + 2])
-    edges = slice(*texts.edge_starts[text : text + 2])
     n, size = nodes.stop - nodes.start, encoded.relations.shape[3]
+    t_starts, none = np.arange(k + 1) * n, np.zeros(k + 1, np.int64)
+    if isinstance(texts, LabelGraphs) or isinstance(places, LabelGraphs) or words is None:
+        return _Pairs(
+            t_starts, encoded.starts, np.zeros((k, n, size), np.float32), encoded.relations,
+            np.zeros((0, 2), np.int64), none, np.zeros((0, 0), np.float32),
+        )  # fmt: skip
+    edges = slice(*texts.edge_starts[text : text + 2])
     ends = texts.ends[edges]
     rarity = words.rarity[nodes][ends]
     inputs = np.column_stack([texts.channels[edges], texts.negated[edges], rarity])
     return _Pairs(
-        np.arange(k + 1) * n,
+        t_starts,
         encoded.starts,
         compute_agreements(texts, places, np.full(k, text), rows, words, (n, size)),
         encoded.relations,
@@ -388,10 +410,10 @@ class GraphTransformer:
     """Word vectors of the training, if any."""
 
     @staticmethod
-    @lru_cache(maxsize=1)
-    def default() -> GraphTransformer:
-        """Return the network that comes with placegraph."""
-        return GraphTransformer.open(find_shipped_weights())
+    @lru_cache(maxsize=2)
+    def default(*, printed: bool = False) -> GraphTransformer:
+        """Return the network that comes with placegraph: ours, or the one that GOTLoc prints."""
+        return GraphTransformer.open(find_shipped_weights(printed=printed))
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> GraphTransformer:
@@ -420,11 +442,13 @@ class GraphTransformer:
         """Split labels, names and any other words into parts."""
         return SubwordBags.of(words, self.shape.subwords, self.word_table)
 
-    def embed_texts(self, texts: TextGraphs) -> Floats:
+    def embed_texts(self, texts: TextGraphs | LabelGraphs) -> Floats:
         """Embed text graphs (Eq. 9): (Q, D) of unit length."""
         return self.encode_texts(texts, np.arange(len(texts))).embeddings
 
-    def embed_places(self, places: PlaceGraphs, vectors: Floats | None = None) -> Floats:
+    def embed_places(
+        self, places: PlaceGraphs | LabelGraphs, vectors: Floats | None = None
+    ) -> Floats:
         """Embed place graphs (Eq. 10): (K, D) of unit length."""
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         order = np.argsort(np.diff(places.starts), kind="stable")  # similar sizes: little padding
@@ -434,30 +458,32 @@ class GraphTransformer:
             out[rows] = self.encode_places(places, rows, vectors).embeddings
         return out
 
-    def encode_texts(self, texts: TextGraphs, rows: Rows) -> EncodedGraphs:
+    def encode_texts(self, texts: TextGraphs | LabelGraphs, rows: Rows) -> EncodedGraphs:
         """Encode texts `rows`: node states and embeddings."""
         return self._encode(
-            "text", make_text_batch(texts, rows), self.word_vectors(texts.vocabulary)
+            next(iter(self.shape.sides)), texts.batch(rows), self.word_vectors(texts.vocabulary)
         )
 
-    def encode_places(self, places: PlaceGraphs, rows: Rows, vectors: Floats) -> EncodedGraphs:
+    def encode_places(
+        self, places: PlaceGraphs | LabelGraphs, rows: Rows, vectors: Floats
+    ) -> EncodedGraphs:
         """Encode places `rows`: node states and embeddings; `vectors` are those of their vocabulary."""
-        return self._encode("place", make_place_batch(places, rows), vectors)
+        return self._encode(next(reversed(self.shape.sides)), places.batch(rows), vectors)
 
     def match(
         self,
-        texts: TextGraphs,
+        texts: TextGraphs | LabelGraphs,
         text: int,
-        places: PlaceGraphs,
+        places: PlaceGraphs | LabelGraphs,
         rows: Rows,
-        words: WordFits,
+        words: WordFits | None = None,
         vectors: Floats | None = None,
         encoded: EncodedGraphs | None = None,
     ) -> MatchScores:
         """Match one text with places `rows` (K,), all at once (Eq. 14-17).
 
-        `words` are the weights of words of the places for the nodes of all texts; `encoded` are these
-        places, if they were encoded before.
+        `words` are the weights of words of the places for the nodes of all texts, which the network as
+        printed does without; `encoded` are these places, if they were encoded before.
         """
         vectors = self.word_vectors(places.vocabulary) if vectors is None else vectors
         rows = np.asarray(rows, np.int64)
@@ -471,14 +497,15 @@ class GraphTransformer:
         for layer in range(self.shape.crossings):
             t, m, verdict = self._cross(f"cross.{layer}", t, m, pairs)
             total += verdict
-        e_t = self._pool("pool_text", t, pairs.t_starts)
-        e_m = self._pool("pool_place", m, pairs.m_starts)
-        both = [e_t, e_m, e_t * e_m] if self.shape.statements else [e_t, e_m]
+        pools = ("graph.pool",) * 2 if self.shape.printed else ("pool_text", "pool_place")
+        e_t = self._pool(pools[0], t, pairs.t_starts)
+        e_m = self._pool(pools[1], m, pairs.m_starts)
+        both = [e_t, e_m] if self.shape.printed else [e_t, e_m, e_t * e_m]
         hidden = self._linear("judge.0", np.column_stack(both))
         logit = self._linear("judge.2", np.maximum(hidden, 0.0))[:, 0]
         lengths = np.linalg.norm(e_t, axis=1) * np.linalg.norm(e_m, axis=1)
         cosine = (e_t * e_m).sum(axis=1) / np.maximum(lengths, 1e-5)
-        if self.shape.statements:
+        if not self.shape.printed:
             literal = kernels.sum_literal_scores(
                 pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations, pairs.ends,
                 pairs.inputs, pairs.bounds,
@@ -491,15 +518,18 @@ class GraphTransformer:
         self, name: str, t: Floats, m: Floats, pairs: _Pairs
     ) -> tuple[Floats, Floats, Floats | float]:
         """Apply cross attention both ways; also return the scores (K, 2) of the statements."""
+        printed = self.shape.printed
+        word = np.zeros((2, self.shape.heads), np.float32)
+        word, nothing = (
+            (word, word + NEVER) if printed
+            else (self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"])
+        )  # fmt: skip
         seen, meant, weights = kernels.cross_attention(
             (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
             (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
-            pairs.t_starts, pairs.m_starts, pairs.agreement,
-            self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"], self.shape.heads,
+            pairs.t_starts, pairs.m_starts, pairs.agreement, word, nothing, self.shape.heads,
         )  # fmt: skip
-        messages, verdict = (
-            self._score_statements(name, weights, pairs) if self.shape.statements else (0.0, 0.0)
-        )
+        messages, verdict = (0.0, 0.0) if printed else self._score_statements(name, weights, pairs)
         t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + messages)
         m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))
         t, m = self._feed(f"{name}.feed_text", t), self._feed(f"{name}.feed_place", m)
@@ -528,8 +558,11 @@ class GraphTransformer:
         if len(batch.words.at):
             rows = vectors[batch.words.words] * batch.words.weights[:, None]
             words[batch.words.at] = np.add.reduceat(rows, batch.words.starts, axis=0)
-        nodes = batch.nodes.reshape(b * size, -1)[at]
-        x = self._norm(f"{side}.norm", words[at] + self._linear(f"{side}.features", nodes))
+        x = words[at]
+        if batch.nodes.shape[2]:
+            nodes = batch.nodes.reshape(b * size, -1)[at]
+            x = x + self._linear(f"{side}.features", nodes)
+        x = self._norm(f"{side}.norm", x)
         for layer in range(self.shape.layers):
             name = f"{side}.layers.{layer}"
             messages = kernels.pass_messages(
@@ -576,19 +609,24 @@ class EncodedCity:
     network: GraphTransformer
 
     @classmethod
-    def of_city(cls, city: City) -> Self:
-        """Encode a city by the network that comes with placegraph."""
-        return cls(city, GraphTransformer.default())
+    def of_city(cls, city: City, *, printed: bool = False) -> Self:
+        """Encode a city by a network that comes with placegraph: ours, or the one that GOTLoc prints."""
+        return cls(city, GraphTransformer.default(printed=printed))
+
+    @property
+    def printed(self) -> bool:
+        """Whether the network is the one that GOTLoc prints."""
+        return self.network.shape.printed
 
     @cached_property
     def words(self) -> NDArray[np.float32]:
-        """Vectors (T, d) of `city.words`."""
-        return self.network.word_vectors(self.city.words)
+        """Vectors (T, d) of `city.words`, or of the labels of `cells` if `printed`."""
+        return self.network.word_vectors(self.cells.vocabulary if self.printed else self.city.words)
 
     @cached_property
-    def cells(self) -> PlaceGraphs:
+    def cells(self) -> PlaceGraphs | LabelGraphs:
         """Graphs of all cells, rows as `city.cells.points`."""
-        return PlaceGraphs.of_cells(self.city)
+        return (LabelGraphs if self.printed else PlaceGraphs).of_cells(self.city)
 
     @cached_property
     def embeddings(self) -> NDArray[np.float32]:
@@ -630,12 +668,17 @@ class EncodedCity:
         """Encode a query for the network."""
         # each statement once: repetition makes it no surer
         statements = (*query.used, *(statement for statement, _ in query.unused))
-        texts = TextGraphs.of([replace(query.description, statements=statements)])
+        description = replace(query.description, statements=statements)
+        if self.printed:
+            return EncodedText(LabelGraphs.of_texts([description]), None)
+        texts = TextGraphs.of([description])
         fits = find_word_weights(texts, [query])
         counts, total = self.city.word_counts
         return EncodedText(texts, make_word_fits(fits, counts, total))
 
-    def match(self, text: EncodedText, places: PlaceGraphs, rows: NDArray[np.int64]) -> MatchScores:
+    def match(
+        self, text: EncodedText, places: PlaceGraphs | LabelGraphs, rows: NDArray[np.int64]
+    ) -> MatchScores:
         """Match a text with places of this city (Eq. 14-17)."""
         return self.network.match(text.graphs, 0, places, rows, text.words, self.words)
 
@@ -644,7 +687,7 @@ class EncodedCity:
 class EncodedText:
     """Query as input of a network."""
 
-    graphs: TextGraphs
+    graphs: TextGraphs | LabelGraphs
     """Graph of the text."""
-    words: WordFits
-    """Weights of the map's words for its nodes."""
+    words: WordFits | None
+    """Weights of the map's words for its nodes; the network as printed has none."""

@@ -235,15 +235,18 @@ class MatchingOptions(TypedDict, total=False):
     candidates: int
     store: VectorStore | None
     region: Region | None
+    printed: bool
     encoded: EncodedCity | None
 
 
 PRESETS: dict[Preset, MatchingOptions] = {
     "default": {},
-    "paper": {"matcher": "transformer", "score": "cosine", "by": "dense", "candidates": 10},
-    "published": {"matcher": "embedding", "by": "dense", "candidates": 10},
-}
-"""The paper's pipeline (Eq. 9-16), and what its published code does: cross attention there leaves
+    "paper": {
+        "matcher": "transformer", "score": "cosine", "by": "dense", "candidates": 10, "printed": True,
+    },
+    "published": {"matcher": "embedding", "by": "dense", "candidates": 10, "printed": True},
+}  # fmt: skip
+"""The paper's pipeline (Eq. 3-16), and what its published code does: cross attention there leaves
 every graph as it is, so that what ranks is a cosine of embeddings made without the partner."""
 
 
@@ -255,6 +258,8 @@ class Matching(RankingOptions):
     """Where embeddings are searched, such as a Milvus server; the map's own if not given."""
     region: Region | None = None
     """The place is known to lie in it."""
+    printed: bool = False
+    """Whether the shipped network is the one that the paper prints, on its graphs of cells, or ours."""
     encoded: EncodedCity | None = None
     """The map, encoded by a network; by the shipped one if not given."""
 
@@ -274,7 +279,7 @@ class Matching(RankingOptions):
         matcher = chosen.get("matcher")
         # options of a preset fall where another matcher has no use for them
         unused = {"score"} if matcher != "transformer" else set()
-        unused |= {"by", "candidates"} if matcher in _RANKING_VIEWPOINTS else set()
+        unused |= {"by", "candidates", "printed"} if matcher in _RANKING_VIEWPOINTS else set()
         found = cls(**{k: v for k, v in chosen.items() if k in options or k not in unused})
         if "candidates" in options and not found.counts_cells:
             raise OptionError(
@@ -314,7 +319,7 @@ class Matching(RankingOptions):
 
     def encode(self, city: City) -> EncodedCity:
         """Encode a city by the chosen network."""
-        return EncodedCity.of_city(city) if self.encoded is None else self.encoded
+        return self.encoded or EncodedCity.of_city(city, printed=self.printed)
 
     def check(self, city: City) -> None:
         """Raise `OptionError` or `StoreError` for a region, store or network that does not fit the map."""
@@ -332,6 +337,11 @@ class Matching(RankingOptions):
         ):
             raise OptionError(
                 f"encoded is not an encoding of {city!r}; give an `EncodedCity` of this map."
+            )
+        if encoded is not None and encoded.printed and self.matcher == "fused":
+            raise OptionError(
+                "The network as printed ranks cells, but fused matching ranks viewpoints; choose the "
+                "matcher transformer or embedding, or other weights."
             )
         if self.store is None:
             return

@@ -15,8 +15,8 @@ from placegraph_lab.tables.outdoor.extracts import (
 from placegraph_lab.tables.outdoor.matchers import (
     FUSED,
     MATCHERS,
-    PAPER_EDITS,
-    PAPER_TRANSFORMER,
+    PRINTED,
+    PRINTED_EDITS,
     RELATIONAL,
     RetrieveMatcher,
     matcher,
@@ -28,10 +28,11 @@ from placegraph_learn.city.descriptions import is_evaluation
 
 
 @pytest.fixture(scope="module")
-def city(harbour, network):
-    """The shipped town, read by a network of random weights: this is about what goes where."""
+def city(harbour, network, make_network):
+    """The shipped town, read by networks of random weights: this is about what goes where."""
     city = replace(harbour)
     city.__dict__["encoded"] = EncodedCity(city, network)
+    city.__dict__["encoded_as_printed"] = EncodedCity(city, make_network(printed=True))
     return city
 
 
@@ -62,21 +63,21 @@ def test_matchers_rank_cells(city, bins, town, name, setting):
 
 
 def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, tmp_path):
-    shown, told = (PAPER_EDITS, PAPER_TRANSFORMER), []
+    shown, told = (PRINTED_EDITS, PRINTED), []
     asking = MatcherRunner(
         shown, 4, 2, ("monaco",), 0, Journal(tmp_path / "a.jsonl"), lambda: told.append(1)
     )
     protocols = [Protocol(anywhere=True), Protocol()]
     rows = asking.rows(Extract("monaco", town), city, town, protocols)
     assert [(r.method, r.protocol.anywhere, len(r.answers)) for r in rows] == [
-        (PAPER_EDITS, True, 2), (PAPER_TRANSFORMER, True, 4), (PAPER_TRANSFORMER, False, 4),
+        (PRINTED_EDITS, True, 2), (PRINTED, True, 4), (PRINTED, False, 4),
     ]  # fmt: skip
     assert len(told) == 4
     other = replace(asking, journal=Journal(tmp_path / "a.jsonl"))
     assert [r.to_dict() for r in other.rows(Extract("monaco", town), city, town, protocols)] == [
         r.to_dict() for r in rows
     ]
-    assert asking.query_count("toronto", protocols[0], PAPER_EDITS) == 0
+    assert asking.query_count("toronto", protocols[0], PRINTED_EDITS) == 0
 
 
 def off_center(city, query):

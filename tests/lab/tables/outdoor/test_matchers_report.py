@@ -3,10 +3,10 @@ import pytest
 
 from placegraph_lab.tables.named.outdoor_matchers import advantage, advantages, report
 from placegraph_lab.tables.outdoor.matchers import (
-    DENSE,
     FUSED,
-    PAPER_EDITS,
-    PAPER_TRANSFORMER,
+    PRINTED,
+    PRINTED_ALONE,
+    PRINTED_EDITS,
     RELATIONAL,
 )
 from placegraph_lab.tables.outdoor.metrics import Answer, Protocol, of_answers
@@ -27,10 +27,10 @@ def rows():
         found += [
             row(city, FUSED, [5.0] * 8 + [far] * 2),
             row(city, RELATIONAL, [5.0] * 7 + [30.0] * 3),
-            row(city, DENSE, [5.0] * 2 + [60.0] * 8),
-            row(city, PAPER_TRANSFORMER, [5.0] * 3 + [60.0] * 7),
+            row(city, PRINTED_ALONE, [5.0] * 2 + [60.0] * 8),
+            row(city, PRINTED, [5.0] * 3 + [60.0] * 7),
         ]
-    found.append(row("b", PAPER_EDITS, [5.0, 300.0]))
+    found.append(row("b", PRINTED_EDITS, [5.0, 300.0]))
     return found
 
 
@@ -41,22 +41,22 @@ def test_differences_are_paired_and_a_mean_of_cities(rows):
     assert lead.low <= 0.1 <= lead.high
     assert advantage(rows, FUSED, RELATIONAL, "50 m", rng).mean == pytest.approx(-0.1)
     # of edit distance only the first two queries of one city are known
-    assert advantage(rows, FUSED, PAPER_EDITS, "exact", rng).mean == pytest.approx(0.5)
+    assert advantage(rows, FUSED, PRINTED_EDITS, "exact", rng).mean == pytest.approx(0.5)
 
 
 def test_tables_hold_every_matcher_and_the_paper(rows):
     table = advantages(rows, np.random.default_rng(0))
     assert {r["measure"] for r in table} == {"exact", "50 m"}
     assert {(r["first"], r["second"]) for r in table} == {
-        (PAPER_TRANSFORMER, DENSE), (PAPER_TRANSFORMER, PAPER_EDITS),
-        (RELATIONAL, PAPER_TRANSFORMER), (FUSED, RELATIONAL),
+        (PRINTED, PRINTED_ALONE), (PRINTED, PRINTED_EDITS),
+        (RELATIONAL, PRINTED), (FUSED, RELATIONAL),
     }  # fmt: skip
     text = report(rows, table)
     everywhere, _, slow = text.partition("#### Recall@1/3/5, the exact cell, 2 queries")
-    for method in (FUSED, RELATIONAL, DENSE, "*paper: transformer, OSM*"):
+    for method in (FUSED, RELATIONAL, PRINTED_ALONE, "*paper: transformer, OSM*"):
         assert f"| {method} " in everywhere
-    assert f"| {PAPER_EDITS} " not in everywhere
-    assert f"| {PAPER_EDITS} " in slow
+    assert f"| {PRINTED_EDITS} " not in everywhere
+    assert f"| {PRINTED_EDITS} " in slow
     assert ".80/.80/.80" in everywhere
     assert ".22/.39/.48" in everywhere
     assert "+0.100" in text

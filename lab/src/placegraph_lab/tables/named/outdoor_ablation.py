@@ -1,4 +1,4 @@
-"""A trained network by itself: where candidates are given, and in the paper's pipeline."""
+"""A trained network by itself: where candidates are given, and in the pipeline of Eq. 9-16."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def evaluate(task: Task, network: GraphTransformer) -> Hits:
     ``N given``: the true cell and the bag's N - 1 best others, by the matching logit (Eq. 17), and
     ``N given, cosine`` by Eq. 15. ``dense``: all cells by their embeddings (Eq. 11-12), ``among
     10`` whether the true one is among the best ten; ``10 candidates`` these ten by the logit, and
-    ``10 candidates, cosine`` the paper's pipeline (Eq. 9-16).
+    ``10 candidates, cosine`` the pipeline of Eq. 9-16.
     """
     encoded = EncodedCity(task.city, network)
     found: dict[str, list[list[bool]]] = {}
@@ -209,7 +209,7 @@ COLUMNS = (
     Col("the same by cosine", lambda r: lab.shares(r["mean"][f"{n} given, cosine"][0] for n in GIVEN)),
     Col("dense alone @1/3/5", "mean.dense", lab.shares),
     Col("true one of ten", lambda r: r["mean"]["among 10"][0], lab.share),
-    Col("paper's pipeline: ten, cosine @1/3/5", lambda r: r["mean"]["10 candidates, cosine"], lab.shares),
+    Col("ten candidates, cosine @1/3/5", lambda r: r["mean"]["10 candidates, cosine"], lab.shares),
     Col("ten, logit @1/3/5", lambda r: r["mean"]["10 candidates"], lab.shares),
 )  # fmt: skip
 

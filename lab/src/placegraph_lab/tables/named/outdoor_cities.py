@@ -1,8 +1,8 @@
 """Whole cities: accuracy, seconds a query and megabytes. Table VI of the paper.
 
 Queries as in `outdoor_matchers`: from held-out tiles, or anywhere in a city never trained on, of
-six statements, viewpoints anywhere in a cell and near the middle of one; by the default, and by the
-paper's pipeline.
+six statements, viewpoints anywhere in a cell and near the middle of one; by the default, and by
+GOTLoc as printed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ from typing import Annotated, Any
 
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import CITIES, Extract, extracts_of, unseen_queries
-from placegraph_lab.tables.outdoor.matchers import LocateMatcher, Matcher, RetrieveMatcher, ask
+from placegraph_lab.tables.outdoor.matchers import (
+    PIPELINES,
+    PRINTED,
+    LocateMatcher,
+    Matcher,
+    RetrieveMatcher,
+    ask,
+)
 from placegraph_lab.tables.outdoor.metrics import RANKS, score
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, Seed, number, option, render, shares, table
@@ -44,7 +51,7 @@ def run_city(extract: Extract, maps: Path, *, queries: int, seed: int) -> Iterat
     }
     matchers: dict[str, Matcher] = {
         "default": LocateMatcher(city),
-        "paper's pipeline": RetrieveMatcher(city, {"preset": "paper"}),
+        PRINTED: RetrieveMatcher(city, PIPELINES[PRINTED]),
     }
     for title, matcher in matchers.items():
         ask(matcher, city, texts["anywhere"][:1])  # what is made on first use is not timed
@@ -55,7 +62,7 @@ def run_city(extract: Extract, maps: Path, *, queries: int, seed: int) -> Iterat
             if extract.area
             else len(city.cells) * city.cells.grid.stride**2 * 1e-6,
             "cells": len(city.cells),
-            "bytes": size + int(city.embeddings.nbytes) * (title != "default"),
+            "bytes": size + int(city.encoded_as_printed.embeddings.nbytes) * (title == PRINTED),
             **{way: score(ask(matcher, city, of)) for way, of in texts.items()},
         }
 

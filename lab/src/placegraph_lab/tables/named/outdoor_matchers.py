@@ -23,13 +23,15 @@ from placegraph_lab.tables.outdoor.extracts import (
 )
 from placegraph_lab.tables.outdoor.matchers import (
     COSINE,
+    COSINE_DENSE,
     DENSE,
     FUSED,
     LOGIT,
     LOGIT_DENSE,
     MATCHERS,
-    PAPER_EDITS,
-    PAPER_TRANSFORMER,
+    PRINTED,
+    PRINTED_ALONE,
+    PRINTED_EDITS,
     RELATIONAL,
     SLOW,
     ask,
@@ -37,6 +39,7 @@ from placegraph_lab.tables.outdoor.matchers import (
 )
 from placegraph_lab.tables.outdoor.metrics import (
     RADII,
+    TUNED,
     Answer,
     Protocol,
     Row,
@@ -76,8 +79,9 @@ def hits(row: Row, measure: str) -> list[bool]:
 
 
 COMPARED = (
-    (PAPER_TRANSFORMER, DENSE), (LOGIT_DENSE, PAPER_TRANSFORMER), (PAPER_TRANSFORMER, PAPER_EDITS),
-    (LOGIT, COSINE), (RELATIONAL, PAPER_TRANSFORMER), (RELATIONAL, LOGIT), (FUSED, RELATIONAL),
+    (PRINTED, PRINTED_ALONE), (PRINTED, PRINTED_EDITS), (PRINTED, TUNED), (COSINE_DENSE, PRINTED),
+    (COSINE_DENSE, DENSE), (LOGIT_DENSE, COSINE_DENSE), (LOGIT, COSINE), (RELATIONAL, PRINTED),
+    (RELATIONAL, LOGIT), (FUSED, RELATIONAL),
 )  # fmt: skip
 """Matchers whose recall@1 is set off against that of another, chosen before anything was measured."""
 

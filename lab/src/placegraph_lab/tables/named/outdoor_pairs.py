@@ -25,8 +25,6 @@ from placegraph.outdoor.network.graphs import (
     TextGraphs,
     WordFits,
     find_word_weights,
-    make_place_batch,
-    make_text_batch,
     make_word_fits,
 )
 from placegraph.outdoor.network.network import GraphTransformer
@@ -167,8 +165,8 @@ class Pairs:
                     every = np.arange(len(rows))
                     pairs = (np.zeros(len(rows), np.int64), every)
                     batch = Batch(
-                        make_text_batch(texts, one),
-                        make_place_batch(places, rows),
+                        texts.batch(one),
+                        places.batch(rows),
                         pair_batch(texts, places, one, rows, pairs, words),
                         slots=every,
                         right=np.zeros(len(rows), np.int8),

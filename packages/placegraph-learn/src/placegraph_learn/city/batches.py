@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -27,8 +27,6 @@ from placegraph.outdoor.network.graphs import (
     compute_agreements,
     list_nodes,
     make_mask,
-    make_place_batch,
-    make_text_batch,
     make_word_fits,
 )
 from placegraph.outdoor.network.network_kernels import CHANNELS
@@ -36,6 +34,9 @@ from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.city_kernels import holds_as_said, literal
 from placegraph_learn.city.descriptions import AT, NEARBY, ExamplePool
 from placegraph_learn.city.network import Graphs, Network, Pairs, Scores, Truth
+
+if TYPE_CHECKING:
+    from placegraph_learn.city.cell_lessons import CellLessons
 
 
 class PairBatch(NamedTuple):
@@ -157,8 +158,8 @@ class Lessons:
         words = make_word_fits(fits, *city.word_counts)
         off = np.abs(city.views.positions[views][None] - pool.positions[rows][:, None]).max(2)
         return Batch(
-            make_text_batch(pool.texts, rows),
-            make_place_batch(places, every),
+            pool.texts.batch(rows),
+            places.batch(every),
             pair_batch(pool.texts, places, rows, every, (texts, every), words),
             slots,
             self.right[rows][texts, slots],
@@ -197,12 +198,13 @@ class Batch(NamedTuple):
         return Truth(*(torch.from_numpy(a).to(device) for a in arrays))
 
 
-def forward(network: Network, lessons: Lessons, batch: Batch, device: str) -> Scores:
+def forward(network: Network, lessons: Lessons | CellLessons, batch: Batch, device: str) -> Scores:
     """Return the network's scores of a batch."""
     texts = _graphs(network, batch.texts, lessons.text_bags, device)
     places = _graphs(network, batch.places, lessons.place_bags, device)
-    t, e_t = network.text(texts)
-    m, e_m = network.place(places)
+    of_text, of_place = network.encoders()
+    t, e_t = of_text(texts)
+    m, e_m = of_place(places)
     pairs = Pairs(*(torch.from_numpy(np.ascontiguousarray(a)).to(device) for a in batch.pairs))
     logit, cosine, residual = network.match((t, texts.mask), (m, places.mask), pairs)
     return Scores(logit, cosine, e_t @ e_m.T, residual)

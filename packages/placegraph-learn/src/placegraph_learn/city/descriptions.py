@@ -88,6 +88,9 @@ class _Habits(NamedTuple):
     """``pairs`` of things, ``me`` or ``mixed``."""
 
 
+PLAIN = _Habits(slip=0.0, absent=0.0, words="tags", language="en", names=0.0, about="pairs")
+
+
 class _Surroundings(NamedTuple):
     """Things around a speaker."""
 
@@ -109,6 +112,8 @@ class Speaker:
     vocabulary: Vocabulary
     held_out: bool = False
     """Whether it speaks in tiles that are `held_out`, but not `is_evaluation`, or in those that are not."""
+    plain: bool = False
+    """Whether all speak as in the paper: directions between things, by their tags, without errors."""
 
     def is_in_own_tiles(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return whether positions (n, 2) [m] lie in its tiles."""
@@ -153,7 +158,7 @@ class Speaker:
         self, surroundings: _Surroundings, position: NDArray[np.float64], rng: Generator
     ) -> Description | None:
         """Return a description given at a position (2,) [m]; None where too little is visible."""
-        habits = draw_habits(rng)
+        habits = PLAIN if self.plain else draw_habits(rng)
         told = _DescriptionBuilder(self, habits, position, rng)
         wanted = int(rng.choice([3, 4, 5, 6, 6, 6, 8, 10]))
         for _ in range(4 * wanted):

@@ -20,7 +20,7 @@ FEW = -11.0
 
 
 class Graphs(NamedTuple):
-    """B padded graphs of n nodes; node 0 is the speaker, or the centre."""
+    """B padded graphs of n nodes; node 0 is the speaker, or the centre, unless `Shape.printed`."""
 
     nodes: Tensor
     """(B, n, F) see `batches.GraphBatch`."""
@@ -33,7 +33,7 @@ class Graphs(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """P pairs of a text and a place."""
+    """P pairs of a text and a place; the network as printed takes the first two alone."""
 
     text: Tensor
     """(P,) row of the texts."""
@@ -123,11 +123,11 @@ class Feed(nn.Module):
 class Gps(nn.Module):
     """GPS layer: messages along labelled edges plus attention to the whole graph."""
 
-    def __init__(self, d: int, heads: int) -> None:
+    def __init__(self, shape: Shape) -> None:
         super().__init__()
-        self.heads = heads
+        d, self.heads, self.channels = shape.width, shape.heads, len(shape.channels)
         self.message = nn.Linear(d, d // 2, bias=False)
-        self.along = nn.Linear(R * d // 2, d)
+        self.along = nn.Linear(self.channels * (d // 2), d)
         self.qkv = nn.Linear(d, 3 * d, bias=False)
         self.out = nn.Linear(d, d, bias=False)
         self.norm = nn.LayerNorm(d)
@@ -137,8 +137,8 @@ class Gps(nn.Module):
         """Return node states (N, d) after one exchange; `relations` (B, R, n, n) scaled by degree."""
         b, n = mask.shape
         # one product a graph: a product a relation would copy the states for each
-        messages = relations.reshape(b, R * n, n) @ packing.pad(self.message(x))
-        messages = messages.reshape(b, R, n, -1).transpose(1, 2)
+        messages = relations.reshape(b, self.channels * n, n) @ packing.pad(self.message(x))
+        messages = messages.reshape(b, self.channels, n, -1).transpose(1, 2)
         local = self.along(packing.pack(messages.reshape(b, n, -1)))
         q, k, v = packing.pad(self.qkv(x)).chunk(3, -1)
         seen = self.out(packing.pack(attend(q, k, v, mask, self.heads)))
@@ -163,15 +163,19 @@ class Side(nn.Module):
 
     def __init__(self, features: int, shape: Shape) -> None:
         super().__init__()
-        self.features = nn.Linear(features, shape.width)
+        if features:
+            self.features = nn.Linear(features, shape.width)
         self.norm = nn.LayerNorm(shape.width)
-        self.layers = nn.ModuleList(Gps(shape.width, shape.heads) for _ in range(shape.layers))
+        self.layers = nn.ModuleList(Gps(shape) for _ in range(shape.layers))
         self.pool = Pool(shape.width, shape.dimension)
 
     def forward(self, graphs: Graphs) -> tuple[Tensor, Tensor]:
         """Return node states (B, n, d), and embeddings (B, D) of unit length."""
         packing = Packing(graphs.mask)
-        x = self.norm(packing.pack(graphs.words) + self.features(packing.pack(graphs.nodes)))
+        x = packing.pack(graphs.words)
+        if graphs.nodes.shape[-1]:
+            x = x + self.features(packing.pack(graphs.nodes))
+        x = self.norm(x)
         degree = (1.0 + graphs.relations.abs().sum(3, keepdim=True)).rsqrt()
         relations = degree * graphs.relations
         for layer in self.layers:
@@ -189,10 +193,10 @@ class Cross(nn.Module):
         self.query, self.key = nn.Linear(d, d, bias=False), nn.Linear(d, d, bias=False)
         self.of_place, self.of_text = nn.Linear(d, d, bias=False), nn.Linear(d, d, bias=False)
         self.out_text, self.out_place = nn.Linear(d, d), nn.Linear(d, d)
-        self.nothing = nn.Parameter(torch.zeros(2, heads))
-        self.word = nn.Parameter(torch.full((2, heads), 3.0))
-        self.statements = shape.statements
-        if shape.statements:
+        self.printed = shape.printed
+        if not self.printed:
+            self.nothing = nn.Parameter(torch.zeros(2, heads))
+            self.word = nn.Parameter(torch.full((2, heads), 3.0))
             self.evidence = nn.Linear(3 * heads + LITERAL + R + 3, shape.evidence)
             self.said = nn.Linear(shape.evidence, 2 * d, bias=False)
             self.verdict = nn.Linear(shape.evidence, 2, bias=False)
@@ -216,26 +220,28 @@ class Cross(nn.Module):
         q = t_packing.pad(self.query(t)).reshape(p, n, heads, size).transpose(1, 2)
         k = m_packing.pad(self.key(m)).reshape(p, -1, heads, size).transpose(1, 2)
         alike = q @ k.transpose(2, 3) / size**0.5
-        words = pairs.agreement[:, None]
-        to_place = self._weights(alike + self.word[0, :, None, None] * words, m_mask, 0)
-        to_text = self._weights(
-            (alike + self.word[1, :, None, None] * words).transpose(2, 3), t_mask, 1
-        )
+        to_place = self._weights(alike, pairs.agreement, m_mask, 0)
+        to_text = self._weights(alike, pairs.agreement, t_mask, 1)
         values = m_packing.pad(self.of_place(m)).reshape(p, -1, heads, size).transpose(1, 2)
         seen = t_packing.pack((to_place @ values).transpose(1, 2).reshape(p, n, d))
         values = t_packing.pad(self.of_text(t)).reshape(p, n, heads, size).transpose(1, 2)
         meant = m_packing.pack((to_text @ values).transpose(1, 2).reshape(p, -1, d))
         t, verdict = t + self.out_text(seen), t.new_zeros(p, 2)
-        if self.statements:
+        if not self.printed:
             heard, verdict = self._attend_statements(to_place, pairs)
             t = t + t_packing.pack(heard)
         t = self.norm_text(t)
         m = self.norm_place(m + self.out_place(meant))
         return self.feed_text(t), self.feed_place(m), verdict
 
-    def _weights(self, logits: Tensor, mask: Tensor, side: int) -> Tensor:
-        """Return attention weights; what is missing to 1 goes to nothing at all."""
+    def _weights(self, logits: Tensor, agreement: Tensor, mask: Tensor, side: int) -> Tensor:
+        """Return attention weights; what is missing to 1 goes to nothing at all, unless `printed`."""
+        if not self.printed:
+            logits = logits + self.word[side, :, None, None] * agreement[:, None]
+        logits = logits.transpose(2, 3) if side else logits
         logits = logits.masked_fill(mask[:, None, None, :] == 0, -1e9)
+        if self.printed:
+            return logits.softmax(-1)
         nothing = self.nothing[side, None, :, None, None].expand(*logits.shape[:3], 1)
         return torch.cat([nothing, logits], -1).softmax(-1)[..., 1:]
 
@@ -272,18 +278,25 @@ class Network(nn.Module):
         if vector_size:
             self.meaning = nn.Linear(vector_size, shape.width, bias=False)
         self.table = nn.Parameter(torch.randn(BUCKETS, shape.width) * shape.width**-0.5)
-        self.text, self.place = Side(2, shape), Side(7, shape)
+        for side, features in shape.sides.items():
+            setattr(self, side, Side(features, shape))
         self.cross = nn.ModuleList(Cross(shape) for _ in range(shape.crossings))
-        self.pool_text = Pool(shape.width, shape.dimension)
-        self.pool_place = Pool(shape.width, shape.dimension)
+        if not shape.printed:
+            self.pool_text = Pool(shape.width, shape.dimension)
+            self.pool_place = Pool(shape.width, shape.dimension)
         self.forget = nn.Dropout(DROPOUT)
         verdict = nn.Linear(shape.dimension, 1)
         nn.init.zeros_(verdict.weight)
-        nn.init.constant_(verdict.bias, FEW if shape.statements else 0.0)
-        seen = (3 if shape.statements else 2) * shape.dimension
+        nn.init.constant_(verdict.bias, 0.0 if shape.printed else FEW)
+        seen = (2 if shape.printed else 3) * shape.dimension
         self.judge = nn.Sequential(nn.Linear(seen, shape.dimension), nn.ReLU(), verdict)
         # training begins with what the statements say literally, and with relational matching alone
-        self.prior = nn.Parameter(torch.ones(3))
+        self.prior = None if shape.printed else nn.Parameter(torch.ones(3))
+
+    def encoders(self) -> tuple[Side, Side]:
+        """Return the encoders of texts and of places; one and the same if `Shape.printed`."""
+        text, place = (("graph",) * 2) if self.shape.printed else ("text", "place")
+        return getattr(self, text), getattr(self, place)
 
     def words(
         self, buckets: Tensor, starts: Tensor, weights: Tensor, means: Tensor | None = None
@@ -298,8 +311,8 @@ class Network(nn.Module):
         """Return logit of the matching probability (Eq. 17), cosine (Eq. 15), and residual, (P,) each.
 
         `texts` and `places` are node states and masks. What the statements say literally is where
-        the logit starts from; the residual is what relational matching should have added. Without
-        statements (`Shape`) the logit is the perceptron's alone, of (E^T || E^M).
+        the logit starts from; the residual is what relational matching should have added. As printed
+        (`Shape`), the logit is the perceptron's alone, of (E^T || E^M).
         """
         masks = texts[1][pairs.text], places[1][pairs.place]
         t_packing, m_packing = Packing(masks[0]), Packing(masks[1])
@@ -309,9 +322,13 @@ class Network(nn.Module):
         for layer in self.cross:
             t, m, verdict = layer(t, m, t_packing, m_packing, masks, pairs)
             total = total + verdict
-        e_t, e_m = self.pool_text(t, t_packing, masks[0]), self.pool_place(m, m_packing, masks[1])
+        of_text, of_place = (
+            [side.pool for side in self.encoders()] if self.prior is None
+            else [self.pool_text, self.pool_place]
+        )  # fmt: skip
+        e_t, e_m = of_text(t, t_packing, masks[0]), of_place(m, m_packing, masks[1])
         cosine = F.cosine_similarity(e_t, e_m, dim=-1, eps=EPSILON)
-        if not self.shape.statements:
+        if self.prior is None:
             return self.judge(self.forget(torch.cat([e_t, e_m], -1)))[:, 0], cosine, total[:, 1]
         # a whole graph is soon known by heart, statements are not: only these speak of the residual
         judged = self.judge(self.forget(torch.cat([e_t, e_m, e_t * e_m], -1)))[:, 0]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from itertools import count
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -22,6 +24,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.graphs import TextGraphs, WordVectors, WordWeights
 from placegraph.outdoor.network.graphs import split_label as words_of
+from placegraph.outdoor.network.label_graphs import LabelGraphs
 from placegraph.outdoor.network.network import (
     NETWORK,
     Shape,
@@ -31,6 +34,7 @@ from placegraph.outdoor.network.network import (
 )
 from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.batches import Lessons, forward
+from placegraph_learn.city.cell_lessons import CellLessons, cell_recalls, make_cell_lessons
 from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
 from placegraph_learn.city.network import Network, Scores, Truth
 from placegraph_learn.city.word2vec import read_word2vec
@@ -93,6 +97,10 @@ class TrainOptions:
         check_options(self)
         if not self.losses:
             raise OptionError("losses is empty; name at least one.")
+        if self.shape.printed and "fusion" in self.losses:
+            raise OptionError(
+                "losses holds 'fusion', which the network as printed has not; give eq17,eq18."
+            )
 
 
 NEVER = -1e9
@@ -182,7 +190,8 @@ def score_viewpoints(network: Network, lessons: Lessons, device: str) -> Viewpoi
     asked = best & np.isfinite(relational)
     relational = np.where(asked, relational, -np.inf)
     logit, cosine, fused = (np.full(asked.shape, -np.inf) for _ in range(3))
-    scale, weight = network.prior[1:].tolist()
+    prior: Any = network.prior
+    scale, weight = prior[1:].tolist()
     with torch.no_grad():
         for at in range(0, len(pool), 64):
             rows = np.arange(at, min(at + 64, len(pool)))
@@ -284,7 +293,7 @@ class Trainer:
             self.module.parameters(), lr=options.rate, weight_decay=options.decay
         )
 
-    def epoch(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
+    def epoch(self, epoch: int, lessons: Sequence[Lessons | CellLessons]) -> dict[str, float]:
         """Learn `options.steps` batches; returns mean losses."""
         seeds = np.random.SeedSequence([self.options.seed, epoch, 1 << 22])
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
@@ -295,19 +304,21 @@ class Trainer:
         self.network.eval()
         return total
 
-    def _steps(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
+    def _steps(self, epoch: int, lessons: Sequence[Lessons | CellLessons]) -> dict[str, float]:
         options = self.options
         rng = np.random.default_rng([options.seed, epoch, 1 << 21])
         total: dict[str, float] = {}
         for step in range(options.steps):
-            lesson = lessons[int(rng.integers(len(lessons)))]
+            lesson: Any = lessons[int(rng.integers(len(lessons)))]
             batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
             done = (epoch * options.steps + step) / (options.epochs * options.steps)
             rate = options.rate * (0.5 + 0.5 * np.cos(np.pi * done)) + 1e-5
             for group in self.optimizer.param_groups:  # warm up, then a cosine
                 group["lr"] = float(rate * min(1.0, (epoch * options.steps + step + 1) / WARM))
             scores = forward(self.network, lesson, batch, self.device)
-            scales = Temperatures(self.similarity, self.embedding, self.network.prior[1])
+            prior = self.network.prior
+            relational = self.similarity if prior is None else prior[1]
+            scales = Temperatures(self.similarity, self.embedding, relational)
             found = losses(scores, batch.truth(self.device), scales, options.losses)
             self.optimizer.zero_grad()
             torch.stack(list(found.values())).sum().backward()
@@ -414,29 +425,70 @@ def train(
         options, device, progress, word_vectors.vectors.shape[1] if word_vectors else 0
     )
     trainer.read(at / "state")
-    examples = Examples(
-        cities, vocabulary, options, progress, Path(pools or at / "pools"), word_vectors
+    examples: Examples | CellExamples = (
+        CellExamples(cities, vocabulary, options, progress, word_vectors)
+        if options.shape.printed
+        else Examples(
+            cities, vocabulary, options, progress, word_vectors, Path(pools or at / "pools")
+        )
     )
-    held_out = examples.held_out()
+    held_out: Any = examples.held_out()
     past = [lessons for epoch in range(trainer.epochs) for lessons in examples.lessons(epoch)]
+
+    def measure() -> list[ViewpointScores]:
+        return [score_viewpoints(trainer.network, lessons, device) for lessons in held_out]
 
     def learn(epoch: int) -> dict[str, float]:
         past.extend(examples.lessons(epoch))
         means = trainer.epoch(epoch, past)
-        scored = [score_viewpoints(trainer.network, lessons, device) for lessons in held_out]
-        return means | mean_recalls(scored)
+        if options.shape.printed:
+            return means | cell_recalls(trainer.network, held_out)
+        return means | mean_recalls(measure())
 
     run_epochs(trainer, options.epochs, learn, at / "state", progress)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
-    scale = float(state["prior"][1])
-    fitted = fit_prior(
-        [score_viewpoints(trainer.network, lessons, device) for lessons in held_out], scale
-    )
-    state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
+    if not options.shape.printed:
+        fitted = fit_prior(measure(), float(state["prior"][1]))
+        state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": plan, "curves": rows_of(at)}
     weights = round_weights(options.shape, state, training, word_vectors)
     write_weights(out, weights)
     return weights
+
+
+@dataclass(frozen=True, eq=False)
+class CellExamples:
+    """Examples of every epoch for the network as printed; the same seed makes the same ones."""
+
+    cities: Mapping[str, CityMap]
+    vocabulary: Vocabulary
+    options: TrainOptions
+    progress: Progress
+    word_vectors: WordVectors | None = None
+
+    @cached_property
+    def cells(self) -> dict[str, LabelGraphs]:
+        """Graphs of all cells, by city."""
+        return {name: LabelGraphs.of_cells(city) for name, city in self.cities.items()}
+
+    def lessons(self, epoch: int) -> list[CellLessons]:
+        """Return examples of an epoch, by city."""
+        return [self._make(name, epoch, self.options.examples) for name in self.cities]
+
+    def held_out(self) -> list[CellLessons]:
+        """Return examples from the tiles that are never trained on, by city."""
+        return [self._make(name, None, self.options.check) for name in self.cities]
+
+    def _make(self, name: str, epoch: int | None, n: int) -> CellLessons:
+        options, number = self.options, 1 << 20 if epoch is None else epoch
+        seed = options.seed if options.descriptions is None else options.descriptions
+        done = count(1)
+        lessons = make_cell_lessons(
+            Speaker(self.cities[name], self.vocabulary, held_out=epoch is None, plain=True),
+            self.cells[name], n, np.random.default_rng([seed, number, *name.encode()]),
+            lambda: self.progress.filling(number, name, next(done), n),
+        )  # fmt: skip
+        return replace(lessons, subwords=options.shape.subwords, word_vectors=self.word_vectors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,8 +499,8 @@ class Examples:
     vocabulary: Vocabulary
     options: TrainOptions
     progress: Progress
+    word_vectors: WordVectors | None
     folder: Path
-    word_vectors: WordVectors | None = None
 
     def lessons(self, epoch: int) -> list[Lessons]:
         """Return examples of an epoch, one pool a city."""
