@@ -79,13 +79,13 @@ def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
     out = tmp_path / "paper.weights"
     made = run(
         "city", "train", city, "-o", out, "--work", tmp_path / "work", "--pools", pools, *TINY,
-        "--losses", "eq17,eq18", "--no-statements", "--layers", 1, "--crossings", 1, "--heads", 2,
+        "--losses", "eq17,eq18", "--printed", "--layers", 1, "--crossings", 1, "--heads", 2,
         "--json",
     )  # fmt: skip
     assert (made.code, made.err) == (0, "")
     assert [*made.json["curves"][0]][:3] == ["epoch", "eq17", "eq18"]
     shape = read_weights(out).shape
-    assert (shape.layers, shape.crossings, shape.heads, shape.statements) == (1, 1, 2, False)
+    assert (shape.layers, shape.crossings, shape.heads, shape.printed) == (1, 1, 2, True)
     found = run("city", "locate", city, TEXT, "--preset", "paper", "--weights", out, "--json")
     assert found.json["modes"]
 
@@ -104,6 +104,7 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
         ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "choose 'cpu', 'cuda' or 'auto'"),
         ((*here, *TINY, "--rate", 50), 7, "rate is 50"),
         ((*here, *TINY, "--heads", 5), 7, "width 48 does not fit 5 heads"),
+        ((*here, *TINY, "--printed"), 7, "the network as printed has not"),
     ):
         result = run("city", "train", *arguments)
         assert (result.code, words in result.err) == (code, True), result.err

@@ -366,6 +366,7 @@ def test_presets_give_way_to_what_is_said():
     paper = Matching.preset("paper")
     found = (paper.matcher, paper.score, paper.by, paper.candidates)
     assert found == ("transformer", "cosine", "dense", 10)
+    assert paper.printed
     assert vars(Matching.preset("default")) == vars(Matching())
     assert Matching.preset("published").matcher == "embedding"
     assert Matching.preset("paper", score="logit").score == "logit"
