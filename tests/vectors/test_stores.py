@@ -180,7 +180,7 @@ def test_the_command_writes_a_file(run, harbour, harbour_file, tmp_path):
         ([], "The destination is missing"),
         (["-o", "a", "--store", URI], "The destination is missing"),
         (["-o", "a", "--resume"], "--resume applies only to --store"),
-        (["--store", "fake:19530"], "is no address"),
+        (["--store", "fake:19530"], "is not an address"),
     ],
 )
 def test_commands_that_say_too_little_or_too_much(run, harbour_file, options, words):
