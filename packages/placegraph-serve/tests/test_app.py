@@ -39,7 +39,7 @@ def test_a_question_is_answered_by_sending_it_back(client):
     answer["question"]["things"] = []
     bent = client.post("/v1/locate", json={"text": "I see a bench.", "answers": [answer]})
     assert bent.status_code == 422
-    assert "send it back unchanged" in bent.json()["detail"]
+    assert "send it back as it was asked" in bent.json()["detail"]
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_a_question_is_answered_by_sending_it_back(client):
     [
         ({"text": ""}, 422, "description", "empty"),
         ({"text": "x" * 3000}, 422, "description", "at most 2000"),
-        ({"text": "A bank", "map": "paris"}, 404, "map_unknown", "known are: hafenstadt"),
+        ({"text": "A bank", "map": "paris"}, 404, "map_unknown", "the maps are: hafenstadt"),
         ({"text": "A bank", "near": [1.0]}, 422, "fields", "near"),
         ({"text": "A bank", "near": [400, 91]}, 422, "option", "near"),
         ({"text": "A bank", "radius": -1}, 422, "fields", "radius"),

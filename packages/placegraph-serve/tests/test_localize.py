@@ -95,7 +95,7 @@ def test_a_capture_in_a_zip(client, walk, truth, tmp_path):
     assert off(told["estimate"]["modes"][0], truth[-1]) < 0.05
     half = asked(client, {"capture": ("walk.zip", data[: len(data) // 2])})
     assert (half.status_code, half.json()["code"]) == (400, "input")
-    assert "no whole ZIP" in half.json()["detail"]
+    assert "not a complete ZIP" in half.json()["detail"]
     assert "/tmp" not in half.text  # noqa: S108  # where it lay is nobody's business
 
 
@@ -199,7 +199,7 @@ def test_a_geolocation_far_from_the_map_is_left_out_and_told(
     assert told["source"] == "images"
     assert told["geopose"]["position"]["lat"] == pytest.approx(here.latitude, abs=1e-3)
     assert len(told["notes"]) == bool(says)
-    assert all(says in note and "was left out" in note for note in told["notes"])
+    assert all(says in note and "was ignored" in note for note in told["notes"])
 
 
 @pytest.fixture
@@ -248,7 +248,7 @@ def test_plain_pixels(client, frame, channels):
     reading["size"] = [320, 179]
     wrong = client.post("/geopose", json=request)
     assert wrong.json()["code"] == "input"
-    assert "neither JPEG nor PNG, nor pixels of 320 x 179" in wrong.json()["detail"]
+    assert "not JPEG, PNG or pixels of 320 x 179" in wrong.json()["detail"]
 
 
 def test_a_map_that_stands_nowhere_has_no_geopose(maps, frame):

@@ -84,7 +84,7 @@ def test_what_is_no_map_is_refused_at_the_start(tmp_path):
 
 def test_a_map_of_another_name_or_kind_is_told(maps):
     places = Places([maps])
-    with pytest.raises(RequestError, match="known are: hafenstadt, home1, home2") as unknown:
+    with pytest.raises(RequestError, match="the maps are: hafenstadt, home1, home2") as unknown:
         places.open("paris")
     assert unknown.value.status == 404
     with pytest.raises(RequestError, match="name one of: home1, home2"):

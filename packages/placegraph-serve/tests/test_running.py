@@ -188,7 +188,7 @@ def test_two_servers_on_one_port(running, town):
         capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
     assert again.returncode == OptionError.exit_code
-    assert "another program listens" in again.stderr
+    assert "another program uses" in again.stderr
 
 
 def test_a_map_replaced_and_deleted_under_load(running):

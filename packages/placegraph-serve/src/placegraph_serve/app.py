@@ -79,7 +79,7 @@ def _add_errors(app: FastAPI) -> None:
         allowed = methods_at(request) if status in {404, 405} else []
         status = 405 if allowed else status
         said = {
-            404: f"No route exists at {where}; see /docs for all routes.",
+            404: f"There is no route {where}; see /docs for all routes.",
             405: f"{request.method} is not allowed at {where}; see /docs for the allowed methods.",
         }.get(status, f"{error.detail}; see /docs for what is expected.")
         code = {404: "not_found", 405: "method"}.get(status, "request")
@@ -156,10 +156,11 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise OptionError(
-                f"--port {port}: another program listens at {host}:{port}; choose another port."
+                f"--port {port}: another program uses {host}:{port}; choose another port."
             ) from error
         raise OptionError(
-            f"--host {host}, --port {port}: cannot listen there ({error.strerror}); choose others."
+            f"--host {host}, --port {port}: the server cannot listen there ({error.strerror}); "
+            "choose others."
         ) from error
     except OverflowError as error:
         raise OptionError(f"--port {port}: choose a number from 0 to 65535.") from error

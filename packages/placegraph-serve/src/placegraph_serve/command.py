@@ -18,9 +18,9 @@ def serve(
     ],
     options: Annotated[dict[str, Any], Fields(ServeOptions)],
     host: Annotated[
-        str, Option(help="Address to listen at; 0.0.0.0 for all networks.")
+        str, Option(help="Address to listen at; 0.0.0.0 also admits other computers.")
     ] = "127.0.0.1",
-    port: Annotated[int, Option(help="Port; 0 takes any that is free.")] = 8000,
+    port: Annotated[int, Option(help="Port; 0 selects a free one.")] = 8000,
     open_: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Serve maps: a page at /, sentences, images and GeoPose for other programs (/docs).

@@ -115,7 +115,7 @@ def drawing_router(places: Places) -> APIRouter:
         number, tiles = tiles_of(name)
         if not (0 <= level <= TOP_LEVEL and abs(x) < FARTHEST and abs(y) < FARTHEST):
             raise RequestError(
-                f"Tile {level}/{x}/{y} lies in no city; levels are 0 to {tiles.top}.",
+                f"Tile {level}/{x}/{y} lies outside all cities; levels are 0 to {tiles.top}.",
                 status=404,
                 code="tile_unknown",
             )

@@ -73,7 +73,7 @@ def version_of(accept: str) -> int | None:
     version = int(find_best[1])
     if version not in VERSIONS:
         raise RequestError(
-            f"Accept: version {version} of the GeoPose protocol is not spoken here; ask for 1.0 or "
+            f"Accept: version {version} of the GeoPose protocol is not supported; ask for 1.0 or "
             "2.0.",
             status=406,
             code="version",
@@ -88,10 +88,10 @@ def read_request(body: bytes, version: int | None) -> ProtocolRequest:
     except ValueError as error:
         raise InputError(f"body: not JSON ({error}); send a GeoPose request.") from None
     if not isinstance(document, dict):
-        raise InputError("body: no object; send a GeoPose request.")
+        raise InputError("body: not a JSON object; send a GeoPose request.")
     readings = document.get("sensorReadings")
     if not isinstance(readings, dict | list):
-        raise InputError("sensorReadings: missing, or no list or object; send what was read.")
+        raise InputError("sensorReadings: missing, or not a list or object; send the readings.")
     version = version or (1 if isinstance(readings, list) else 2)
     sensors = {str(s.get("id")): s for s in _objects(document.get("sensors") or [], "sensors")}
     kinds = _flat(readings, sensors) if isinstance(readings, list) else _by_kind(readings)
@@ -113,7 +113,7 @@ def part(holder: dict[str, Any], name: str) -> dict[str, Any]:
     """An object of an object, empty where there is none; `InputError` where it is something else."""
     value = holder.get(name) or {}
     if not isinstance(value, dict):
-        raise InputError(f"{name}: {str(value)[:40]!r} is no object; send one, or leave it out.")
+        raise InputError(f"{name}: {str(value)[:40]!r} is not an object; send one, or omit it.")
     return value
 
 
@@ -123,7 +123,7 @@ def number(holder: dict[str, Any], name: str, default: float | None = None) -> f
     if value is None and default is not None:
         return default
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise InputError(f"{name}: {str(value)[:40]!r} is no number; send one.")
+        raise InputError(f"{name}: {str(value)[:40]!r} is not a number; send one.")
     return float(value)
 
 
@@ -134,7 +134,9 @@ def _flat(readings: list[Any], sensors: dict[str, Any]) -> dict[str, list[dict[s
         inner = outer.get("reading", outer)
         inner = inner[0] if isinstance(inner, list) and inner else inner
         if not isinstance(inner, dict):
-            raise InputError("sensorReadings: reading is no object; send what was read.")
+            raise InputError(
+                "sensorReadings: a reading is not an object; send the readings as objects."
+            )
         kind = sensors.get(str(outer.get("sensorId")), {}).get("type") or _guess_kind(inner)
         if kind in kinds:
             kinds[kind].append({**outer, **inner, "when": _seconds(outer.get("timestamp"))})
@@ -180,7 +182,7 @@ def _poses(document: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _objects(value: object, name: str) -> list[dict[str, Any]]:
     if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-        raise InputError(f"{name}: no list of objects; send one.")
+        raise InputError(f"{name}: not a list of objects; send one.")
     return value
 
 
@@ -194,7 +196,7 @@ def _seconds(stamp: object) -> float:
         return datetime.fromisoformat(str(stamp)).timestamp()
     except ValueError as error:
         raise InputError(
-            f"timestamp: {str(stamp)[:40]!r} is no time; send milliseconds since 1970."
+            f"timestamp: {str(stamp)[:40]!r} is not a time; send milliseconds since 1970."
         ) from error
 
 
@@ -217,7 +219,7 @@ def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]
     colour = [r for r in request.camera if not _is_depth(r) and r["image"]]
     depth = [r for r in request.camera if _is_depth(r) and r["image"]]
     if not colour:
-        why = "No image was sent that could be compared with a map (imageBytes is empty)."
+        why = "imageBytes is empty, so nothing can be compared with a map; send an image."
         return _answer(request, [], Status.LOST.name, why)
     frame, leveled = frame_of(colour[-1], depth, request.accelerometer, dispatcher.options)
     images = Images((frame,), moved=True, leveled=leveled)
@@ -291,8 +293,8 @@ def photo_of(reading: dict[str, Any], options: ServeOptions) -> Photo:
     channels = len(data) // (width * height)
     if channels not in _CHANNELS or channels * width * height != len(data):
         raise InputError(
-            f"imageBytes: {len(data):,} bytes are neither JPEG nor PNG, nor pixels of {width} x "
-            f"{height}; send a JPEG."
+            f"imageBytes: {len(data):,} bytes are not JPEG, PNG or pixels of {width} x {height}; "
+            "send a JPEG."
         )
     pixels = np.frombuffer(data, np.uint8).reshape(height, width, channels)
     rgb = np.repeat(pixels, 3, axis=2) if channels == 1 else pixels[..., :3]
@@ -312,8 +314,8 @@ def depth_of(reading: dict[str, Any], options: ServeOptions) -> NDArray[np.float
             return np.frombuffer(data, "<f4").reshape(height, width)
         if len(data) != 2 * width * height:
             raise InputError(
-                f"imageBytes: {len(data):,} bytes are no depth of {width} x {height}; send 16 or 32 "
-                "bits a pixel."
+                f"imageBytes: {len(data):,} bytes are not depth of {width} x {height}; send 16 or "
+                "32 bits per pixel."
             )
         units = np.frombuffer(data, "<u2").reshape(height, width).astype(np.float32)
     if isinstance(bounds, list) and len(bounds) == 2:
@@ -330,7 +332,9 @@ def camera_of(reading: dict[str, Any], photo: Photo) -> Camera | None:
     if model.startswith("UNKNOWN") or not values:
         return None
     if not isinstance(values, list):
-        raise InputError("modelParams: no list of numbers; send those of the model.")
+        raise InputError(
+            "modelParams: not a list of numbers; send the parameters of the camera model."
+        )
     numbers = [number({"modelParams": v}, "modelParams") for v in values]
     return model_camera("modelParams", model, photo.size, numbers)
 
@@ -368,8 +372,7 @@ def _fallback(request: ProtocolRequest, reason: str) -> dict[str, Any]:
     """Pose of the geolocation reading alone; `RequestError` where there is none."""
     if not request.geolocation:
         raise RequestError(
-            f"There is no pose. {reason} Send an image of a place that a map shows, or a "
-            "geolocation reading.",
+            f"There is no pose. {reason} Send an image of a mapped place, or a geolocation reading.",
             status=422,
             code="no_pose",
         )
@@ -400,9 +403,7 @@ def _quaternion(document: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
 
 def _lonlat(lon: float, lat: float) -> tuple[float, float]:
     if abs(lat) > 90.0 or abs(lon) > 360.0:
-        raise InputError(
-            f"latitude, longitude: {lat:g}, {lon:g} are nowhere on Earth; send degrees."
-        )
+        raise InputError(f"latitude, longitude: {lat:g}, {lon:g} are out of range; send degrees.")
     return (lon + 180.0) % 360.0 - 180.0, lat
 
 
@@ -412,7 +413,9 @@ def _size(reading: dict[str, Any], options: ServeOptions) -> tuple[int, int]:
         raise InputError("size: width and height are missing; send [width, height].")
     width, height = (int(number({"size": v}, "size")) for v in size)
     if min(width, height) < SMALLEST:
-        raise InputError(f"size: {width} x {height}; send an image of {SMALLEST} or more a side.")
+        raise InputError(
+            f"size: {width} x {height}; send an image of at least {SMALLEST} pixels per side."
+        )
     check_size((width, height), "imageBytes", options)
     return width, height
 

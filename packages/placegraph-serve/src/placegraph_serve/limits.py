@@ -44,7 +44,7 @@ class Metrics:
             "placegraph_requests", "Answers.", ("path", "status"), registry=None
         )
         self.seconds = Histogram(
-            "placegraph_request_seconds", "Seconds to an answer.", ("path",),
+            "placegraph_request_seconds", "Time to an answer [s].", ("path",),
             buckets=BOUNDS, registry=None,
         )  # fmt: skip
 
@@ -61,7 +61,7 @@ class Metrics:
             kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
             labels = ("lane",) if queue else ()
             family = families.setdefault(
-                name, kind(f"placegraph_{name}", "At this moment.", labels=labels)
+                name, kind(f"placegraph_{name}", "Current value.", labels=labels)
             )
             family.add_metric(labels and (queue,), value)
         return [*self.requests.collect(), *self.seconds.collect(), *families.values()]
@@ -94,10 +94,10 @@ class Keys:
         try:
             lines = [line.strip() for line in path.read_text("utf-8").splitlines()]
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{path} cannot be read ({error}); name a file of keys.") from error
+            raise InputError(f"{path} cannot be read ({error}); give a file of keys.") from error
         secrets = tuple(line.encode() for line in lines if line and not line.startswith("#"))
         if not secrets:
-            raise InputError(f"{path} contains no key; write one a line.")
+            raise InputError(f"{path} contains no key; write one per line.")
         return cls(secrets)
 
     def let_in(self, scope: Scope) -> bool:

@@ -105,8 +105,8 @@ def read(folder: Path, request: dict[str, Any], options: ServeOptions) -> tuple[
         near = near or next((photo.fix[:2] for photo in photos if photo.fix), None)
     if not images.moved and len(images.frames) > MOST_ALONE:
         raise OptionError(
-            f"odometry: {len(images.frames)} images without it are {MOST_ALONE} at most; tell how the "
-            "camera moved, or send fewer."
+            f"odometry: {len(images.frames)} images need it, because the limit without it is "
+            f"{MOST_ALONE}; send the camera's motion, or fewer images."
         )
     heading, prior = parameters["heading_deg"], parameters["prior"]
     return images, Hints(
@@ -156,7 +156,8 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
         return found_in.localize(frames, description=hints.description, seed=hints.seed)
     if kind == "city":
         raise RequestError(
-            f"Map {name!r} is a city, and images are found in scenes; name one, or none.",
+            f"Map {name!r} is a city, but images are localized in scenes; name a scene or library, "
+            "or no map.",
             status=422, code="map_kind",
         )  # fmt: skip
     return places.world(name).locate(
@@ -228,14 +229,14 @@ def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, 
     """Make the tracker of a session; `request`: `session`, and what `schema.Begin` has."""
     name = request["map"] or dispatcher.places.only
     if name is None:
-        raise OptionError("map: several are served; name one.")
+        raise OptionError("map: the server has several maps; name one.")
     kind = dispatcher.places.entry(name).kind
     if kind == "city":
         tracker: Any = dispatcher.places.city(name).track(**options_in(request))
     else:
         camera = camera_of(request["camera"], None)
         if camera is None:
-            raise OptionError("camera: missing; give fx, width and height of the images to come.")
+            raise OptionError("camera: missing; give fx, width and height of the following images.")
         check_focal(camera, "camera")
         scene = dispatcher.places.scene(name)
         camera = camera.resize(*fit_size((camera.width, camera.height)))

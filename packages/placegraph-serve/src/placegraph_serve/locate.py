@@ -46,7 +46,7 @@ def locate(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     text = request["text"]
     most, places = dispatcher.options.text, dispatcher.places
     if len(text) > most:
-        raise DescriptionError(f"text: {len(text)} characters; say it in at most {most}.")
+        raise DescriptionError(f"text: {len(text)} characters; send at most {most}.")
     name = request.get("map") or places.only
     if name is not None and places.entry(name).kind == "city":
         return in_city(places.city(name), name, request)
@@ -140,7 +140,7 @@ def read_answer(answer: dict[str, Any]) -> Answer:
     options = tuple(request["options"])
     known = len(things) == 1 or options == (*(t.words for t in things), NONE)
     if not things or not known or any(t.wind and t.wind not in COMPASS for t in things):
-        raise OptionError("answers: a question is not as it was asked; send it back unchanged.")
+        raise OptionError("answers: a question was changed; send it back as it was asked.")
     return Question(request["text"], options, things, 0.0).answer(answer["option"])
 
 

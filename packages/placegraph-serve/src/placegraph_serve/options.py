@@ -16,52 +16,59 @@ class ServeOptions:
     capture_workers: int = option(1, "Processes that localize images.", minimum=1)
     queue: int = option(
         64,
-        "Most waiting requests of a kind; beyond it the answer is 503 with `Retry-After`.",
+        "Maximum waiting requests of a kind; more get 503 with `Retry-After`.",
         minimum=1,
     )
     sentence_seconds: float = option(
         15.0,
-        "Time limit of a sentence; beyond it 504, and the process is replaced.",
+        "Time limit of a sentence; longer ones get 504, and the process is replaced.",
         unit="s",
         above=0,
     )
     capture_seconds: float = option(120.0, "The same for images.", unit="s", above=0)
     head_seconds: float = option(
         20.0,
-        "Time for the head of a request to arrive; then the connection is closed.",
+        "Maximum time for the head of a request to arrive; then the connection is closed.",
         unit="s",
         above=0,
     )
-    body_seconds: float = option(30.0, "Time for the body to arrive; then 408.", unit="s", above=0)
-    text: int = option(2000, "Most characters of a description; beyond it 422.", minimum=1)
-    json_bytes: int = option(
-        1 << 18, "Largest JSON body without images; beyond it, and those below, 413.", minimum=1
+    body_seconds: float = option(
+        30.0, "Maximum time for the body to arrive; slower ones get 408.", unit="s", above=0
     )
-    body_bytes: int = option(1 << 28, "Largest body with images or a capture.", minimum=1)
-    held_bytes: int = option(1 << 28, "Memory for all JSON bodies at one time.", minimum=1)
-    image_bytes: int = option(1 << 25, "Largest image file.", minimum=1)
-    pixels: int = option(24_000_000, "Most pixels of an image.", minimum=1)
-    images: int = option(200, "Most images in a request or a capture.", minimum=1)
-    unpacked_bytes: int = option(1 << 30, "Largest capture, unpacked.", minimum=1)
-    depth: int = option(32, "Most levels of JSON.", minimum=1)
-    sessions: int = option(64, "Most open sessions; beyond it 503 with `Retry-After`.", minimum=1)
-    session_seconds: float = option(600.0, "Life of an unused session.", unit="s", above=0)
-    sockets: int = option(2000, "Most open WebSockets.", minimum=1)
+    text: int = option(2000, "Maximum characters of a description; longer ones get 422.", minimum=1)
+    json_bytes: int = option(
+        1 << 18,
+        "Maximum JSON body without images; larger ones, here and below, get 413.",
+        minimum=1,
+    )
+    body_bytes: int = option(1 << 28, "Maximum body with images or a capture.", minimum=1)
+    held_bytes: int = option(1 << 28, "Memory for all JSON bodies being received.", minimum=1)
+    image_bytes: int = option(1 << 25, "Maximum image file.", minimum=1)
+    pixels: int = option(24_000_000, "Maximum pixels of an image.", minimum=1)
+    images: int = option(200, "Maximum images in a request or a capture.", minimum=1)
+    unpacked_bytes: int = option(1 << 30, "Maximum size of an unpacked capture.", minimum=1)
+    depth: int = option(32, "Maximum nesting of JSON.", minimum=1)
+    sessions: int = option(64, "Maximum open sessions; more get 503 with `Retry-After`.", minimum=1)
+    session_seconds: float = option(
+        600.0, "Time after which an unused session ends.", unit="s", above=0
+    )
+    sockets: int = option(2000, "Maximum open WebSockets.", minimum=1)
     keys: Path | None = option(
         None, "File of API keys, one per line; without it, no key is needed.", flag="--keys"
     )
     names: tuple[str, ...] = option(
         (),
-        "Host name of the server, beside addresses and localhost; with keys, any will do. Repeatable.",
+        "Host name that the server accepts besides addresses and localhost; with keys, all are "
+        "accepted. Repeatable.",
         flag="--name",
     )
     log_queries: bool = option(
-        False, "Log queries; otherwise nothing about them is stored.", flag="--log-queries"
+        False, "Log queries; if not set, nothing about them is stored.", flag="--log-queries"
     )
     scheduler: str | None = option(
         None,
-        "Dask scheduler whose workers search worlds in shards, as tcp://host:8786; the server itself if "
-        "not given.",
+        "Dask scheduler whose workers search worlds in shards, as tcp://host:8786; if not given, "
+        "the server searches them.",
         flag="--scheduler",
     )
 

@@ -87,7 +87,7 @@ class Places:
         if name not in entries:
             known = ", ".join(entries) or "none"
             raise RequestError(
-                f"There is no map {name[:80]!r}; known are: {known}.",
+                f"There is no map {name[:80]!r}; the maps are: {known}.",
                 status=404,
                 code="map_unknown",
             )

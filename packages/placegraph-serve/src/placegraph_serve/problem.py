@@ -11,15 +11,15 @@ from placegraph.errors import PlacegraphError, RequestError
 MEDIA_TYPE = "application/problem+json"
 
 _KINDS: dict[type[PlacegraphError], tuple[int, str]] = {
-    errors.InputError: (400, "What was sent cannot be read"),
+    errors.InputError: (400, "The input cannot be read"),
     errors.DescriptionError: (422, "The description cannot be read"),
-    errors.OptionError: (422, "An option is out of its range"),
+    errors.OptionError: (422, "An option is out of range"),
     errors.MissingExtraError: (501, "This server lacks an optional dependency"),
     errors.ServiceError: (502, "A service failed"),
     errors.MapError: (503, "A map cannot be used"),
     errors.StoreError: (503, "A vector store cannot be used"),
     errors.GeoPoseError: (409, "There is no pose on Earth"),
-    errors.RequestError: (400, "The request cannot be taken"),
+    errors.RequestError: (400, "The request is invalid"),
 }
 
 
@@ -27,7 +27,7 @@ def problem(error: Exception) -> dict[str, Any]:
     """The members of a problem of any exception; what is none of ours tells nothing of the inside."""
     if not isinstance(error, PlacegraphError):
         error = RequestError(
-            "The server failed at this request; tell its operator.", status=500, code="failed"
+            "The server failed on this request; tell its operator.", status=500, code="failed"
         )
     kind = next((k for k in type(error).__mro__ if k in _KINDS), None)
     status, title = _KINDS[kind] if kind else (500, "The request failed")
@@ -63,7 +63,7 @@ def make_request_error(errors: Any, name: str = "body") -> RequestError:  # noqa
     where = ".".join(str(part) for part in first["loc"] if part != "body")
     if not where:
         return RequestError(
-            f"{name}: no JSON object; send one, as application/json.", status=422, code="fields"
+            f"{name}: not a JSON object; send one, as application/json.", status=422, code="fields"
         )
     return RequestError(
         f"{where[:80]}: {first['msg']}; see /docs for the fields.", status=422, code="fields"

@@ -91,8 +91,8 @@ class AnswerBody(_Body):
 class Locate(_Body):
     """A sentence, and what is known beside it."""
 
-    text: str = Field(description="What stands around the speaker, in words.")
-    map: str | None = Field(None, description="Name of a map; all of them where not given.")
+    text: str = Field(description="Description of the speaker's surroundings.")
+    map: str | None = Field(None, description="Name of a map; all maps if not given.")
     near: Near = None
     radius: float | None = option_field("radius")
     heading_deg: Finite | None = option_field("heading_deg")
@@ -128,16 +128,18 @@ class PriorPose(_Body):
 class Localize(_Body):
     """Request to localize images, in order of time."""
 
-    map: str | None = Field(None, description="Name of a map; all of them where not given.")
-    intrinsics: Intrinsics | None = Field(None, description="Of EXIF where not given.")
+    map: str | None = Field(None, description="Name of a map; all maps if not given.")
+    intrinsics: Intrinsics | None = Field(
+        None, description="Camera intrinsics; from EXIF if not given."
+    )
     gravity: list[list[Finite]] | None = Field(
-        None, max_length=1000, description="Its direction in each camera's axes (x, y, z)."
+        None, max_length=1000, description="Direction of gravity in each camera's axes (x, y, z)."
     )
     odometry: list[list[list[Finite]]] | None = Field(
-        None, max_length=1000, description="odometry_from_camera (4, 4) of each image [m]."
+        None, max_length=1000, description="odometry_from_camera (4, 4) of every image [m]."
     )
     stamps: list[Finite] | None = Field(None, max_length=1000)
-    depth_scale: Positive = Field(1000.0, description="Units of the depth images in a metre.")
+    depth_scale: Positive = Field(1000.0, description="Depth units per metre.")
     description: str | None = Field(None, max_length=2000)
     prior: PriorPose | None = None
     near: Near = None
@@ -170,12 +172,14 @@ class Step(_Body):
     distance: Finite | None = None
     bearing_deg: Finite | None = None
     image: str | None = Field(None, description="JPEG or PNG in base64.")
-    depth: str | None = Field(None, description="PNG of 16 bits in base64.")
+    depth: str | None = Field(None, description="16-bit PNG in base64.")
     depth_scale: Positive = 1000.0
     odometry: list[list[Finite]] | None = Field(
         None, description="odometry_from_camera (4, 4) [m]."
     )
-    gravity: list[Finite] | None = Field(None, description="Its direction in the camera's axes.")
+    gravity: list[Finite] | None = Field(
+        None, description="Direction of gravity in the camera's axes."
+    )
     stamp: Finite | None = None
 
 
@@ -224,8 +228,8 @@ class Photo:
             given = Camera(width, height, focal, focal, width / 2.0, height / 2.0)
         if abs(given.width * height - given.height * width) > max(width, height):
             raise InputError(
-                f"{name} is {width} x {height}, and intrinsics are of images of {given.width} x "
-                f"{given.height}; give those of the images as they are shown."
+                f"{name} is {width} x {height}, but the intrinsics are for images of {given.width} "
+                f"x {given.height}; send the intrinsics of the upright images."
             )
         check_focal(given, name)
         return given.resize(self.rgb.shape[1], self.rgb.shape[0])
@@ -254,7 +258,7 @@ def read_depth(data: bytes, name: str, scale: float, options: ServeOptions) -> N
     """Depth (h, w) [m], NaN: no reading, of a PNG of 16 bits."""
     with open_image(BytesIO(data), name, bounded=True) as image:
         if not image.mode.startswith("I"):
-            raise InputError(f"{name} has pixels of mode {image.mode!r}; send a PNG of 16 bits.")
+            raise InputError(f"{name} has pixels of mode {image.mode!r}; send a 16-bit PNG.")
         check_size(image.size, name, options)
         units = np.asarray(image).astype(np.float32)
     return np.where(units > 0, units / np.float32(scale), np.float32(np.nan))
@@ -288,7 +292,8 @@ def check_size(size: tuple[int, int], name: str, options: ServeOptions) -> None:
         )
     if min(size) < SMALLEST:
         raise InputError(
-            f"{name} is {width} x {height} pixels; send an image of {SMALLEST} or more a side."
+            f"{name} has {width} x {height} pixels; send an image of at least {SMALLEST} pixels "
+            "per side."
         )
 
 
@@ -373,7 +378,7 @@ class Hints:
         if not self.is_far(away):
             return []
         said = (
-            f"The given position lies {away / 1000.0:.1f} km from map {name!r} and was left out; "
+            f"The given position lies {away / 1000.0:.1f} km from map {name!r}, so it was ignored; "
         )
         if not self.is_far(swapped):
             return [said + "swapped, it lies there: longitude comes first."]
@@ -433,10 +438,10 @@ def images_of(photos: Sequence[Photo], depths: Sequence[Any], parameters: dict[s
     for name in ("gravity", "odometry", "stamps"):
         if parameters.get(name) is not None and len(parameters[name]) != count:
             raise OptionError(
-                f"{name}: {len(parameters[name])} for {count} images; give one an image."
+                f"{name}: {len(parameters[name])} for {count} images; send one per image."
             )
     if depths and len(depths) != count:
-        raise OptionError(f"depth: {len(depths)} for {count} images; give one an image, or none.")
+        raise OptionError(f"depth: {len(depths)} for {count} images; send one per image, or none.")
     cameras = [
         photo.camera(camera_of(parameters.get("intrinsics"), photo), f"images[{i}]")
         for i, photo in enumerate(photos)
@@ -455,7 +460,7 @@ def images_of(photos: Sequence[Photo], depths: Sequence[Any], parameters: dict[s
     ]  # fmt: skip
     together = odometry is not None
     if together and len({(f.camera.width, f.camera.height) for f in frames}) > 1:
-        raise InputError("images: their sizes differ; images of one way are of one camera.")
+        raise InputError("images: their sizes differ; send images of one camera.")
     leveled = gravity is not None or together
     return Images(tuple(frames), together or count == 1, leveled)
 
@@ -484,7 +489,7 @@ def capture_in(path: Path, folder: Path, options: ServeOptions) -> Capture:
             _unpack(archive, folder, options)
     except _BROKEN as error:
         raise InputError(
-            f"capture: no whole ZIP ({' '.join(str(error).split())}); send it again."
+            f"capture: not a complete ZIP ({' '.join(str(error).split())}); send it again."
         ) from error
     inside = [p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("__")]
     root = folder if is_capture(folder) or len(inside) != 1 else inside[0]
@@ -507,7 +512,7 @@ def _unpack(archive: zipfile.ZipFile, folder: Path, options: ServeOptions) -> No
         raise _too_much(f"{len(entries)} files; send at most {most}")
     left = options.unpacked_bytes
     if sum(e.file_size for e in entries) > left:
-        raise _too_much(f"more than {left:,} bytes unpacked; send fewer frames")
+        raise _too_much(f"more than {left:,} bytes after unpacking; send fewer frames")
     for entry in entries:
         target = folder / _safe(entry)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -515,7 +520,7 @@ def _unpack(archive: zipfile.ZipFile, folder: Path, options: ServeOptions) -> No
             while chunk := packed.read(_CHUNK):  # counted, whatever its directory says
                 left -= len(chunk)
                 if left < 0:
-                    raise _too_much("more than it says; send it as it was made")
+                    raise _too_much("more than it declares; send the original file")
                 out.write(chunk)
 
 
@@ -525,7 +530,7 @@ def _safe(entry: zipfile.ZipInfo) -> PurePosixPath:
     odd = name.is_absolute() or ".." in name.parts or "\\" in entry.filename or len(str(name)) > 200
     if odd or ":" in entry.filename or stat.S_ISLNK(entry.external_attr >> 16):
         raise InputError(
-            f"capture: {entry.filename[:80]!r} leads out of the ZIP; pack the folder again."
+            f"capture: {entry.filename[:80]!r} points outside the ZIP; pack the folder again."
         )
     return name
 
@@ -537,10 +542,10 @@ def _too_much(what: str) -> RequestError:
 def image_bytes(text: object) -> bytes:
     """Bytes of base64, of either alphabet, with or without padding and the head of a data URL."""
     if not isinstance(text, str):
-        raise InputError("imageBytes: no text; send base64.")
+        raise InputError("imageBytes: not text; send base64.")
     coded = text.partition(",")[2] if text.startswith("data:") else text
     coded = "".join(coded.split()).translate(str.maketrans("-_", "+/")).rstrip("=")
     try:
         return b64decode(coded + "=" * (-len(coded) % 4), validate=True)
     except (binascii.Error, ValueError) as error:
-        raise InputError(f"imageBytes: not base64 ({error}); encode the image anew.") from None
+        raise InputError(f"imageBytes: not base64 ({error}); encode the image again.") from None

@@ -208,7 +208,7 @@ def _fields(what: dict[str, Any], schemas: dict[str, Any]) -> list[str]:
         schema = _resolved(content["schema"], schemas)
         out.append(_table(f"body, {kind}", schema.get("properties", {})))
         form = schema.get("properties", {}).get("request", {}).get("properties")
-        out += [_table("its field request, JSON", form)] if form else []
+        out += [_table("its field `request`, as JSON", form)] if form else []
     return out
 
 
