@@ -336,7 +336,7 @@ def lies(tail):
         "cannot be parsed.*extra": (tail, [entry(tail, extra=1)]),
         "length given in its header": (bomb, [entry(bomb, codec="zlib")]),
         "given in its header": (tail, [entry(tail, codec="lzma")]),
-        "neither true nor false": (tail, [entry(tail, dtype="|b1", shape=[8])]),
+        "other than true and false": (tail, [entry(tail, dtype="|b1", shape=[8])]),
         "checksum": (tail, [entry(tail, crc32=1)]),
         # a gigabyte of zeros in 1 MB: refused before it is allocated
         "more data than": (bomb, [entry(bomb, codec="zlib", dtype="|u1", shape=[1 << 34])]),

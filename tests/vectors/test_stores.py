@@ -319,7 +319,9 @@ def file(rng, cloud, tmp_path):
 
 def test_a_store_of_another_map_or_model_is_refused(file):
     for origin, what in ((Origin("x", "n"), "map"), (Origin("m", "x"), "model")):
-        with pytest.raises(StoreError, match=rf"a\.vectors holds vectors of another {what}; make"):
+        with pytest.raises(
+            StoreError, match=rf"a\.vectors contains vectors of another {what}; create"
+        ):
             EmbeddedStore.open(file, origin)
     assert EmbeddedStore.open(file).origin == Origin("m", "n")
 

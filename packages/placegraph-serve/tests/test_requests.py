@@ -80,7 +80,7 @@ def test_focal_lengths_that_are_none_in_pixels_are_refused(focal):
     ("data", "error", "says"),
     [
         (b"", InputError, "is empty"),
-        (b"no image at all", InputError, r"as an image \(of no known kind\)"),
+        (b"no image at all", InputError, r"as an image \(of an unknown format\)"),
         (picture()[:300], InputError, "cannot be read as an image"),
         (picture((1, 1), "PNG"), InputError, "1 x 1 pixels; send an image of 32 or more"),
         (picture((8000, 5000), "PNG", "1"), RequestError, "more than 24 megapixels"),

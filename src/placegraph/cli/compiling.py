@@ -74,8 +74,8 @@ def warm_up(quiet: Quiet = False) -> None:
 
     if cache.FOLDERS.write is None:
         raise OptionError(
-            "--compiled: the folder is not writable; name a writable one, or the compiled code "
-            "is not kept."
+            "--compiled: the folder is not writable; choose a writable one, else compiled code is "
+            "not cached."
         )
     start = perf_counter()
     _read_once()

@@ -211,7 +211,7 @@ def _write(
 
     if len(scene) >= _MOST:
         raise OptionError(
-            f"The map has {len(scene):,} objects, but objects.png holds {_MOST - 1:,} at most."
+            f"The map has {len(scene):,} objects, but objects.png can store at most {_MOST - 1:,}."
         )
     normals = drawn.normals(scene.mesh, map_from_camera)
     units = np.rint(np.nan_to_num(drawn.depth) * _UNITS)

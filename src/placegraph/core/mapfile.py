@@ -108,7 +108,7 @@ def read_head(file: BinaryIO, path: Path) -> Header:
             "city build`, or from a 3D file with `placegraph scene build`."
         )
     if len(prefix) < PREFIX.size:
-        raise damage_error(path, "it ends within the header")
+        raise damage_error(path, "it ends inside the header")
     _, container, length, crc = PREFIX.unpack(prefix)
     if container > CONTAINER_VERSION:
         raise MapError(
@@ -117,7 +117,7 @@ def read_head(file: BinaryIO, path: Path) -> Header:
             "version."
         )
     if length > min(MAX_HEADER, size):
-        raise damage_error(path, "it ends within the header")
+        raise damage_error(path, "it ends inside the header")
     text = file.read(length)
     if len(text) != length or zlib.crc32(text) != crc:
         raise damage_error(path, "its header does not match its checksum")
@@ -273,7 +273,7 @@ def decompress_array(
         words = _undelta(words) if filter_ == "delta" else words
         array = words.view(kind).reshape(shape)
     if kind == np.bool_ and np.any(array.view(np.uint8) > 1):
-        raise ValueError("holds values that are neither true nor false")
+        raise ValueError("contains values other than true and false")
     array.flags.writeable = False
     return array
 

@@ -37,7 +37,7 @@ def read_arrays(
     }
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            raise ValueError(f"{name} holds numbers that are not finite")
+            raise ValueError(f"{name} contains numbers that are not finite")
     return arrays
 
 

@@ -67,7 +67,8 @@ class LocateOptions:
     top: int = option(5, "Maximum number of places in the answer.", minimum=1, flag="--top")
     radius: float = option(
         1000.0,
-        "Radius around the known position (`near`) that holds half of the prior; unused without `near`.",
+        "Radius around the known position (`near`) that contains half of the prior; unused without "
+        "`near`.",
         unit="m",
         minimum=1,
         maximum=1e7,

@@ -397,8 +397,8 @@ def refuse_other(what: str, origin: Origin, wanted: Origin | None) -> None:
     difference = wanted.differs(origin) if wanted is not None else ""
     if difference:
         raise StoreError(
-            f"{what} holds vectors of another {difference}; make them again with `placegraph city "
-            "embed`, or name the store that belongs to this map and model."
+            f"{what} contains vectors of another {difference}; create them again with `placegraph "
+            "city embed`, or name the store that belongs to this map and model."
         )
 
 

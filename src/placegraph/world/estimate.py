@@ -194,7 +194,7 @@ def add_answers(query: WorldQuery) -> WorldQuery:
     for answer in query.answers:
         if not isinstance(answer, Answer):
             raise OptionError(
-                f"answers holds {answer!r}; answer questions by `question.answer(option)`."
+                f"answers contains {answer!r}; create answers with `question.answer(option)`."
             )
         thing = answer.question.subjects[0]
         if thing.label not in (BUILDING, ROOM):

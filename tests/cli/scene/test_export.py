@@ -75,7 +75,9 @@ def test_export_refuses(run, two, way, tmp_path):
     fails(run("scene", "export", two, tmp_path / "no" / "a.glb"), 4, "cannot be written")
     fails(run("scene", "export", way, tmp_path / "a.glb"), 4, "not a placegraph map")
     fails(
-        run("scene", "export", two, tmp_path / "a.ply", "--camera-path", way), 7, "cannot hold them"
+        run("scene", "export", two, tmp_path / "a.ply", "--camera-path", way),
+        7,
+        "cannot store them",
     )
     gone = tmp_path / "no.tum"
     fails(run("scene", "export", two, tmp_path / "a.glb", "--camera-path", gone), 3, "no.tum")

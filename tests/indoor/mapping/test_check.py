@@ -147,7 +147,7 @@ def test_double_triangles_twins_and_giants_are_told(room):
         replace(mesh, object_of=np.zeros(len(mesh), np.int32)),
         ["0"], ["scan"], floor=0.0, encoded=room.encoded,
     )  # fmt: skip
-    (giant,) = find_findings(check(one), "has no separate objects, which localization needs")
+    (giant,) = find_findings(check(one), "lacks the separate objects that localization needs")
     assert giant.severity == "error"
 
 

@@ -174,7 +174,7 @@ def test_where_it_cannot_be_written(tmp_path):
 
 def test_camera_paths_that_do_not_fit(tmp_path, way):
     scene = plain_map()
-    with pytest.raises(OptionError, match="cannot hold them"):
+    with pytest.raises(OptionError, match="cannot store them"):
         export(scene, tmp_path / "a.ply", camera_paths={"walk": way})
     for poses in (way[0], way[:0], way * np.nan, [[1]]):
         with pytest.raises(OptionError, match="walk"):

@@ -246,7 +246,6 @@ def encode_objects(
         if scene.graph.embeddings is None or captures:
             raise
         raise MapError(
-            f"{scene.source or 'The map'} holds vectors of the encoder "
-            f"{scene.encoder or '?'}, but the frames are encoded by {encoder.key}; use the "
-            f"same encoder for both ({error})"
+            f"{scene.source or 'The map'} has vectors of the encoder {scene.encoder or '?'}, but "
+            f"the frames are encoded by {encoder.key}; use the same encoder for both ({error})"
         ) from error

@@ -189,8 +189,8 @@ class SceneLibrary(SceneCollection, HtmlRepr):
             return self._open[name]
         if entry.path is None:
             raise InputError(
-                f"{name}: the library holds only the signature of the scene, not the path "
-                "of its map; add the map file again."
+                f"{name}: the library stores only the signature of the scene, not the path of its "
+                "map; add the map file again."
             )
         if not entry.path.exists():
             raise InputError(

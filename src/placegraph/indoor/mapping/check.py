@@ -133,8 +133,8 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
         severity: Severity = "warning" if len(scene) > 1 else "error"
         yield Finding(
             severity,
-            f"{_describe_object(scene, largest)} holds {share:.0%} of the surface, so the "
-            "map has no separate objects, which localization needs.",
+            f"{_describe_object(scene, largest)} is {share:.0%} of the surface, so the map lacks "
+            "the separate objects that localization needs.",
             [scene.graph.ids[largest]],
             "Build from a file with one node, group or id per object (--object-property, "
             "--labels), or from the capture, which segments the mesh.",

@@ -171,7 +171,7 @@ def export(
                 "overwrite it (overwrite=True, or --force)."
             )
     if paths and ending not in (".glb", ".json"):
-        raise OptionError(f"camera_paths: {ending} files cannot hold them; export .glb or .json.")
+        raise OptionError(f"camera_paths: {ending} files cannot store them; export .glb or .json.")
     if ending == ".glb":
         write_file(path, [encode_scene(scene, paths)])
     elif ending in (".osm", *OSMAG_ENDINGS):
@@ -292,7 +292,7 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
     writer = load_module("placegraph_io.graphs.spark_dsg_write", "io")
     if len(paths) > writer.MOST_PATHS:
         raise OptionError(
-            f"camera_paths: there are {len(paths)}, but a .json file holds at most "
+            f"camera_paths: there are {len(paths)}, but a .json file can store at most "
             f"{writer.MOST_PATHS}."
         )
     model = paint_vertices(scene)

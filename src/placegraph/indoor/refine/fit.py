@@ -307,7 +307,7 @@ def solve(
             if not np.isfinite(whole).all():  # a ray that is no number would never come back
                 raise InputError(
                     "The poses of the frames cannot be fitted: their odometry, gravity, depth or "
-                    "matches hold numbers that are not finite or absurdly large."
+                    "matches contain numbers that are not finite or far too large."
                 )
             moves = [step + late * way for late, way in zip(whole[-2:], ways, strict=True)]
             frame_errors = [

@@ -168,7 +168,7 @@ def checked_covariance(what: str, matrix: ArrayLike) -> Floats:
     spread = 0.5 * (spread + spread.T)
     least = float(np.linalg.eigvalsh(spread)[0])
     if least < -1e-6 * max(1.0, float(np.abs(spread).max())):
-        raise OptionError(f"{what}: an eigenvalue is {least:.3g}; variances are not negative.")
+        raise OptionError(f"{what}: an eigenvalue is {least:.3g}; variances must not be negative.")
     return spread
 
 

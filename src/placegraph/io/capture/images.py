@@ -63,7 +63,7 @@ def open_image(source: Path | IO[bytes], name: object, *, bounded: bool = False)
         ) from error
     except (*_BROKEN, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         why = " ".join(str(error).split()) or type(error).__name__
-        why = "of no known kind" if isinstance(error, UnidentifiedImageError) else why
+        why = "of an unknown format" if isinstance(error, UnidentifiedImageError) else why
         raise InputError(
             f"{name} cannot be read as an image ({why}); it may be truncated: copy it again."
         ) from error

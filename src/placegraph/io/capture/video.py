@@ -126,7 +126,7 @@ def read_video_folder(path: Path) -> Capture:
     videos = _videos(path)
     if len(videos) != 1:
         listed = ", ".join(v.name for v in videos) or "no video"
-        raise InputError(f"{path} holds {listed}; leave one there.")
+        raise InputError(f"{path} contains {listed}; leave one of them there.")
     video = Video(videos[0])
     cameras = read_camera(path / "camera.json")
     content = read_json(cameras.path)

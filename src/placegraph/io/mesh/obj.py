@@ -86,7 +86,7 @@ def read_obj(
 
     """
     if groups not in {"auto", *_NAMED}:
-        raise OptionError(f"groups is {groups!r}; it is 'auto', 'o', 'g' or 'usemtl'.")
+        raise OptionError(f"groups is {groups!r}; choose 'auto', 'o', 'g' or 'usemtl'.")
     parser = _Parser(Path(path))
     for block in _read_blocks(parser.path):
         parser.add(block)
@@ -268,7 +268,7 @@ class _Parser:
             return _Lines(text, begin, rows)
 
         counts, at, numbers = self.read_rows(
-            select(is_vertex, 1), 3, "a vertex has three coordinates"
+            select(is_vertex, 1), 3, "a vertex must have three coordinates"
         )
         corners = at[:, None] + np.arange(3)
         coloured = counts >= 6  # x y z r g b; x y z w is without colour
@@ -276,7 +276,9 @@ class _Parser:
         colours[coloured] = numbers[corners[coloured] + (counts[coloured, None] - 3)]
         self.parts["vertices"].append(numbers[corners])
         self.parts["colours"].append(colours)
-        counts, at, numbers = self.read_rows(select(is_uv, 2), 1, "a texture vertex has u and v")
+        counts, at, numbers = self.read_rows(
+            select(is_uv, 2), 1, "a texture vertex must have u and v"
+        )
         v = np.where(counts > 1, _parse_fields(numbers, at), 0.0)
         self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
         faces = select(is_face, 1)

@@ -159,7 +159,9 @@ def _check(place: str, out: Path, keys: list[str]) -> None:
         raise OptionError("keys is empty; name at least one key, such as 'highway'.")
     for key in keys:
         if not KEY.fullmatch(key):
-            raise OptionError(f"keys holds {key!r}; a key has letters, digits and : _ . - only.")
+            raise OptionError(
+                f"keys contains {key!r}; a key may only have letters, digits and : _ . -"
+            )
 
 
 def find_area(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late

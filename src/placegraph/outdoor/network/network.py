@@ -248,9 +248,9 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     for part, here in (("labels", _labels(len(known))), ("graphs", graphs)):
         if file.meta.get(part) != here:
             raise MapError(
-                f"{path}: the network was trained with different {part} "
-                f"({file.meta.get(part)}) from those of this version of placegraph "
-                f"({here}). Train it again by `placegraph city train`."
+                f"{path}: the network was trained with different {part} ({file.meta.get(part)}) "
+                f"from those of this version of placegraph ({here}). Train it again with "
+                "`placegraph city train`."
             )
     try:
         shape = Shape.from_dict(file.meta["shape"])
@@ -273,7 +273,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 
 def _open_weights(path: str | PathLike[str]) -> MapFile:
     """Read a weights file as a map file; errors are about weights."""
-    mend = "train one by `placegraph city train`, or use the one that comes with placegraph."
+    mend = "train one with `placegraph city train`, or use the one that comes with placegraph."
     try:
         header = read_header(path)
         file = read_map(path, header.kind, header.version)

@@ -79,8 +79,8 @@ class LabelledGraph:
                 nodes.append(Node(labels, mention.name.casefold()))
         if not nodes:
             raise DescriptionError(
-                "The text mentions no object that a scene graph could hold; describe objects and "
-                "their relations."
+                "The text mentions no object that a scene graph could contain; describe objects "
+                "and their relations."
             )
         related = [(s, _relations(s)) for s in statements if _relations(s)]
         if speaker and any(SPEAKER in (s.source, s.target) for s, _ in related):

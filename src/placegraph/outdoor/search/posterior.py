@@ -204,8 +204,8 @@ def find_dense_cells(request: Request, n: int) -> NDArray[np.int64]:
     rows = np.searchsorted(cells.points, ids)
     if (cells.points[np.minimum(rows, len(cells) - 1)] != ids).any():
         raise StoreError(
-            "The vector store names cells that are not on this map; make it again by "
-            "`placegraph city embed`."
+            "The vector store has cells that are not on this map; create it again with `placegraph "
+            "city embed`."
         )
     return rows
 

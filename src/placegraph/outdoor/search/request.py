@@ -461,7 +461,7 @@ def parse(
     for given in answers:
         if not isinstance(given, Answer):
             raise OptionError(
-                f"answers holds {given!r}; answer questions by `question.answer(option)`."
+                f"answers contains {given!r}; create answers with `question.answer(option)`."
             )
         text = given.added_to(text)
     return text

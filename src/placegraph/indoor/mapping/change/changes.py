@@ -170,7 +170,7 @@ class Change:
         for name, shape in (("after_from_before", (4, 4)), ("box", (2, 3)), ("centre", (3,))):
             value = getattr(self, name)
             if value is not None and (value.shape != shape or not np.isfinite(value).all()):
-                raise OptionError(f"{name}: {shape} finite numbers belong.")
+                raise OptionError(f"{name}: give {shape} finite numbers.")
         if self.kind == "moved" and self.after_from_before is None:
             raise OptionError(
                 "after_from_before: it is missing, but a moved object needs a motion."
