@@ -134,7 +134,7 @@ class Diagnostics:
 
     @property
     def labels_only(self) -> bool:
-        """Whether labels alone speak, which have no odds."""
+        """Whether only labels were compared; they give no log-odds."""
         agreed = self.agreement
         return agreed is None or not np.isfinite(self.odds) or _labels_only(agreed)
 
@@ -297,7 +297,7 @@ def _describe_agreement(agreed: Agreement) -> str:
 
 
 def needs_fault_search(estimate: PoseEstimate) -> bool:
-    """Return whether a fault of the input may explain the status: no pose is sure, nor a rival in the way."""
+    """Return whether an input fault may explain the status: no pose is certain, and no rival pose does."""
     found = diagnostics_of(estimate)
     doubted = np.isfinite(found.odds) and found.odds < log_odds(SURE, 0.0)
     return estimate.status is not Status.OK and not (found.undecided and not doubted)

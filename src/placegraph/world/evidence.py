@@ -153,7 +153,7 @@ def list_rooms(library: SceneLibrary, name: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class RemainingScenes:
-    """Weight of the scenes of shards that are no candidates of a question."""
+    """Weight of the scenes in shards that were not proposed for a query."""
 
     count: int
     """Of all scenes."""

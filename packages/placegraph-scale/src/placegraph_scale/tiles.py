@@ -388,7 +388,7 @@ class TileJob:
 
     @property
     def is_ready(self) -> bool:
-        """Whether its objects were put aside, and are there still."""
+        """Whether the objects of the tile are stored and still present."""
         try:
             return all(Path(path).stat().st_size >= size for path, size in self.objects)
         except OSError:

@@ -221,7 +221,7 @@ class LabelsEncoder:
 
     @property
     def key(self) -> str:
-        """Which labels have which vectors; a confusion changes what patches say, not that."""
+        """Cache key of the labels and their vectors; a confusion matrix does not change it."""
         return f"labels {hash_tree()}"
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:

@@ -35,7 +35,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mention:
-    """A thing spoken of."""
+    """Object or person that a description mentions."""
 
     words: str
     """As written: "two brown chairs"."""

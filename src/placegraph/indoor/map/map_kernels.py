@@ -404,7 +404,7 @@ def _add_correlation(total, hits, m, weight):
 
 
 def add_shifted(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
-    """Add to each pose of the reference frame what `scan` says of it moved by `step` (3,) [m]."""
+    """Add the scores of `scan`, shifted by `step` (3,) [m], to the poses of the reference frame."""
     grid = positions, layer_of, index, origin, spacing, step
     run_parallel(_add_shifted, len(positions), total, scan, unknown, *grid)
 

@@ -54,7 +54,7 @@ class FromCapture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A model, and what else is known of the way it looks."""
+    """Model, with the colours, landmarks and viewpoints that its capture gave."""
 
     model: Model
     colour_of: ColourOf | None = None  # Colours of its surface, sharper than those of its vertices

@@ -342,7 +342,7 @@ def rerank(request: Request, scored: ScoredViews) -> ScoredViews:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probability of viewpoints; what is missing to 1 lies elsewhere, or was not scored."""
+    """Probabilities of viewpoints; the remainder to 1 lies elsewhere, or was not scored."""
 
     positions: Floats
     """(K, 2) east, north [m]."""

@@ -54,7 +54,7 @@ def draw_city(
     Raises
     ------
     OptionError
-        The size is no size of a picture.
+        A side is outside `SMALLEST` to `LARGEST` px.
 
     """
     width, height = _check_map(size)
@@ -86,7 +86,7 @@ def write_picture(
     Raises
     ------
     OptionError
-        The size is no size of a picture.
+        A side is outside `SMALLEST` to `LARGEST` px.
 
     """
     width, height = _check_map(size)

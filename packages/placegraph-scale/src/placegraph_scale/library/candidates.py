@@ -102,7 +102,7 @@ class CandidateScenes(SceneShards):
         return sorted({row for part in parts for row in self.called.get(part, ()) if part})
 
     def find_names(self, text: str) -> set[str]:
-        """Return the names of scenes and buildings that stand in a text."""
+        """Return the names of scenes and buildings that a text mentions."""
         names = {""}
         for row in self.find_named(text):
             names |= {self._string(row, "names"), *self._string(row, "buildings").split("\n")}

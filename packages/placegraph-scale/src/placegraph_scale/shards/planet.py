@@ -165,7 +165,7 @@ class ShardsMatch(TownMatch):
 
     @property
     def cost(self) -> str:
-        """Sentence that says how many shards were looked into."""
+        """Sentence with the number of shards that were searched."""
         touched, n = len(self.search.touched), len(self.search.sources)
         return f"Searched {touched:,} of {n:,} shards."
 

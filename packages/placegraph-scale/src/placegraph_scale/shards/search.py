@@ -353,7 +353,7 @@ class Search:
     def run_step(
         self, step: str, tasks: Iterable[tuple[int, tuple[Any, ...]]]
     ) -> Iterator[tuple[int, Any]]:
-        """Yield results of a step by row of the shard, in their order; of those that answer in time."""
+        """Yield the results of a step by shard, in order, from the shards that answer in time."""
         for _, row, answer in self.run_steps((step, *task) for task in tasks):
             yield row, answer
 
