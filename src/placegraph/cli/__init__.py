@@ -117,8 +117,8 @@ def _run(arguments: list[str]) -> int:
         click.echo("Aborted.", err=True)
         return 1
     except PlacegraphError as error:
-        said = harmless(f"{NAME}: {error}")
-        click.secho(said, file=bare(sys.stderr), fg="red")
+        text = harmless(f"{NAME}: {error}")
+        click.secho(text, file=bare(sys.stderr), fg="red")
         return error.exit_code
     except OSError as error:
         return _failed(error)

@@ -287,15 +287,15 @@ def info(
     from placegraph.outdoor.city import CityMap
 
     city = CityMap.open(map_file)
-    told = {**facts(city), "bytes": map_file.stat().st_size}
+    result = {**facts(city), "bytes": map_file.stat().st_size}
     if png is not None:
         from placegraph.view import draw_city
 
         draw_city(city, png)
     if as_json:
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
         return
-    show_facts(told)
+    show_facts(result)
 
 
 def facts(city: CityMap) -> dict[str, object]:
@@ -404,8 +404,8 @@ def locate(
 
         write_picture(city, estimate, png)
     if as_json:
-        told = estimate.to_dict() | {"question": question.text if question else None}
-        click.echo(json.dumps(told, ensure_ascii=False))
+        result = estimate.to_dict() | {"question": question.text if question else None}
+        click.echo(json.dumps(result, ensure_ascii=False))
     else:
         _show(estimate, question)
 
@@ -496,7 +496,7 @@ def embed(
         )  # fmt: skip
     seconds = perf_counter() - start
     with made:
-        told = {
+        result = {
             "store": load_module("placegraph_scale.milvus", "scale").hide_password(store)
             if store
             else str(out),
@@ -507,12 +507,12 @@ def embed(
             "seconds": round(seconds, 3),
         }
     if as_json:
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(result))
     elif not quiet:
-        size = f", {told['bytes']:,} bytes" if out else ""
+        size = f", {result['bytes']:,} bytes" if out else ""
         click.echo(
-            f"{told['store']}: {told['cells']:,} cells, {told['dimension']} numbers each, version "
-            f"{told['version']}{size}, in {seconds:.1f} s."
+            f"{result['store']}: {result['cells']:,} cells, {result['dimension']} numbers each, version "
+            f"{result['version']}{size}, in {seconds:.1f} s."
         )
 
 
@@ -583,8 +583,8 @@ def track(
             click.echo(str(error), err=True)  # there is another line to come
             continue
         if as_json:
-            said = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
-            click.echo(json.dumps(said, ensure_ascii=False))
+            answer_line = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
+            click.echo(json.dumps(answer_line, ensure_ascii=False))
         else:
             click.echo(_summarize(estimate))
     if html is not None:

@@ -117,8 +117,8 @@ class Group(click.Group):
         except click.UsageError as error:
             near = get_close_matches(args[0], self.list_commands(ctx))
             if near:
-                said = f"{error.message} Did you mean {' or '.join(map(repr, near))}?"
-                raise click.UsageError(said, ctx) from None
+                message = f"{error.message} Did you mean {' or '.join(map(repr, near))}?"
+                raise click.UsageError(message, ctx) from None
             raise
 
 

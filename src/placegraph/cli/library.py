@@ -170,16 +170,16 @@ def facts(library: SceneLibrary) -> dict[str, object]:
 
 
 def _print_facts(library: SceneLibrary, path: Path, *, as_json: bool, skipped: int = 0) -> None:
-    told = facts(library)
+    summary = facts(library)
     if path.is_file():
         size = path.stat().st_size
-        told |= {"bytes": size, "bytes_a_scene": round(size / max(1, len(library)))}
+        summary |= {"bytes": size, "bytes_a_scene": round(size / max(1, len(library)))}
     if skipped or as_json:
-        told["skipped"] = skipped
+        summary["skipped"] = skipped
     if as_json:
-        echo_json(told)
+        echo_json(summary)
     else:
-        show_facts(told)
+        show_facts(summary)
 
 
 def _add_all(

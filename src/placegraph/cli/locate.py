@@ -105,9 +105,11 @@ def show(estimate: WorldEstimate) -> None:
                 sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
             )
         out.print(rows)
-    told = estimate.understood
-    if told is not None and told.ignored:
-        out.print("Ignored: " + "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in told.ignored))
+    parsed = estimate.understood
+    if parsed is not None and parsed.ignored:
+        out.print(
+            "Ignored: " + "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in parsed.ignored)
+        )
     for note in estimate.notes:
         out.print(note)
 

@@ -128,12 +128,12 @@ def anchor(
 
         draw_anchors(anchored, png, fitted.footprints)
     if as_json:
-        told = {
+        result = {
             "map": str(target),
             "anchors": [summary(a) for a in found],
             "notes": notes,
         }
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
     elif not quiet:
         show(found)
         for note in notes:
@@ -168,7 +168,7 @@ def summary(anchor: Anchor) -> dict[str, object]:
     """Summarize an anchor in plain numbers and strings."""
     east, north, up, turn = (sqrt(v) for v in anchor.covariance.diagonal())
     worst = max(anchor.residuals, default=None)
-    told: dict[str, object] = {
+    result: dict[str, object] = {
         "longitude": round(anchor.longitude, 8),
         "latitude": round(anchor.latitude, 8),
         "height_m": round(anchor.height, 2) if up < UNKNOWN else None,
@@ -182,7 +182,7 @@ def summary(anchor: Anchor) -> dict[str, object]:
         "method": anchor.method,
         "worst_residual_m": None if worst is None else round(worst, 3),
     }
-    return told | ({"scene": anchor.scene} if anchor.scene else {})
+    return result | ({"scene": anchor.scene} if anchor.scene else {})
 
 
 def show(anchors: tuple[Anchor, ...]) -> None:

@@ -158,11 +158,11 @@ def build(
         )  # fmt: skip
     seconds = perf_counter() - start
     if as_json:
-        told = {
+        result = {
             **facts(scene), "left_out": left_out, "notes": notes, "bytes": out.stat().st_size,
             "seconds": round(seconds, 3),
         }  # fmt: skip
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
     elif not quiet:
         _summary(scene, out, seconds, notes, left_out)
 
@@ -273,14 +273,14 @@ def check(
     findings = findings_of(scene, options=PoseSearchOptions(**search), size=size, seconds=opened)
     errors = sum(f.severity == "error" for f in findings)
     if as_json:
-        told = {
+        result = {
             "map": str(map_file),
             "bytes": size,
             "opened_s": round(opened, 3),
             "errors": errors,
             "findings": [f.to_dict() for f in findings],
         }
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
     else:
         _show(findings)
         click.echo(
@@ -319,15 +319,15 @@ def info(
     from placegraph.indoor.scene_map import SceneMap
 
     scene = SceneMap.open(map_file)
-    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": measure_parts(map_file)}
+    result = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": measure_parts(map_file)}
     if png is not None:
         from placegraph.view import draw_scene
 
         draw_scene(scene, png)
     if as_json:
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
     else:
-        show_facts(told)
+        show_facts(result)
 
 
 def facts(scene: SceneMap) -> dict[str, object]:
@@ -543,13 +543,13 @@ def export(
     files = write(scene, out, camera_paths=paths, overwrite=force)
     sizes = {str(file): file.stat().st_size for file in files}
     if as_json:
-        told = {
+        result = {
             "files": sizes,
             "objects": len(scene),
             "triangles": len(scene.mesh),
             "lost": list_losses(scene, out),
         }
-        click.echo(json.dumps(told, ensure_ascii=False))
+        click.echo(json.dumps(result, ensure_ascii=False))
     elif not quiet:
         for name, size in sizes.items():
             click.echo(f"{name}: {size / 1e3:,.0f} kB.")

@@ -146,16 +146,23 @@ def update(
         map_file, differences, target, in_place=in_place, take=take or KINDS,
         least_confidence=least_confidence, when=when,
     )  # fmt: skip
-    told = [id_ for id_, a in zip(new.graph.ids, new.attributes, strict=True) if "history" in a]
+    with_history = [
+        id_ for id_, a in zip(new.graph.ids, new.attributes, strict=True) if "history" in a
+    ]
     if as_json:
-        facts = {"map": str(target), "objects": len(new), "changes": len(differences), "told": told}
+        facts = {
+            "map": str(target),
+            "objects": len(new),
+            "changes": len(differences),
+            "told": with_history,
+        }
         click.echo(json.dumps(facts, ensure_ascii=False))
     elif not quiet:
         click.echo(f"{target}: {len(new):,} objects, {len(differences):,} changes in the diff.")
-        if differences and not told:
+        if differences and not with_history:
             click.echo(f"No change was applied. Alignment: {differences.alignment}.")
         for id_, attributes in zip(new.graph.ids, new.attributes, strict=True):
-            if id_ in told:
+            if id_ in with_history:
                 label = new.graph.labels[new.row_of(id_)]
                 click.echo(f"  {label} {id_!r}: {attributes['history']}")
 

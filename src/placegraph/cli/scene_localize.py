@@ -92,10 +92,10 @@ def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
 
     stamp_of = {frame.index: frame.stamp for frame in capture}
     stamps = [stamp_of[row] for row in estimate.frames.tolist()]
-    said = f"map_from_camera, {estimate.status.name}: {estimate.reason}"
+    comment_text = f"map_from_camera, {estimate.status.name}: {estimate.reason}"
     if estimate.refinement is not None and estimate.refinement.reason != estimate.reason:
-        said = f"{said} {estimate.refinement.reason}"
-    write_tum(path, stamps, estimate.trajectory, comment=said)
+        comment_text = f"{comment_text} {estimate.refinement.reason}"
+    write_tum(path, stamps, estimate.trajectory, comment=comment_text)
 
 
 def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:

@@ -195,12 +195,12 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
 
     from placegraph.io.capture.json_files import read_json
 
-    told = read_json(path)
+    content = read_json(path)
     try:
-        modes = [_matrix(mode["map_from_camera"]) for mode in told["modes"]]
-        frames = [int(row) for row in told["frames"]]
-        trajectory = np.array([_matrix(pose) for pose in told["trajectory"]]).reshape(-1, 4, 4)
-        reason, status = str(told["reason"]), str(told["status"])
+        modes = [_matrix(mode["map_from_camera"]) for mode in content["modes"]]
+        frames = [int(row) for row in content["frames"]]
+        trajectory = np.array([_matrix(pose) for pose in content["trajectory"]]).reshape(-1, 4, 4)
+        reason, status = str(content["reason"]), str(content["status"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path} is not output of `placegraph scene localize --json` "

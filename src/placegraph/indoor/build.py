@@ -150,14 +150,14 @@ def make_scene(
 ) -> SceneMap:
     """Make scene map of a source in memory; parameters and errors as of `build_scene`."""
     detail = get_detail(detail)
-    told: list[str] = [] if notes is None else notes
-    told.extend(source.notes)
+    notes_out: list[str] = [] if notes is None else notes
+    notes_out.extend(source.notes)
     check_model(source.model)
-    model = level_model(convert_to_metres(source.model, scale, told), up, told)
+    model = level_model(convert_to_metres(source.model, scale, notes_out), up, notes_out)
     if source.finish is not None:
         source = source.finish(model)
         model = source.model
-        told.extend(source.notes)
+        notes_out.extend(source.notes)
     left = model.left_out if left_out is None else left_out
     mesh, objects, pictures, row = clean_model(model, left)
     labels = [t.label for t in objects]
@@ -166,8 +166,8 @@ def make_scene(
         progress("simplifying", 0, 1)
     if source.anchors:  # drawn from a plan: there is nothing to leave out
         detail = get_detail("full")
-    coarse, blobs = reduce_mesh(mesh, pictures, source.colour_of, detail, left, told)
-    _note_oddities(coarse, objects, told)
+    coarse, blobs = reduce_mesh(mesh, pictures, source.colour_of, detail, left, notes_out)
+    _note_oddities(coarse, objects, notes_out)
     room_of, attributes = assign_rooms(coarse, labels, height, [t.attributes for t in objects])
     scene = SceneMap.create(
         coarse,
@@ -211,9 +211,9 @@ def _merge_relations(
         for a, name, b in model.relations
         if row[a] >= 0 and row[b] >= 0 and a != b
     ]
-    said = {frozenset((a, b)) for a, _, b in own}
+    known_pairs = {frozenset((a, b)) for a, _, b in own}
     return sorted(
-        {*own, *(e for e in computed if e[1] == SAME_ROOM or frozenset(e[::2]) not in said)}
+        {*own, *(e for e in computed if e[1] == SAME_ROOM or frozenset(e[::2]) not in known_pairs)}
     )
 
 

@@ -80,13 +80,13 @@ def pose_messages(
     frames = frames or FrameIds()
     mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
     map_from_base, spread = base_pose(map_from_camera, covariance, mount)
-    told = {"pose": pose(map_from_base), "covariance": spread.ravel()}
+    pose_fields = {"pose": pose(map_from_base), "covariance": spread.ravel()}
     head = header(stamp, frames.map)
     moving = {"covariance": np.eye(6).ravel() * _UNKNOWN}
-    ridden = {"header": head, "child_frame_id": frames.base, "pose": told, "twist": moving}
+    ridden = {"header": head, "child_frame_id": frames.base, "pose": pose_fields, "twist": moving}
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
     messages = [
-        Message("localization/pose", kind, stamp, {"header": head, "pose": told}),
+        Message("localization/pose", kind, stamp, {"header": head, "pose": pose_fields}),
         Message("localization/odometry", "nav_msgs/msg/Odometry", stamp, ridden),
     ]
     if map_from_odom is not None:
@@ -201,10 +201,10 @@ class PoseReporter:
         self._status = status, reason
         best = live.estimate.best if live is not None and live.estimate is not None else None
         modes = len(live.estimate.modes) if live is not None and live.estimate is not None else 0
-        told = status_message(status, reason, stamp, best=best, modes=modes)
-        one = told.fields["status"][0]
+        message = status_message(status, reason, stamp, best=best, modes=modes)
+        one = message.fields["status"][0]
         kind = "diagnostic_msgs/msg/DiagnosticStatus"
-        return [told, Message(STATUS, kind, stamp, one, latched=True)]
+        return [message, Message(STATUS, kind, stamp, one, latched=True)]
 
     def report_lack(self, reason: str, stamp: float) -> list[Message]:
         """Return the status LOST with a reason, unless it was reported before."""
@@ -326,11 +326,11 @@ def status_message(
     if best is not None:
         values["probability"] = f"{best.probability:.4f}"
         values["scene"] = best.scene
-    told = [{"key": key, "value": value} for key, value in values.items()]
-    told += [_evidence_value(evidence) for evidence in (best.evidence if best else ())]
+    details = [{"key": key, "value": value} for key, value in values.items()]
+    details += [_evidence_value(evidence) for evidence in (best.evidence if best else ())]
     one = {
         "level": _LEVELS[status], "name": DIAGNOSTIC, "message": f"{status.name}: {reason}",
-        "values": told,
+        "values": details,
     }  # fmt: skip
     fields = {"header": header(stamp, ""), "status": [one]}
     return Message("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", stamp, fields)

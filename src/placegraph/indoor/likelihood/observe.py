@@ -353,8 +353,8 @@ def _semantic(patches: Patches, model: Model, background: Background) -> NDArray
     The last row is for samples that lie in no patch.
     """
     # only the rows in use: the table of a merged map has thousands
-    said, row = np.unique(patches.rows, return_inverse=True)
-    table = model.score_patches(patches.table[said], patches.temperature, background.objects)
+    words, row = np.unique(patches.rows, return_inverse=True)
+    table = model.score_patches(patches.table[words], patches.temperature, background.objects)
     table = np.concatenate([table[row.ravel()], np.ones((1, table.shape[1]))])
     return np.ascontiguousarray(table, np.float32)
 
@@ -455,14 +455,14 @@ def suspect_unit_factor(views: Sequence[View], background: Background) -> float 
     depth = np.concatenate([v.depth[v.depth > 0] for v in views]).astype(np.float64)
     reach = np.linalg.norm(aims, axis=1)
     elevation = np.arcsin(aims[:, 2] / reach)
-    told = np.abs(elevation) < background.highest
-    if np.count_nonzero(told) < _FEWEST:
+    is_inside = np.abs(elevation) < background.highest
+    if np.count_nonzero(is_inside) < _FEWEST:
         return None
     density = _density(background)
     bands, bins = density.shape
-    band = ((elevation[told] / background.highest + 1.0) / 2.0 * bands).astype(int)
+    band = ((elevation[is_inside] / background.highest + 1.0) / 2.0 * bands).astype(int)
     low, high = np.log(background.distances[[0, bins - 1]])
-    place = (np.log((depth * reach)[told]) - low) / (high - low) * (bins - 1)
+    place = (np.log((depth * reach)[is_inside]) - low) / (high - low) * (bins - 1)
     known = np.concatenate([[1.0], FACTORS, 1.0 / np.array(FACTORS)])
     shifts = np.log(known) / (high - low) * (bins - 1)
     at = np.rint(place - shifts[:, None]).astype(int)
@@ -494,15 +494,15 @@ def describe_suspected_unit(views: Sequence[View], background: Background, frame
 def describe_unit_error(frame: Frame, factor: float) -> str:
     """Return a sentence about depth that is `factor` times too long, with the file and the right unit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")
-    said = (
+    finding = (
         f"The depth readings appear about {times:.{(0 if times > 9 else 1)}f} times too {direction}"
     )
     if not isinstance(frame.images, LazyImages):
-        return f"{said}; give depth in metres."
+        return f"{finding}; give depth in metres."
     unit = frame.images.unit
     if unit is None:
-        return f"{said} for metres; check the unit of the depth images."
+        return f"{finding} for metres; check the unit of the depth images."
     return (
-        f"{said}: check {unit.source}, which is {unit.per_metre:g} units per metre; "
+        f"{finding}: check {unit.source}, which is {unit.per_metre:g} units per metre; "
         f"{unit.per_metre * factor:.4g} would fit."
     )

@@ -105,11 +105,11 @@ class HeldOutEvidence:
         parts = [part[:, np.isfinite(part).all(axis=0)] for part in parts]
         blocks = np.array([part.sum(axis=1) for part in parts]).reshape(len(parts), len(scores)).T
         samples = np.concatenate([np.zeros((len(scores), 0)), *parts], axis=1)
-        count, told = samples.shape[1], np.array([part.shape[1] > 0 for part in parts], bool)
+        count, has_samples = samples.shape[1], np.array([part.shape[1] > 0 for part in parts], bool)
         effect = 1.0
         if count and len(scores) > 1:
-            single = np.var(samples[1:] - samples[0], axis=1).sum() * count / told.sum()
-            together = np.var(blocks[1:, told] - blocks[0, told], axis=1).sum()
+            single = np.var(samples[1:] - samples[0], axis=1).sum() * count / has_samples.sum()
+            together = np.var(blocks[1:, has_samples] - blocks[0, has_samples], axis=1).sum()
             effect = max(1.0, float(together / max(single, _ALIKE)))
         return cls(blocks / effect, samples)
 
@@ -120,10 +120,10 @@ class HeldOutEvidence:
 
 def standard_errors(gains: Floats) -> float:
     """Return the mean of gains (B,) over its standard error; blocks of 0 do not count."""
-    told = gains[np.abs(gains) > _ALIKE]
-    if len(told) < _FEW:
+    clear_gains = gains[np.abs(gains) > _ALIKE]
+    if len(clear_gains) < _FEW:
         return 0.0
-    return float(told.mean() / (told.std() / np.sqrt(len(told)) + _ALIKE))
+    return float(clear_gains.mean() / (clear_gains.std() / np.sqrt(len(clear_gains)) + _ALIKE))
 
 
 def cauchy_log_likelihood(ratio: Floats) -> Floats:
@@ -310,7 +310,7 @@ def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
     stamps = np.array([f.stamp for f in refiner.frames], np.float64)
     steps = np.diff(stamps)
     counted = bool(((steps >= 1.0) & (steps == np.rint(steps))).all())
-    told = ""
+    note = ""
     for what, lag in candidate.lags.find_clear().items():
         way, turn = (
             abs(lag) * np.linalg.norm(part, axis=1).max()
@@ -321,8 +321,8 @@ def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
             by = f"{abs(lag):.2g} {'frames' if counted else 's'}"
             side = "after" if lag > 0 else "before"
             its = "their stamps" if what == "images" else "its stamp"
-            told += f" Note: {taken} taken {by} {side} {its}; this was corrected."
-    return told
+            note += f" Note: {taken} taken {by} {side} {its}; this was corrected."
+    return note
 
 
 def _check_support(refiner: Refiner, candidate: FittedTrajectory, inliers: int) -> str:
@@ -517,14 +517,14 @@ def refine_from(
         else:
             nothing = FittedTrajectory(start, None, [], np.full((6, 6), np.nan))
             check = FitCheck(False, f"Not refined: {error}", nothing, {})
-    told = _apply_check(estimate, refiner, check)
-    best = told.best
+    checked = _apply_check(estimate, refiner, check)
+    best = checked.best
     if explained and check.accepted and best is not None:
         best = replace(
-            best, explain=evidence_at(window, split_pose(told.trajectory[-len(window) :])[0])
+            best, explain=evidence_at(window, split_pose(checked.trajectory[-len(window) :])[0])
         )
-        told = replace(told, modes=(best, *told.modes[1:]))
-    return told
+        checked = replace(checked, modes=(best, *checked.modes[1:]))
+    return checked
 
 
 def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> PoseEstimate:
@@ -599,19 +599,19 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
         start = _searched(window, given, refining.options)
     refiner = Refiner.of(window, refining.options, refining.matcher)
     refiner.prior = coarse, np.maximum(_reach(refining.options), _SHARPEST)
-    told = refine_from(
+    refined = refine_from(
         window,
         _estimate_given_pose(window, coarse, refining.options),
         refiner,
         start,
         explained=True,
     )
-    assert told.best is not None  # noqa: S101  it was given
+    assert refined.best is not None  # noqa: S101  it was given
     # the status that the window has at this pose, were it the only one
-    chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
-    covariance = told.best.covariance[np.ix_(FITTED, FITTED)]
-    fit = replace(local_fit.Fit.at(chain, told.best.pose), covariance=covariance)
-    return window, decide_given(told, estimate_pose(window, [fit]))
+    chain = Chain.of(split_pose(refined.trajectory)[0], window.options.motion)
+    covariance = refined.best.covariance[np.ix_(FITTED, FITTED)]
+    fit = replace(local_fit.Fit.at(chain, refined.best.pose), covariance=covariance)
+    return window, decide_given(refined, estimate_pose(window, [fit]))
 
 
 def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
