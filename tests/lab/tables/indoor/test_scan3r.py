@@ -141,7 +141,7 @@ def odometry_of(name, rooms, tmp_path, count=6):
     capture, truth = read_query(tmp_path, pair)
     windows = drifting_windows(
         pair.name, capture, truth, 3, np.random.default_rng(0),
-        odometry=Odometry.named(name), recording=pair.query,
+        odometry=Odometry.of_name(name), recording=pair.query,
     )  # fmt: skip
     return poses, capture, truth, windows
 
@@ -189,10 +189,10 @@ def test_odometry_of_a_slam_system(rooms, tmp_path):
         np.testing.assert_allclose(steps, right, atol=1e-6)
         assert windows[0].capture.gravity == pytest.approx(capture.gravity[:3], abs=1e-6)
     with pytest.raises(InputError, match="exact, drift, a trajectory"):
-        Odometry.named(str(tmp_path / "none"))
-    before = Odometry.named(str(tmp_path / "slam")).digest()
+        Odometry.of_name(str(tmp_path / "none"))
+    before = Odometry.of_name(str(tmp_path / "slam")).digest()
     write_tum(tmp_path / "slam/c1-x.tum", kept, poses[kept])
-    assert Odometry.named(str(tmp_path / "slam")).digest() != before
+    assert Odometry.of_name(str(tmp_path / "slam")).digest() != before
 
 
 def test_a_list_of_pairs(rooms, tmp_path):

@@ -233,10 +233,10 @@ def _recorded(path: Path, rows: slice = slice(None)) -> tuple[Capture, Floats]:
     return capture[rows], truth[rows]
 
 
-def of_3rscan(run: Run, split: scan3r.Split, listed: Path | None = None) -> Set:
+def of_3rscan(run: Run, split: scan3r.Split, pair_list: Path | None = None) -> Set:
     """3RScan: each scan of a split is asked in one other of its room, drawn, as far as they are there.
 
-    `listed`: file with the pairs instead (`scan3r.read_pairs`); if not given, `pairs.txt` if it exists.
+    `pair_list`: file with the pairs instead (`scan3r.read_pairs`); if not given, `pairs.txt` if it exists.
     """
     root = run.shared / "3RScan"
     rooms = read_rooms(root / "3RScan.json")
@@ -246,9 +246,9 @@ def of_3rscan(run: Run, split: scan3r.Split, listed: Path | None = None) -> Set:
         replace(room, scans=tuple(s for s in room.scans if _has(root, s.id)))
         for room in scan3r.split_rooms(rooms, lists if parted else None)[split]
     ]
-    listed = listed or root / "pairs.txt"
-    if listed.exists():
-        pairs = scan3r.read_pairs(listed, rooms)
+    pair_list = pair_list or root / "pairs.txt"
+    if pair_list.exists():
+        pairs = scan3r.read_pairs(pair_list, rooms)
         there = list({pair.room: rooms.room_of(pair.room) for pair in pairs}.values())
     else:
         pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
@@ -280,16 +280,16 @@ def _has(root: Path, scan: str) -> bool:
     return any((folder / scan).is_dir() for folder in (root, root / "scenes"))
 
 
-def of_scannet(run: Run, listed: Path | None = None) -> Set:
+def of_scannet(run: Run, pair_list: Path | None = None) -> Set:
     """ScanNet: pairs of scans of a room, one image in 25; what cannot be registered is left out.
 
-    `listed`: file with the pairs (`scannet.read_pairs`); if not given, `pairs.txt` if it exists.
+    `pair_list`: file with the pairs (`scannet.read_pairs`); if not given, `pairs.txt` if it exists.
     """
     scans = _Scans(run)
-    listed = listed or scans.root / "pairs.txt"
+    pair_list = pair_list or scans.root / "pairs.txt"
     pairs = (
-        scannet.read_pairs(listed)
-        if listed.exists()
+        scannet.read_pairs(pair_list)
+        if pair_list.exists()
         else scannet.derive_pairs(scannet.scans_in(scans.folder))
     )
     known = [found for pair in pairs if (found := scans.register_pair(pair)) is not None]
@@ -431,16 +431,16 @@ class CachedEncoder:
         """Return the encoder's vectors of a frame, which depend on its colours and on its way up."""
         x, y = image.gravity[:2].tolist()
         parts = (image.rgb(), np.array([x > y, x > -y]))
-        found = self._kept(parts, lambda: self.encoder.patches(image))
+        found = self._load_or_make(parts, lambda: self.encoder.patches(image))
         return found if found.size else None
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """Return the encoder's vectors (N, d) of a map's objects."""
         mesh, said = scene.mesh, repr([(str(c.path), len(c)) for c in captures]).encode()
         parts = (mesh.vertices, mesh.triangles, mesh.object_of, np.frombuffer(said, np.uint8))
-        return self._kept(parts, lambda: self.encoder.objects(scene, captures))
+        return self._load_or_make(parts, lambda: self.encoder.objects(scene, captures))
 
-    def _kept(
+    def _load_or_make(
         self,
         parts: Sequence[NDArray[Any]],
         make: Callable[[], NDArray[np.float32] | None],
@@ -474,7 +474,7 @@ class WindowRunner:
         self._code = code_key((*INDOOR, *WORLDS))  # once: what is loaded now is what answers
         self._warm: set[str] = set()
         self._merged = lru_cache(maxsize=2)(merged_scenes)
-        self.odometry = Odometry.named(how.odometry)
+        self.odometry = Odometry.of_name(how.odometry)
 
     @cached_property
     def named(self) -> CachedEncoder | None:

@@ -61,7 +61,7 @@ class Odometry:
     instead of the truth with errors. Gravity is the true one."""
 
     @classmethod
-    def named(cls, text: str) -> Odometry:
+    def of_name(cls, text: str) -> Odometry:
         """Return the source of a name: ``exact``, ``drift``, or a path (`trajectories`)."""
         known = {"exact": EXACT, "drift": DRIFTING}
         if text in known:
@@ -81,7 +81,7 @@ class Odometry:
         texts = [file.read_bytes() for file in files if file.is_file()]
         return hashlib.sha256(b"\0".join(texts)).hexdigest()[:12]
 
-    def applied(
+    def apply(
         self, name: str, capture: Capture, truth: Floats, rng: Generator
     ) -> tuple[Capture, Floats]:
         """Return a recording with this odometry and gravity, and its truth (T, 4, 4).
@@ -230,12 +230,12 @@ def drifting_windows(
     if length < 1:
         raise OptionError(f"length is {length}; it is 1 or more.")
     if odometry.trajectories is not None:  # whose frames may be fewer
-        capture, truth = odometry.applied(recording or place, capture, truth, rng)
+        capture, truth = odometry.apply(recording or place, capture, truth, rng)
     found = []
     for s in starts(len(capture), length, length):
         part, poses = capture[s : s + length], truth[s : s + length]
         if odometry.trajectories is None:
-            part, poses = odometry.applied(place, part, poses, rng)
+            part, poses = odometry.apply(place, part, poses, rng)
         found.append(Window(place, part, poses[-1], changed))
     return found
 

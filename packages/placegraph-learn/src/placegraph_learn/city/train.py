@@ -486,7 +486,7 @@ class CellExamples:
         lessons = make_cell_lessons(
             Speaker(self.cities[name], self.vocabulary, held_out=epoch is None, plain=True),
             self.cells[name], n, np.random.default_rng([seed, number, *name.encode()]),
-            lambda: self.progress.filling(number, name, next(done), n),
+            lambda: self.progress.report_descriptions(number, name, next(done), n),
         )  # fmt: skip
         return replace(lessons, subwords=options.shape.subwords, word_vectors=self.word_vectors)
 
