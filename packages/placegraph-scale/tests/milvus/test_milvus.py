@@ -230,7 +230,7 @@ def test_what_is_not_ours(fake, server, content, description):
         MilvusStore.on(server, name="town", origin=HERE)
     with pytest.raises(StoreError, match="contains a collection not made by placegraph"):
         load(server, content)
-    with pytest.raises(StoreError, match="has no store"):
+    with pytest.raises(StoreError, match="has no placegraph store"):
         drop_store(server, NAME)
     assert list(fake.held) == [NAME]
 
