@@ -81,7 +81,7 @@ def test_images_of_a_way_with_depth(client, walk, truth):
     assert told["estimate"]["status"] == "OK"
     assert off(told["estimate"]["modes"][0], truth[-1]) < 0.05
     fewer = asked(client, files, **known | {"gravity": known["gravity"][1:]})
-    assert fewer.json()["detail"] == "gravity: 7 for 8 images; give one an image."
+    assert fewer.json()["detail"] == "gravity: 7 for 8 images; send one per image."
 
 
 def test_a_capture_in_a_zip(client, walk, truth, tmp_path):

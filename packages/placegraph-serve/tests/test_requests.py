@@ -65,7 +65,7 @@ def test_intrinsics_of_another_shape_are_refused():
     photo = read_photo(picture(), "a", OPTIONS)
     camera = photo.camera(Camera(1280, 720, 900.0, 900.0, 640.0, 360.0), "a")
     assert (camera.width, camera.fx) == (640, 450.0)
-    with pytest.raises(InputError, match="640 x 360, and intrinsics are of images of 360 x 640"):
+    with pytest.raises(InputError, match="640 x 360, but the intrinsics are for images of 360 x 640"):
         photo.camera(Camera(360, 640, 300.0, 300.0, 180.0, 320.0), "images[0]")
 
 
@@ -82,7 +82,7 @@ def test_focal_lengths_that_are_none_in_pixels_are_refused(focal):
         (b"", InputError, "is empty"),
         (b"no image at all", InputError, r"as an image \(of an unknown format\)"),
         (picture()[:300], InputError, "cannot be read as an image"),
-        (picture((1, 1), "PNG"), InputError, "1 x 1 pixels; send an image of 32 or more"),
+        (picture((1, 1), "PNG"), InputError, "1 x 1 pixels; send an image of at least 32"),
         (picture((8000, 5000), "PNG", "1"), RequestError, "more than 24 megapixels"),
         (picture(kind="GIF"), InputError, "is GIF; send a JPEG"),
         (bytes(OPTIONS.image_bytes + 1), RequestError, "send at most"),
