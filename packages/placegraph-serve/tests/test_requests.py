@@ -65,7 +65,9 @@ def test_intrinsics_of_another_shape_are_refused():
     photo = read_photo(picture(), "a", OPTIONS)
     camera = photo.camera(Camera(1280, 720, 900.0, 900.0, 640.0, 360.0), "a")
     assert (camera.width, camera.fx) == (640, 450.0)
-    with pytest.raises(InputError, match="640 x 360, but the intrinsics are for images of 360 x 640"):
+    with pytest.raises(
+        InputError, match="640 x 360, but the intrinsics are for images of 360 x 640"
+    ):
         photo.camera(Camera(360, 640, 300.0, 300.0, 180.0, 320.0), "images[0]")
 
 
