@@ -8,8 +8,11 @@ import pytest
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.map.objects import of_name
+from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
 from placegraph.outdoor.network.network import list_weight_shapes as sizes_of
+from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
 from placegraph_learn.city.descriptions import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)
@@ -136,3 +139,27 @@ def places(harbour):
     from placegraph.outdoor.network.graphs import PlaceGraphs
 
     return PlaceGraphs.of_cells(harbour)
+
+
+def places_of_graphs(graphs, centers):
+    """Graphs of any scene graphs with positions in a plane, around `centers` (K, 2) [m]."""
+    rows, offsets, words, starts = {}, [], [], [0]
+    for graph, center in zip(graphs, centers, strict=True):
+        off = graph.positions[:, :2] - center
+        nearest = np.argsort(np.hypot(*off.T), kind="stable")[:MAX_OBJECTS]
+        offsets.append(off[nearest])
+        for i in nearest:
+            called = [graph.labels[i]]
+            called += [of_name(graph.names[i])] if graph.names[i] else []
+            words.append([rows.setdefault(word, len(rows)) for word in called])
+        starts.append(len(words))
+    flat = [word for thing in words for word in thing]
+    return PlaceGraphs(
+        np.array(starts, np.int64),
+        np.concatenate([np.zeros((0, 2)), *offsets]).astype(np.float32),
+        np.zeros(len(words), np.uint8),
+        np.concatenate(([0], np.cumsum([len(thing) for thing in words]))).astype(np.int64),
+        np.array(flat, np.int32),
+        np.ones(len(flat), np.float32),
+        tuple(rows),
+    )

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.cities import places_of_graphs
 
 from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
@@ -33,7 +34,6 @@ from placegraph.outdoor.network.network_kernels import (
     place_relations,
     text_relations,
 )
-from placegraph_lab.tables.kitti.matchers import places_of_graphs
 
 BAKERY, BENCH, FOUNTAIN = "shop=bakery", "amenity=bench", "amenity=fountain"
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cities import places_of_graphs
 
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import pack_strings, read_map, write_map
@@ -28,7 +29,6 @@ from placegraph.outdoor.network.network import (
     round_weights,
     write_weights,
 )
-from placegraph_lab.tables.kitti.matchers import places_of_graphs
 
 WORD_VECTORS = WordVectors(
     ("bakery", "bench", "museum", "tree"),

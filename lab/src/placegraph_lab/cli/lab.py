@@ -160,3 +160,54 @@ def appearance(
     from placegraph_lab.make.shipped import print_usual
 
     print_usual(homes, flat, times, typer.echo)
+
+
+@app.command("train-kitti360pose")
+def train_kitti360pose(  # options of a command
+    dataset: Annotated[Path, typer.Argument(help="Published folder, or a converted file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write.")],
+    work: Annotated[Path, typer.Option(help="Folder for checkpoints and training curves.")],
+    osm: Annotated[
+        Path | None, typer.Option(help="Extract of Karlsruhe, to train on its cells and texts.")
+    ] = None,
+    reach: Annotated[float, typer.Option(help="On OSM: as of the table.")] = 15.0,
+    sight: Annotated[float, typer.Option(help="On OSM: as of the table.")] = 15.0,
+    readings: Annotated[str, typer.Option(help="paper, honest, or both with a comma.")] = "paper",
+    edge_distance: Annotated[float, typer.Option(help="Objects nearer are joined [m].")] = 15.0,
+    epochs: Annotated[int, typer.Option(min=1)] = 20,
+    steps: Annotated[int, typer.Option(min=1, help="Batches an epoch.")] = 300,
+    batch: Annotated[int, typer.Option(min=2, help="Texts a batch.")] = 32,
+    rate: Annotated[float, typer.Option(help="Largest learning rate.")] = 2e-3,
+    losses: Annotated[str, typer.Option(help="eq17, eq18, match, similarity, embedding.")] = (
+        "eq17,eq18"
+    ),
+    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+) -> None:
+    """Train the network that GOTLoc prints on the training drives of KITTI360Pose.
+
+    Needs the extra `learn`. Interrupted, the same command goes on.
+
+    Example: placegraph-lab train-kitti360pose kitti.k360 -o kitti.weights --work training
+    """
+    from placegraph.outdoor.network.network import Shape
+    from placegraph_lab.tables.kitti.osm import Crop, on_osm
+    from placegraph_lab.tables.kitti.train import train_on_drives
+    from placegraph_lab.tables.named.outdoor_kitti360pose import open_dataset
+    from placegraph_lab.tables.runner import Run, check_names, parts
+    from placegraph_learn.city.train import TrainOptions
+    from placegraph_learn.cli import show_training
+
+    chosen = check_names(parts(readings), ("honest", "paper"), "reading")
+    options = TrainOptions(
+        epochs=epochs, steps=steps, batch=batch, rate=rate, seed=seed, shape=Shape(printed=True),
+        losses=tuple(parts(losses)),  # type: ignore[arg-type]
+    )  # fmt: skip
+    data = open_dataset(dataset, Run("train-kitti360pose", work, work))
+    data = data if osm is None else on_osm(data, osm, Crop(reach, sight))
+    with show_training(work, epochs, table=True) as progress:
+        weights = train_on_drives(
+            data, out, folder=work, options=options, readings=chosen,  # type: ignore[arg-type]
+            edge_distance=edge_distance, device=device, progress=progress,
+        )  # fmt: skip
+    progress.report(out, {"fingerprint": weights.fingerprint}, as_json=False, quiet=False)

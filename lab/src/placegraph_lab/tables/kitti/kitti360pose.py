@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,8 @@ from placegraph.core.geometry import Floats
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.network.label_graphs import LabelGraphs
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.graphs import (
     EDGE_DISTANCE,
@@ -116,25 +117,27 @@ class Split:
         name: str,
         rng: np.random.Generator,
         *,
-        network: Any = None,
+        network: GraphTransformer | None = None,
         candidates: int = 20,
     ) -> tuple[Matcher, Names]:
         """One of `MATCHERS`, and how queries call things for it.
 
-        `network`: for the transformer; the shipped one where not given; `candidates`: how many
-        cells edit distance looks at.
+        `network`: for the transformer, as GOTLoc prints it; the shipped one where not given;
+        `candidates`: how many cells edit distance looks at.
         """
         if name not in MATCHERS:
             raise OptionError(f"There is no matcher {name!r}; choose one of {', '.join(MATCHERS)}.")
         if name == RELATIONAL:
             return Relational.of(self.data, self.cells), Names(self.data)
         if name == TRANSFORMER:
-            if network is None:
-                from placegraph.outdoor.network.network import GraphTransformer
-
-                network = GraphTransformer.default()
+            network = network or GraphTransformer.default(printed=True)
+            if not network.shape.printed:
+                raise OptionError(
+                    "The weights are of another network than the paper's; give those of "
+                    "placegraph-lab train-kitti360pose, or of placegraph city train --printed."
+                )
             names = Names(self.data, osm=True)
-            return Transformer(self.graphs(names), self.centers, network), names
+            return Transformer(LabelGraphs.of_graphs(self.graphs(names)), network), names
         names = Names(self.data, coloured=True)
         graphs = self.graphs(names)
         bag = TripleBag.of(graphs, self.centers, rng)

@@ -28,9 +28,8 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE
 from placegraph.outdoor.map.directions_kernels import direction_table
-from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordWeights, make_word_fits
-from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
+from placegraph.outdoor.network.label_graphs import LabelGraphs
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import (
@@ -219,31 +218,6 @@ def _kind(data: Kitti360Pose, mention: Mention) -> tuple[str, str]:
     return label, colour if colour in data.colours else ""
 
 
-def places_of_graphs(graphs: Sequence[SceneGraph], centers: NDArray[np.float64]) -> PlaceGraphs:
-    """Graphs of any scene graphs with positions in a plane, around `centers` (K, 2) [m]."""
-    rows: dict[str, int] = {}
-    offsets, words, starts = [], [], [0]
-    for graph, center in zip(graphs, centers, strict=True):
-        off = graph.positions[:, :2] - center
-        nearest = np.argsort(np.hypot(*off.T), kind="stable")[:MAX_OBJECTS]
-        offsets.append(off[nearest])
-        for i in nearest:
-            called = [graph.labels[i]]
-            called += [of_name(graph.names[i])] if graph.names[i] else []
-            words.append([rows.setdefault(word, len(rows)) for word in called])
-        starts.append(len(words))
-    flat = [word for thing in words for word in thing]
-    return PlaceGraphs(
-        np.array(starts, np.int64),
-        np.concatenate([np.zeros((0, 2)), *offsets]).astype(np.float32),
-        np.zeros(len(words), np.uint8),
-        np.concatenate(([0], np.cumsum([len(thing) for thing in words]))).astype(np.int64),
-        np.array(flat, np.int32),
-        np.ones(len(flat), np.float32),
-        tuple(rows),
-    )
-
-
 Word = tuple[str, str, str]
 HERE = "<speaker>"  # stands for the speaker in a word of a bag; no label is called so
 
@@ -330,47 +304,34 @@ class EditDistance:
         return total
 
 
+CANDIDATES = 10
+"""Number of cells that the transformer's embeddings propose (n of Eq. 12, Sec. IV-D)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Transformer:
-    """The joint network (Eq. 9-17): log odds of the candidates nearest by embedding."""
+    """GOTLoc as printed: candidates by embedding, ranked by the cosine of joint embeddings (Eq. 9-16)."""
 
-    graphs: Sequence[SceneGraph]
-    centers: Floats  # (K, 2) [m]
-    network: Any  # A `GraphTransformer`
-    candidates: int | None = None  # how many are looked at closely; all where None
-
-    @cached_property
-    def places(self) -> Any:
-        return places_of_graphs(self.graphs, self.centers)
+    cells: LabelGraphs
+    network: GraphTransformer
+    candidates: int = CANDIDATES
 
     @cached_property
-    def embeddings(self) -> Any:
-        return self.network.embed_places(self.places)
+    def vectors(self) -> NDArray[np.float32]:
+        """Vectors (T, d) of the labels of the cells."""
+        return self.network.word_vectors(self.cells.vocabulary)
 
     @cached_property
-    def vectors(self) -> Any:
-        return self.network.word_vectors(self.places.vocabulary)
+    def embeddings(self) -> NDArray[np.float32]:
+        """Embeddings (K, D) of the cells (Eq. 10)."""
+        return self.network.embed_places(self.cells, self.vectors)
 
     def scores(self, description: Description) -> Floats:
-        """Log odds (K,) that a cell is meant."""
-        texts = TextGraphs.of([description])
-        rows = np.arange(len(self.graphs))
-        if self.candidates is not None and self.candidates < len(rows):
-            cosine = self.embeddings @ self.network.embed_texts(texts)[0]
-            rows = np.argsort(-cosine, kind="stable")[: self.candidates]
-        total = np.full(len(self.graphs), -np.inf)
-        words = self._match_words(texts)
-        total[rows] = self.network.match(texts, 0, self.places, rows, words, self.vectors).logit
+        """Cosine (K,) of the joint embeddings of a text and each candidate."""
+        texts = LabelGraphs.of_texts([description])
+        similarity = self.embeddings @ self.network.embed_texts(texts)[0]
+        rows = np.argsort(-similarity, kind="stable")[: self.candidates]
+        total = np.full(len(self.cells), -np.inf)
+        found = self.network.match(texts, 0, self.cells, rows, None, self.vectors)
+        total[rows] = found.cosine
         return total
-
-    def _match_words(self, texts: Any) -> Any:
-        own = {word: row for row, word in enumerate(self.places.vocabulary)}
-        row = np.array([own.get(word, -1) for word in texts.vocabulary], np.int64)
-        tokens = row[texts.words]
-        known = tokens >= 0
-        starts = np.concatenate(([0], np.cumsum(known)))[texts.word_starts]
-        borne = np.bincount(self.places.words, minlength=len(own))
-        fits = WordWeights(
-            starts.astype(np.int64), tokens[known].astype(np.int32), texts.weights[known]
-        )
-        return make_word_fits(fits, borne, len(self.places.offsets))
