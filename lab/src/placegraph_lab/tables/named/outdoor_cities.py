@@ -77,7 +77,7 @@ COLUMNS = (
     Col("exact @1/3/5, near the middle", lambda r: r["near the middle"].exact, _ranks),
     Col("exact @1/3/5", "anywhere.exact", _ranks),
     Col("50 m @1/3/5", lambda r: r["anywhere"].within[50.0], _ranks),
-    Col("s/query", "anywhere.p50", 4), Col("95 %", "anywhere.p95", 4),
+    Col("s/query", "anywhere.p50", 4), Col("s/query, 95 %", "anywhere.p95", 4),
     Col("MB", "bytes", 2, "", 1e-6),
 )  # fmt: skip
 
