@@ -29,7 +29,8 @@ _SAMPLE = re.compile(r"<!-- sample:(.*?) -->")
 _NUMBER = re.compile(r"[-+\u2212]?(?:\d[\d,]*(?:\.\d+)?|\.\d+)")
 _INTERVAL = re.compile(r"([-+]?[\d.,]+) to ([-+]?[\d.,]+)")
 _SECONDS = re.compile(
-    r"\d ?(?:ms|µs|s|min|h)\b|(?:^|[\s/\[(])(?:ms|µs|s|min|h|seconds|p50|p95|time|build|open)(?:$|[\s/\]),])",
+    r"\d ?(?:ms|µs|s|min|h)\b|"
+    r"(?:^|[\s/\[(])(?:ms|µs|s|min|h|seconds|p50|p95|time|build|open|peak)(?:$|[\s/\]),])",
     re.IGNORECASE,
 )
 """In a header or a cell: figures that measure the machine are not compared."""
