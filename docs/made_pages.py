@@ -1,4 +1,4 @@
-"""Parts of the site made during the build: commands, contributing, changelog, tables of options."""
+"""Parts of the site made during the build: commands, examples, contributing, changelog, tables of options."""
 
 from __future__ import annotations
 
@@ -24,11 +24,21 @@ what went wrong otherwise. `--json` prints what programs need.
 
 """
 
+EXAMPLES = """# Examples
+
+This page shows eleven programs of at most forty lines that use public names only. They are in
+`examples/` of the repository and run on `demo-out/world/` of `placegraph demo`, or on another such
+folder, their only argument: `python examples/01_sentence_to_place.py`. Programs 1 and 4 build the
+maps that the others open.
+
+"""
+
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the made pages to those that lie in the folder."""
     made = {
         "commands.md": COMMANDS + _commands(),
+        "examples.md": EXAMPLES + "\n".join(map(_example, sorted(ROOT.glob("examples/*.py")))),
         "contributing.md": (ROOT / "CONTRIBUTING.md").read_text("utf-8").replace("](docs/", "]("),
         "changelog.md": (ROOT / "CHANGELOG.md").read_text("utf-8").replace("](docs/", "]("),
     }
@@ -47,6 +57,14 @@ def _table(place: str) -> str:
 
     module, _, name = place.rpartition(".")
     return write_table(getattr(import_module(module), name))
+
+
+def _example(path: Path) -> str:
+    """Return a program under the first clause of its docstring."""
+    text = path.read_text("utf-8")
+    title = re.split(r'[:,.](?=\s|""")|(?<=\?) ', text.removeprefix('"""'), maxsplit=1)[0]
+    fence = f'```python title="examples/{path.name}"'
+    return f"## {int(path.name[:2])}. {title}\n\n{fence}\n{text}```\n"
 
 
 def _commands() -> str:
