@@ -212,7 +212,7 @@ def test_scenegraphloc_gets_the_images_of_a_map(name, asked, cells, small_networ
         np.testing.assert_array_equal(cached.objects(scene, of.pictures("a0-x")), seen)
         (frame,) = of.pictures("a0-x")[0]
         np.testing.assert_array_equal(cached.patches(frame), its.patches(frame))
-    assert cached.spared > 0
+    assert cached.saved_seconds > 0
 
 
 @pytest.fixture(scope="module")

@@ -411,13 +411,13 @@ class How:
     seed: int
     device: str
     odometry: str = "drift"
-    """``exact``, ``drift`` or a path (`Odometry.named`)."""
+    """``exact``, ``drift`` or a path (`Odometry.of_name`)."""
 
 
 class CachedEncoder:
     """Encoder whose vectors of maps and frames are kept in files: some take seconds a frame.
 
-    `spared` counts the seconds that encoding took when it was done: whoever measures time adds them.
+    `saved_seconds` counts the seconds that encoding took when it was done: whoever measures time adds them.
     """
 
     def __init__(self, encoder: Encoder, folder: Path) -> None:
@@ -425,7 +425,7 @@ class CachedEncoder:
         self.dimension, self.temperature = encoder.dimension, encoder.temperature
         self.camera = encoder.camera
         self.folder = folder / hashlib.sha256(encoder.key.encode()).hexdigest()[:16]
-        self.spared = 0.0
+        self.saved_seconds = 0.0
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Return the encoder's vectors of a frame, which depend on its colours and on its way up."""
@@ -451,7 +451,7 @@ class CachedEncoder:
         path = self.folder / f"{digest.hexdigest()[:32]}.npz"
         if path.exists():
             with np.load(path) as file:
-                self.spared += float(file["seconds"])
+                self.saved_seconds += float(file["seconds"])
                 vectors: NDArray[np.float32] = file["vectors"]
             return vectors
         start = time.perf_counter()
@@ -477,16 +477,16 @@ class WindowRunner:
         self.odometry = Odometry.of_name(how.odometry)
 
     @cached_property
-    def named(self) -> CachedEncoder | None:
+    def named_encoder(self) -> CachedEncoder | None:
         """The encoder that was asked for by name; None where none was."""
         if not self.how.encoder:
             return None
         return CachedEncoder(encoder(self.how.encoder), self.run.cache / "sg2loc_vectors")
 
     @property
-    def spared(self) -> float:
+    def saved_seconds(self) -> float:
         """Seconds of encoding that were spared so far, as it had been done."""
-        return self.named.spared if self.named else 0.0
+        return self.named_encoder.saved_seconds if self.named_encoder else 0.0
 
     def windows(self, of: Set, length: int) -> list[tuple[Walk, Window]]:
         """Windows of a set that are asked about, with the odometry that was asked for."""
@@ -506,7 +506,7 @@ class WindowRunner:
         how, its = self.how, recipes()[recipe]
         odometry = odometry or self.odometry
         asked = of.windows(length, how.frames, how.seed, odometry)
-        known = self.named.key if self.named else "", odometry, odometry.digest()
+        known = self.named_encoder.key if self.named_encoder else "", odometry, odometry.digest()
         where = str(self.run.shared.resolve())
         said = repr((its, replace(how, frames=0, odometry=""), known, merged, where))
         base = f"{self._code} {of.name} {hashlib.sha256(said.encode()).hexdigest()[:12]}"
@@ -541,12 +541,12 @@ class WindowRunner:
         how = self.how
         matcher = how.matcher if isinstance(recipe.refine, RefineOptions) else "auto"
         encoder = self.ready(of, recipe, scene, window, name)
-        start = time.perf_counter() + self.spared
+        start = time.perf_counter() + self.saved_seconds
         estimate = scene.localize(
             window.capture, encoder=encoder, options=recipe.options,
             refine=recipe.refine, matcher=matcher, seed=how.seed, device=how.device,
         )  # fmt: skip
-        seconds, coarse, refining = time.perf_counter() + self.spared - start, estimate, 0.0
+        seconds, coarse, refining = time.perf_counter() + self.saved_seconds - start, estimate, 0.0
         if estimate.refinement is not None:
             coarse = replace(estimate, modes=(estimate.refinement.coarse, *estimate.modes[1:]))
             refining = sum(estimate.refinement.stats["seconds"].values())
@@ -570,7 +570,7 @@ class WindowRunner:
         if of.own_ids and not self.how.encoder:
             return NoisyEncoder(InstancesEncoder(scene), seed=self.how.seed, name=window.place)
         its = self.unbound(window)
-        if self.named is None:
+        if self.named_encoder is None:
             known = scene.compute_once(("sg2loc", its.key), lambda s: encode_objects(its, s))
             return BoundEncoder(its, known)
         # merged scenes are encoded separately, and their objects stand one after the other (App. D)
@@ -579,8 +579,8 @@ class WindowRunner:
         return BoundEncoder(its, np.concatenate(made))
 
     def unbound(self, window: Window) -> Encoder:
-        if self.named is not None:
-            return self.named
+        if self.named_encoder is not None:
+            return self.named_encoder
         if window.capture.label_kind != "labels":
             return encoder(IMAGES)
         words = window.capture.label_names.values()

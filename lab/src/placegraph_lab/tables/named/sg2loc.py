@@ -150,9 +150,9 @@ def seconds(spec: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
             mapping = []
             for _again in range(3):  # the first compiles
                 scene = _filed(its.scene(walk.map))[0]
-                start = time.perf_counter() + asking.spared
+                start = time.perf_counter() + asking.saved_seconds
                 asking.ready(its, recipes()[recipe], scene, window, walk.map)
-                mapping.append(time.perf_counter() + asking.spared - start)
+                mapping.append(time.perf_counter() + asking.saved_seconds - start)
             told = (
                 min(mapping),
                 float(np.median([r.filter.seconds / r.filter.frames for r in replies])),
@@ -172,12 +172,12 @@ def retrieval(_: Spec, asking: WindowRunner, of: Sequence[Set]) -> Made:
             places = [place for place, _ in made]
             walks = [own[i % 2] for i, (_, own) in enumerate(made)]
         else:
-            show = its.pictures if asking.named else lambda _: ()
+            show = its.pictures if asking.named_encoder else lambda _: ()
             places = [
                 Place(name, its.scene(name), room, show(name)) for name, room in its.rooms.items()
             ]
             walks = [Walk(w.name, w.map, w.open()[0], bool(w.changed)) for w in its.walks]
-        named = (lambda _: asking.named) if asking.named else encoder_of
+        named = (lambda _: asking.named_encoder) if asking.named_encoder else encoder_of
         study = Study(places, walks, asking.run.cache, asking.journal, asking.run.log, named)
         labelled = any(w.capture.label_kind == "labels" for w in walks)
         row = study.row(asking.how.encoder or (NOISY if labelled else "appearance"))
@@ -342,7 +342,7 @@ def _retrieved(asking: WindowRunner, of: Set, length: int, frames: int, count: i
     found = []
     for walk, window in asking.windows(of, length):
         names = group(of, walk.map, count)
-        show = of.pictures if asking.named else lambda _: ()
+        show = of.pictures if asking.named_encoder else lambda _: ()
         scenes = Scenes([Place(name, of.scene(name), pictures=show(name)) for name in names])
         its = asking.unbound(window)
         scenes.know(its)
