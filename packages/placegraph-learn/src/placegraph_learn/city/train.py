@@ -123,10 +123,21 @@ def contrastive(scores: Tensor, right: Tensor) -> Tensor:
     return (loss * told).sum() / told.sum().clamp(min=1)
 
 
+def matching_loss(logit: Tensor, belong: Tensor) -> Tensor:
+    """Return the cross-entropy of the matching probability (Eq. 17) of pairs (P,) that belong together or not."""
+    return F.binary_cross_entropy_with_logits(logit, belong)
+
+
+def cosine_loss(cosine: Tensor, belong: Tensor) -> Tensor:
+    """Return the mean cosine of wrong pairs plus one minus that of right pairs (Eq. 18), of pairs (P,)."""
+    wrong = (cosine * (1 - belong)).sum() / (1 - belong).sum().clamp(min=1)
+    return wrong + ((1 - cosine) * belong).sum() / belong.sum().clamp(min=1)
+
+
 def losses(
     scores: Scores, truth: Truth, scales: Temperatures, wanted: Collection[str] = LOSSES
 ) -> dict[str, Tensor]:
-    """Return the losses asked for, by name; their sum is what is minimised (Eq. 19)."""
+    """Return the losses asked for, by name; their sum is minimized (Eq. 19)."""
     found: dict[str, Tensor] = {}
     q = len(scores.embedding)
     own = torch.arange(q)[:, None].to(truth.text) == truth.text[None]  # (Q, P)
@@ -134,15 +145,13 @@ def losses(
     known = truth.right >= 0
     belong = (truth.right[known] == 1).float()
     if "match" in wanted or "eq17" in wanted:
-        entropy = F.binary_cross_entropy_with_logits(scores.logit[known], belong)
+        entropy = matching_loss(scores.logit[known], belong)
         if "eq17" in wanted:
             found["eq17"] = entropy
         if "match" in wanted:
             found["match"] = entropy + contrastive(scores.logit[None].expand(q, -1), right)
     if "eq18" in wanted:
-        cosine = scores.cosine[known]
-        wrong = (cosine * (1 - belong)).sum() / (1 - belong).sum().clamp(min=1)
-        found["eq18"] = wrong + ((1 - cosine) * belong).sum() / belong.sum().clamp(min=1)
+        found["eq18"] = cosine_loss(scores.cosine[known], belong)
     if "similarity" in wanted:
         cosine = scores.cosine * scales.similarity.exp()
         found["similarity"] = contrastive(cosine[None].expand(q, -1), right)
