@@ -1,7 +1,14 @@
-"""The page "How faithful?" leaves nothing of the papers out, and all that it names exists."""
+"""The page "How faithful?" leaves nothing of the papers out, and all that it names exists and is run.
+
+`python3 tests/test_faithful.py` writes the lines of the functions that the page names.
+"""
 
 import ast
+import json
+import os
 import re
+import subprocess
+import sys
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -54,15 +61,19 @@ ROWS = [(paper, *row) for paper in PAPERS for row in rows(paper)]
 ITEMS = [f"{row[0]} {row[1]}: {row[2]}" for row in ROWS]
 
 
+LINED = re.compile(PLACE.pattern + r"(?: \((\d+)\))?")
+"""A place, and the line of what it names."""
+
+
 @cache
 def names(path):
-    """Functions and classes of a module, methods as `Class.method`."""
-    found = set()
+    """First and last lines of the functions and classes of a module, methods as `Class.method`."""
+    found = {}
 
     def walk(body, prefix):
         for node in body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                found.add(prefix + node.name)
+                found[prefix + node.name] = node.lineno, node.end_lineno
                 if isinstance(node, ast.ClassDef):
                     walk(node.body, f"{prefix}{node.name}.")
 
@@ -85,7 +96,7 @@ def test_every_equation_section_and_table_is_listed(paper):
 
 @pytest.mark.parametrize("row", ROWS, ids=ITEMS)
 def test_what_a_row_names_exists(row):
-    _, item, printed, published, ours, where, _, test, _ = row
+    paper, item, printed, published, ours, where, _, test, _ = row
     assert printed
     assert published
     assert ours
@@ -93,6 +104,10 @@ def test_what_a_row_names_exists(row):
         places = PLACE.findall(cell)
         assert len(places) == 1 or cell == NONE, f"name one place, not {cell}"
         assert all(map(exists, places)), f"{cell} is not there"
+    for path, name, line in LINED.findall(where):
+        if name and (line or paper == "GOTLoc"):
+            first, last = names(path)[name]
+            assert first <= int(line or 0) <= last, "run python3 tests/test_faithful.py"
     assert test == NONE or "tests" in Path(PLACE.findall(test)[0][0]).parts
     if item.startswith(("Eq.", "Sec.")):
         assert NONE not in (where, test), "say where it stands, and which test holds it"
@@ -135,3 +150,119 @@ def test_twins_exist_and_a_test_holds_them_together():
             assert PLACE.search(cell)
         assert "tests" in Path(PLACE.findall(test)[0][0]).parts
         assert PLACE.findall(first) != PLACE.findall(twin)
+
+
+def where(paper, *items):
+    """Files and names of the functions and classes of some rows."""
+    return {PLACE.findall(row[5])[0] for row in ROWS if row[0] == paper and row[1] in items}
+
+
+def not_called(wanted, called):
+    """Places of `wanted` that are not among the called (file, name); a class is by any method."""
+    return {
+        (path, name)
+        for path, name in wanted
+        if not any(
+            file == path and (function == name or function.startswith(f"{name}."))
+            for file, function in called
+        )
+    }
+
+
+RECORD = """
+import atexit, json, runpy, sys
+called = set()
+def note(frame, event, _):
+    if event == "call" and frame.f_code.co_filename.startswith(sys.argv[0]):
+        called.add((frame.f_code.co_filename, frame.f_code.co_qualname))
+root, out, *command = sys.argv[1:]
+sys.argv[0] = root
+def write():
+    sys.setprofile(None)
+    with open(out, "w") as file:
+        json.dump([(path[len(root) + 1:], name) for path, name in called], file)
+atexit.register(write)
+sys.argv = [root, *command]
+sys.setprofile(note)
+runpy.run_module("placegraph", run_name="__main__")
+"""
+
+SQUARE = """
+[town]
+metres = 10
+[drawing]
+B.......
+........
+F.b....S
+........
+[legend]
+B: shop=bakery
+F: amenity=fountain
+b: amenity=bench
+S: railway=tram_stop
+"""
+TEXT = "The bakery is on the north of the fountain. The bench is on the east of the fountain."
+
+
+def test_the_papers_preset_calls_what_the_page_names(make_city, tmp_path):
+    """Compiled functions run as Python here, so that a profile sees them."""
+    make_city(SQUARE).save(tmp_path / "square.city")
+    command = ("city", "locate", tmp_path / "square.city", TEXT, "--preset", "paper")
+    done = subprocess.run(  # noqa: S603  # our own command
+        [sys.executable, "-c", RECORD, ROOT, tmp_path / "called.json", *command],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode in (0, 1), done.stderr
+    called = {tuple(place) for place in json.loads((tmp_path / "called.json").read_text("utf-8"))}
+    wanted = where("GOTLoc", *(f"Eq. {n}" for n in range(1, 17)))
+    assert len(wanted) == 16
+    assert not not_called(wanted, called)
+    assert not_called(where("SG2Loc", "Eq. 1"), called)  # it sees what is not called
+
+
+def test_its_training_calls_what_the_page_names(harbour, vocabulary, tmp_path):
+    pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    from placegraph_learn.city.train import TrainOptions, train
+
+    shape = Shape(width=8, dimension=8, heads=2, layers=1, crossings=1, printed=True)
+    options = TrainOptions(
+        epochs=1, examples=4, steps=1, batch=4, check=4, losses=("eq17", "eq18"), shape=shape
+    )
+    called, before = set(), sys.getprofile()
+
+    def note(frame, event, _):
+        if event == "call":
+            called.add((frame.f_code.co_filename, frame.f_code.co_qualname))
+
+    sys.setprofile(note)
+    try:
+        train(
+            {"town": harbour}, tmp_path / "a.weights", folder=tmp_path / "work", options=options,
+            vocabulary=vocabulary, device="cpu",
+        )  # fmt: skip
+    finally:
+        sys.setprofile(before)
+    here = {(os.path.relpath(path, ROOT), name) for path, name in called}
+    assert not not_called(where("GOTLoc", "Eq. 17", "Eq. 18", "Eq. 19"), here)
+
+
+def write_lines():
+    """Write the line of each function that a row names, unless the page has one within it."""
+
+    def line(match):
+        path, name, given = match.groups()
+        first, last = names(path).get(name, (0, 0)) if name else (0, 0)
+        kept = given if given and first <= int(given) <= last else first
+        return match[0] if not first else f"`{path}:{name}` ({kept})"
+
+    text, made = PAGE.read_text("utf-8"), []
+    for row in text.split("\n"):
+        cells = row.split(" | ")
+        if row.startswith("| ") and len(cells) == 8:
+            cells[4] = LINED.sub(line, cells[4])
+        made.append(" | ".join(cells))
+    PAGE.write_text("\n".join(made), "utf-8")
+
+
+if __name__ == "__main__":
+    write_lines()
