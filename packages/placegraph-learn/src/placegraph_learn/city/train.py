@@ -124,7 +124,7 @@ def contrastive(scores: Tensor, right: Tensor) -> Tensor:
 
 
 def matching_loss(logit: Tensor, belong: Tensor) -> Tensor:
-    """Return the cross-entropy of the matching probability (Eq. 17) of pairs (P,) that belong together or not."""
+    """Return the cross-entropy of the matching probability (Eq. 17) of pairs (P,)."""
     return F.binary_cross_entropy_with_logits(logit, belong)
 
 
