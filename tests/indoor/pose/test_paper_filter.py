@@ -178,6 +178,21 @@ def test_silent_patches_are_counted(scene, images, frames):
     assert sum(float(score(TRUE[:1], half)[0, 0]) for half in halves) == pytest.approx(whole, 1e-6)
 
 
+@pytest.mark.parametrize(("stride", "samples"), [(20.0, 48 * 28), (8.0, 120 * 68)])
+def test_passes_sample_large_images_as_finely_as_printed(stride, samples, scene):
+    """Images of 3RScan: 960 / 20 columns of rays, in whole tiles of 4 x 4, not 640 / 20."""
+    camera = Camera(960, 540, 600.0, 600.0, 480.0, 270.0)
+    depth = np.full((540, 960), 1.5, np.float32)
+    still = Frame.from_arrays(
+        np.zeros((540, 960, 3), np.uint8), camera, depth=depth, gravity=(0, 1, 0)
+    )
+    coarse = FilterOptions.coarse()
+    first = replace(coarse.passes[0], stride=stride)
+    few = replace(coarse, passes=(first,), spacing=1.0, per_cell=1, heights=(1.6,))
+    estimate = scene.localize([still], options=few.only(depth=True), refine=False, seed=0)
+    assert estimate.stats["rays"] == samples * estimate.stats["poses_scored"]
+
+
 def test_equation_1(rng):
     poses, step = scattered(rng, 50), np.array([0.3, -0.1, 0.05, 0.4])
     ours = propagate(poses, step, PAPER.motion, np.random.default_rng(3))
