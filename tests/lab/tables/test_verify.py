@@ -70,14 +70,31 @@ def test_a_false_number_is_found(page, verify):
 def test_pages_that_cannot_be_compared(page, verify):
     text = page.read_text()
     page.write_text(text.replace("| town.osm", "| village.osm"))
-    assert "prints no row of the table" in str(verify("--page", page, "--every").exception)
+    done = verify("--page", page, "--every")
+    assert done.exit_code == 1
+    assert "prints no row of it" in done.stdout
+    page.write_text(text.replace("--cities ", "--cities no"))
+    done = verify("--page", page, "--every")
+    assert done.exit_code == 1
+    assert re.search("outdoor_map_size --cities no.* fails: .*There is no extract", done.stdout)
     page.write_text(text.splitlines()[2])
     assert "no table follows" in str(verify("--page", page, "--every").exception)
-    page.write_text(text.replace("--cities ", "--cities no"))
-    found = verify("--page", page, "--every").exception
-    assert re.search("outdoor_map_size --cities no.* fails: .*There is no extract", str(found))
     page.unlink()
     assert "cannot be read" in str(verify("--page", page).exception)
+
+
+def test_the_fastest_rows_of_the_real_page(shared, tmp_path):
+    """Table V of the page on places, with the shared data."""
+    options = ["table", "--verify", "--only", "outdoor_map_size", "--page"]
+    page = ROOT / "docs/benchmarks/outdoor.md"
+    places = ["--data", str(shared), "--cache", str(tmp_path)]
+    done = CliRunner().invoke(app, [*options, str(page), *places])
+    assert done.exit_code == 0, done.output
+    (_, grid), *_ = grids_of(done.stdout)
+    assert len(grid.rows) == 5
+    false = tmp_path / "page.md"
+    false.write_text(page.read_text(encoding="utf-8").replace("0.067", "0.068"), encoding="utf-8")
+    assert CliRunner().invoke(app, [*options, str(false), *places]).exit_code == 1
 
 
 @pytest.mark.parametrize(

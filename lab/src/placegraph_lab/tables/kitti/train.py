@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.network.label_graphs import LabelGraphs
@@ -19,7 +19,11 @@ from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
 from placegraph_lab.tables.kitti.graphs import EDGE_DISTANCE, Names, Reading
 from placegraph_lab.tables.kitti.kitti360pose import Split
 
-LOSSES = ("eq17", "eq18")
+if TYPE_CHECKING:
+    from placegraph_learn.city.train import Loss
+
+LOSSES: tuple[Loss, ...] = ("eq17", "eq18")
+"""Losses of GOTLoc as printed."""
 
 
 def lessons_of(split: Split) -> Any:  # `CellLessons`, which needs PyTorch

@@ -155,18 +155,17 @@ def outdoor_kitti360pose(
     kitti = open_dataset(dataset, run)
     sets: list[tuple[Kitti360Pose, Crop | None, Path | None]] = [(kitti, None, weights)]
     if osm is not None:
-        crop = Crop(reach, sight)
-        mapped = on_osm(kitti, osm, crop)
-        sets.append((mapped, crop, osm_weights))
+        mapped = on_osm(kitti, osm, Crop(reach, sight))
+        sets.append((mapped, Crop(reach, sight), osm_weights))
         told, every = (f"{len(d.poses.cells):,}" for d in (mapped, kitti))
         run.log(f"On OSM, {told} of {every} poses have {TOLD} things within {sight:g} m.")
-    networks = []
+    networks: list[tuple[GraphTransformer | None, str]] = []
     for data, crop, given in sets:
         if given is not None:
             networks.append((GraphTransformer.open(given), given.name))
         elif train and TRANSFORMER in names:
-            network = train_network(run, data, crop, edge_distance, train, seed)
-            networks.append((network, "trained on its drives"))
+            learned = train_network(run, data, crop, edge_distance, train, seed)
+            networks.append((learned, "trained on its drives"))
         else:
             networks.append((None, "trained on OpenStreetMap of other cities"))
     run.one_core()

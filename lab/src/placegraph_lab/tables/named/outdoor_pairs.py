@@ -27,6 +27,7 @@ from placegraph.outdoor.network.graphs import (
     find_word_weights,
     make_word_fits,
 )
+from placegraph.outdoor.network.label_graphs import LabelGraphs
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.posterior import PRIOR_COHERENT
@@ -125,7 +126,7 @@ class Pairs:
 
         The graphs of the cells are encoded anew for every pair, or were before (`encoded`).
         """
-        texts, places, words = self._graphs()
+        texts, places, words = self._graphs(printed=network.shape.printed)
         vectors = network.word_vectors(places.vocabulary)
         before = [network.encode_places(places, r, vectors) if encoded else None for r in self.rows]
         threads = len(os.sched_getaffinity(0))
@@ -142,13 +143,13 @@ class Pairs:
         return work
 
     def by_torch(self, network: GraphTransformer, device: str) -> Callable[[], int]:
-        """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
+        """The same in PyTorch, by the network as printed: batches are laid out, moved, and judged."""
         import torch
 
-        from placegraph_learn.city.batches import Batch, forward, pair_batch
+        from placegraph_learn.city.batches import Batch, PairBatch, forward
         from placegraph_learn.city.network import Network
 
-        texts, places, words = self._graphs()
+        texts, places, _ = self._graphs(printed=True)
         module = Network(
             network.shape, network.word_table.vectors.shape[1] if network.word_table else 0
         )
@@ -163,11 +164,13 @@ class Pairs:
                 for at in range(0, len(chosen), TOGETHER_IN_TORCH):
                     rows, one = chosen[at : at + TOGETHER_IN_TORCH], np.array([text])
                     every = np.arange(len(rows))
-                    pairs = (np.zeros(len(rows), np.int64), every)
+                    none: Any = (np.zeros((len(rows), 0), np.float32),) * (
+                        len(PairBatch._fields) - 2
+                    )
                     batch = Batch(
                         texts.batch(one),
                         places.batch(rows),
-                        pair_batch(texts, places, one, rows, pairs, words),
+                        PairBatch(np.zeros(len(rows), np.int64), every, *none),
                         slots=every,
                         right=np.zeros(len(rows), np.int8),
                         everywhere=np.zeros((1, len(rows)), np.int64),
@@ -179,7 +182,12 @@ class Pairs:
 
         return work
 
-    def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
+    def _graphs(
+        self, *, printed: bool
+    ) -> tuple[TextGraphs | LabelGraphs, PlaceGraphs | LabelGraphs, WordFits | None]:
+        """Graphs of texts and cells; with `printed` those of the paper, which need no weights of words."""
+        if printed:
+            return LabelGraphs.of_texts(self.descriptions), LabelGraphs.of_cells(self.city), None
         texts = TextGraphs.of(self.descriptions)
         fits = find_word_weights(texts, [compile_query(d, self.city) for d in self.descriptions])
         words = make_word_fits(fits, *self.city.word_counts)
@@ -192,10 +200,12 @@ WORKS = {
     "edits, plain": "edit distance, plain, 0.1 s a pair",
     "edits": "edit distance, 0.1 s a pair",
     "relations": "relational matching",
-    "network": "network",
-    "encoded": "network, cells encoded before",
-    "torch": "network in PyTorch, CPU",
-    "cuda": "network in PyTorch, GPU",
+    "network": "our network",
+    "network, encoded": "our network, cells encoded before",
+    "printed": "GOTLoc as printed",
+    "printed, encoded": "GOTLoc as printed, cells encoded before",
+    "torch": "GOTLoc as printed in PyTorch, CPU",
+    "cuda": "GOTLoc as printed in PyTorch, GPU",
 }
 
 
@@ -205,10 +215,10 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
         return pairs.by_edits(plain=kind != "edits", texts=texts, cells=cells, timeout=0.1)
     if kind == "relations":
         return pairs.by_relations()
-    network = GraphTransformer.default()
-    if kind in ("network", "encoded"):
-        return pairs.by_network(network, encoded=kind == "encoded")
-    return pairs.by_torch(network, "cuda" if kind == "cuda" else "cpu")
+    network = GraphTransformer.default(printed=not kind.startswith("network"))
+    if kind in ("torch", "cuda"):
+        return pairs.by_torch(network, "cuda" if kind == "cuda" else "cpu")
+    return pairs.by_network(network, encoded=kind.endswith("encoded"))
 
 
 class Question(NamedTuple):

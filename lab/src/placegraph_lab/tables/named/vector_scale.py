@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.network.graphs import TextGraphs
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.stores import Vectors, load_store
 from placegraph_lab.tables.named.outdoor_vectors import draw_clusters
@@ -33,8 +34,13 @@ HIT = 50.0  # A cell whose centre is no farther from the place than this is righ
 AMONG = (1, 10, 50)
 
 
+@cache
+def _graphs(city: CityMap) -> PlaceGraphs:
+    return PlaceGraphs.of_cells(city)
+
+
 def sparse_cells(city: CityMap) -> list[dict[int, float]]:
-    cells = city.encoded.cells
+    cells = _graphs(city)
     heavy = _rarity(city)
     out = []
     for first, last in pairwise(cells.starts.tolist()):
@@ -50,7 +56,7 @@ def sparse_text(city: CityMap, text: str) -> dict[int, float]:
     """The words of a text, as the map's vocabulary understands them."""
     own: dict[int, float] = {}
     heavy = _rarity(city)
-    rows = {word: i for i, word in enumerate(city.encoded.cells.vocabulary)}
+    rows = {word: i for i, word in enumerate(_graphs(city).vocabulary)}
     for mention in describe(text).mentions:
         for sense in mention.senses:
             word = rows.get(sense.label)
@@ -63,7 +69,7 @@ def sparse_text(city: CityMap, text: str) -> dict[int, float]:
 
 
 def _rarity(city: CityMap) -> NDArray[np.float64]:
-    cells = city.encoded.cells
+    cells = _graphs(city)
     counts = np.bincount(cells.words, minlength=len(cells.vocabulary))
     return np.asarray(np.log((len(cells.offsets) + 1.0) / (counts + 0.5)))
 
