@@ -112,7 +112,7 @@ class CityMap(HtmlRepr, City):
         from placegraph.outdoor.search.locate import locate
         from placegraph.outdoor.search.request import Hints, Matching, MatchingOptions
 
-        known = {*CityMap.locate.__kwdefaults__, *MatchingOptions.__annotations__}
+        known = {"top", *Hints.__annotations__, *MatchingOptions.__annotations__}
         reject_unknown(matching, known, "CityMap.locate")
         language = matching.pop("language", None)
         hints = Hints(near, radius, heading, listener, answers, language)
