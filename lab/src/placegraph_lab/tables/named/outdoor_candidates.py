@@ -92,7 +92,7 @@ COLUMNS = (
     Col("with", lambda r: PAPER.get(r["cells"], (None, None))[1], 2, "s"),
     Col("without candidates", "without_s.total", 1, "ms", 1e3), Col("@1 50 m", "without_recall", lab.share),
     Col("queries", "without_queries", 0), Col("with: all", "with_s.total", 2, "ms", 1e3),
-    Col("@1 50 m", "with_recall", lab.share), *(Col(s, f"with_s.{s}", 2, "", 1e3) for s in STAGES),
+    Col("@1 50 m", "with_recall", lab.share), *(Col(f"{s} [ms]", f"with_s.{s}", 2, "", 1e3) for s in STAGES),
     Col("default, p50", "default_p50_s", 1, "ms", 1e3), Col("p95", "default_p95_s", 1, "ms", 1e3),
     Col("@1 50 m", "default_recall", lab.share), Col("prepared in", "prepare_s", 1, "s"),
     Col("peak", "peak_bytes", 0, "MB", 1e-6),
