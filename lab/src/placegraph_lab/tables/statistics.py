@@ -56,6 +56,26 @@ def paired_interval(
     return Interval(float(np.mean(means)), float(low), float(high))
 
 
+def recall_interval(
+    groups: Sequence[ArrayLike], rng: Generator, *, level: float = 0.95, rounds: int = 5000
+) -> Interval:
+    """Bootstrap interval of a recall over seeds and queries.
+
+    `groups`: for every group (city) whether each of S seeds found the answer of each query (S, n).
+    Seeds are drawn anew, the same ones for all groups, and queries within each group; groups weigh the
+    same.
+    """
+    hits = [np.asarray(group, np.float64) for group in groups]
+    seeds = rng.integers(len(hits[0]), size=(rounds, len(hits[0])))
+    drawn = []
+    for group in hits:
+        rows = rng.integers(group.shape[1], size=(rounds, group.shape[1]))
+        drawn.append([group[s].mean(axis=0)[q].mean() for s, q in zip(seeds, rows, strict=True)])
+    tail = 0.5 * (1.0 - level)
+    low, high = np.quantile(np.mean(drawn, axis=0), (tail, 1.0 - tail))
+    return Interval(float(np.mean([group.mean() for group in hits])), float(low), float(high))
+
+
 ROUNDING = 1e-6  # how far a sum of probabilities may stray from 0 to 1
 
 

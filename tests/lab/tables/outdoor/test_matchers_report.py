@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.named.outdoor_matchers import advantage, advantages, report
+from placegraph_lab.tables.named.outdoor_matchers import (
+    advantage,
+    advantages,
+    methods,
+    recalls,
+    report,
+)
 from placegraph_lab.tables.outdoor.matchers import (
     FUSED,
     PRINTED,
@@ -61,3 +67,25 @@ def test_tables_hold_every_matcher_and_the_paper(rows):
     assert ".22/.39/.48" in everywhere
     assert "+0.100" in text
     assert "| a: " in text
+
+
+def test_recalls_are_means_over_seeds_with_wider_intervals(rows):
+    """Two seeds, of which one finds all and one nothing, are half right, and nobody knows the third."""
+    rng = np.random.default_rng(0)
+    again = [row(city, PRINTED, [60.0] * 10) for city in "ab"]
+    sure = [row(city, RELATIONAL, [5.0] * 10) for city in "ab"]
+    found = {r["method"]: r for r in recalls([*rows, *again], rng) if r["title"]}
+    assert found[PRINTED]["seeds"] == 2
+    assert found[PRINTED]["recall"][1].mean == pytest.approx(0.15)
+    assert found[PRINTED]["recall"][1].low == 0.0
+    assert found[RELATIONAL]["recall"][1].low > 0.4
+    (only,) = recalls(sure, rng)
+    assert only["recall"][5] == (1.0, 1.0, 1.0)
+    text = report([*rows, *again], [], recalls([*rows, *again], rng))
+    assert f"| {PRINTED} | 6 statements, no noise, viewpoints anywhere | 2 | .15 (" in text
+    lead = advantage([*rows, *again], RELATIONAL, PRINTED, "exact", rng)
+    assert lead.mean == pytest.approx(0.7 - 0.15)
+
+
+def test_a_network_of_the_table_is_the_last_row(rows):
+    assert methods([*rows, row("a", "mine", [5.0])])[-1] == "mine"

@@ -126,14 +126,12 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
     def of(**shape: Any) -> TrainOptions:
         return replace(base, shape=replace(base.shape, **shape))
 
-    plain = of(statements=False)
+    printed = replace(of(printed=True, layers=1, crossings=1, heads=2), losses=PAPER)
     return {
         OURS: base,
         "no cross attention": of(crossings=0),
-        "no statements": plain,
-        "neither": of(statements=False, crossings=0),
-        "paper's network and losses": replace(plain, losses=(*PAPER, "embedding")),
-        "the same without the embedding loss": replace(plain, losses=PAPER),
+        "GOTLoc as printed": printed,
+        "GOTLoc as printed, and the embedding loss": replace(printed, losses=(*PAPER, "embedding")),
         "one layer and two heads": of(layers=1, crossings=1, heads=2),
         "no message passing": of(layers=0),
         "labels: whole words only": of(subwords=0.0),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (
     CITIES,
@@ -34,11 +36,13 @@ from placegraph_lab.tables.outdoor.matchers import (
     PRINTED_EDITS,
     RELATIONAL,
     SLOW,
+    RetrieveMatcher,
     ask,
     matcher,
 )
 from placegraph_lab.tables.outdoor.metrics import (
     RADII,
+    RANKS,
     TUNED,
     Answer,
     Protocol,
@@ -47,7 +51,7 @@ from placegraph_lab.tables.outdoor.metrics import (
     of_answers,
 )
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
-from placegraph_lab.tables.statistics import Interval, paired_interval
+from placegraph_lab.tables.statistics import Interval, paired_interval, recall_interval
 
 PAPER = {
     "*paper: Text2Loc, KITTI360Pose*": (0.28, 0.49, 0.58),
@@ -68,14 +72,25 @@ def title(protocol: Protocol) -> str:
 
 
 def methods(rows: Sequence[Row]) -> list[str]:
-    return [m for m in MATCHERS if any(r.method == m for r in rows)]
+    """Methods in the order of the table; networks that were given for it last."""
+    return [m for m in dict.fromkeys((*MATCHERS, *(r.method for r in rows)))
+            if any(r.method == m for r in rows)]  # fmt: skip
 
 
-def hits(row: Row, measure: str) -> list[bool]:
+def hits(rows: Sequence[Row], measure: str, rank: int = 1) -> Floats:
+    """Whether the rows of one method and city, a seed each, found the answers (S, n)."""
     if measure == EXACT:
-        return [any(a.exact[:1]) for a in row.answers]
+        return np.array([[any(a.exact[:rank]) for a in row.answers] for row in rows], np.float64)
     radius = float(measure.removesuffix(" m"))
-    return [bool((a.distance[:1] <= radius).any()) for a in row.answers]
+    near = [[(a.distance[:rank] <= radius).any() for a in row.answers] for row in rows]
+    return np.array(near, np.float64)
+
+
+def by_city(rows: Sequence[Row], method: str) -> list[list[Row]]:
+    """Rows of a method, a seed each, by city."""
+    cities = dict.fromkeys(r.city for r in rows)
+    found = ([r for r in rows if (r.city, r.method) == (city, method)] for city in cities)
+    return [mine for mine in found if mine]
 
 
 COMPARED = (
@@ -91,12 +106,29 @@ def advantage(
 ) -> Interval:
     """Recall@1 of one matcher minus that of another, on the queries that both had."""
     pairs = []
-    for city in dict.fromkeys(r.city for r in rows):
-        found = {r.method: hits(r, measure) for r in rows if r.city == city}
-        if first in found and second in found:
-            n = min(len(found[first]), len(found[second]))
-            pairs.append((found[first][:n], found[second][:n]))
+    for ours in by_city(rows, first):
+        for theirs in by_city([r for r in rows if r.city == ours[0].city], second):
+            n = min(len(ours[0].answers), len(theirs[0].answers))
+            both = (hits(mine, measure).mean(axis=0)[:n] for mine in (ours, theirs))
+            pairs.append(tuple(both))
     return paired_interval(pairs, rng)
+
+
+def recalls(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
+    """Recall of the exact cell by protocol and method, with intervals over seeds and queries."""
+    return [
+        {
+            "title": title(protocol),
+            "method": method,
+            "seeds": len(by_city(mine, method)[0]),
+            "recall": {
+                k: recall_interval([hits(city, EXACT, k) for city in by_city(mine, method)], rng)
+                for k in RANKS
+            },
+        }
+        for protocol, mine in _by_protocol(rows).items()
+        for method in methods(mine)
+    ]
 
 
 def advantages(rows: Sequence[Row], rng: Generator) -> list[dict[str, Any]]:
@@ -126,10 +158,25 @@ def of_the_slow(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
+def report(
+    rows: Sequence[Row], table: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]] = ()
+) -> str:
     slow = of_the_slow(rows)
     quick = [r for r in rows if r.method not in SLOW]
     parts = [*_glance(quick, paper=True), *_glance(slow, paper=False)]
+    if found:
+        header = ["", "texts", "seeds", *(f"exact cell @{k}, 95 % interval" for k in RANKS)]
+        cells = [
+            [
+                row["method"], row["title"], lab.number(row["seeds"]),
+                *(
+                    f"{lab.share(r.mean)} ({lab.share(r.low)} to {lab.share(r.high)})"
+                    for r in row["recall"].values()
+                ),
+            ]
+            for row in found
+        ]  # fmt: skip
+        parts += ["#### Intervals over seeds and queries", lab.markdown(header, cells)]
     if table:
         lines = []
         for row in table:
@@ -219,6 +266,8 @@ class MatcherRunner:
     seed: int
     journal: lab.Journal
     tick: Callable[[], None]
+    networks: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    """Weights of the paper's network by name of the row, a seed each."""
 
     def query_count(self, name: str, protocol: Protocol, method: str) -> int:
         if method not in SLOW:
@@ -240,11 +289,20 @@ class MatcherRunner:
                 setting=setting, in_the_middle=not protocol.anywhere,
             )  # fmt: skip
             asked, warming = spoken(n=self.queries, seed=self.seed), spoken(n=3, seed=self.seed + 1)
-            for method in self.methods:
+            runs: list[tuple[str, Path | None]] = [(method, None) for method in self.methods]
+            runs += [(method, path) for method, paths in self.networks.items() for path in paths]
+            for method, weights in runs:
                 n = self.query_count(name, protocol, method)
                 key = f"{extract.key}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
+                network = None if weights is None else GraphTransformer.open(weights)
+                key += "" if network is None else f", {network.fingerprint}"
                 if n and key not in self.journal:
-                    found = matcher(method, city, bins, setting, seed=self.seed)
+                    found = (
+                        matcher(method, city, bins, setting, seed=self.seed) if network is None
+                        else RetrieveMatcher(
+                            city, {"preset": "paper", "encoded": EncodedCity(city, network)}
+                        )
+                    )  # fmt: skip
                     ask(found, city, warming)
                     answers = ask(found, city, asked[:n])
                     plain = [(a.distance.tolist(), a.exact, a.seconds) for a in answers]
@@ -272,6 +330,13 @@ def outdoor_matchers(
     ] = "liechtenstein,monaco,toronto",
     seed: lab.Seed = 0,
     *,
+    networks: Annotated[
+        str,
+        lab.option(
+            "Further networks as the paper prints it (`city train --printed`): NAME=FILE,FILE with "
+            "a file a seed, and semicolons between names."
+        ),
+    ] = "",
     quick: lab.Quick = False,
 ) -> None:
     """Recall of the cell by matcher, on graphs from OpenStreetMap."""
@@ -283,20 +348,26 @@ def outdoor_matchers(
     protocols += [Protocol(setting="none")] if "none" in chosen else []
     shown = lab.check_names(lab.parts(methods, ";"), MATCHERS, "matcher")
     extracts = extracts_of(cities, run.osm)
+    pairs = (part.partition("=") for part in lab.parts(networks, ";"))
+    given = {name.strip(): [Path(file) for file in lab.parts(files)] for name, _, files in pairs}
     run.one_core()
     rows: list[Row] = []
     cells = {}
     with run.progress() as progress:
-        task = progress.add_task("asking", total=len(extracts) * len(protocols) * len(shown))
+        task = progress.add_task(
+            "asking",
+            total=len(extracts) * len(protocols) * (len(shown) + sum(map(len, given.values()))),
+        )
         asking = MatcherRunner(
             shown, queries, slow, lab.parts(slow_cities), seed, run.journal(),
-            lambda: progress.advance(task),
+            lambda: progress.advance(task), given,
         )  # fmt: skip
         for extract in extracts:
             city = extract.open(run.cache)
             cells[extract.name] = len(city.cells)
             rows += asking.rows(extract, city, extract.osm(run.cache), protocols)
     lead = advantages(rows, np.random.default_rng(seed))
-    print(report(rows, lead))
-    found = {"rows": [r.to_dict() for r in rows], "differences": lead}
-    run.save({"cells": cells} | found, complete=not (cities or methods))
+    found = recalls(rows, np.random.default_rng(seed))
+    print(report(rows, lead, found))
+    parts = {"rows": [r.to_dict() for r in rows], "differences": lead, "intervals": found}
+    run.save({"cells": cells} | parts, complete=not (cities or methods))
