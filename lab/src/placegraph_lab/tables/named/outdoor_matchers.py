@@ -159,12 +159,12 @@ def of_the_slow(rows: Sequence[Row]) -> list[Row]:
 
 
 def report(
-    rows: Sequence[Row], table: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]] = ()
+    rows: Sequence[Row], table: Sequence[dict[str, Any]], intervals: Sequence[dict[str, Any]] = ()
 ) -> str:
     slow = of_the_slow(rows)
     quick = [r for r in rows if r.method not in SLOW]
     parts = [*_glance(quick, paper=True), *_glance(slow, paper=False)]
-    if found:
+    if intervals:
         header = ["", "texts", "seeds", *(f"exact cell @{k}, 95 % interval" for k in RANKS)]
         cells = [
             [
@@ -174,7 +174,7 @@ def report(
                     for r in row["recall"].values()
                 ),
             ]
-            for row in found
+            for row in intervals
         ]  # fmt: skip
         parts += ["#### Intervals over seeds and queries", lab.markdown(header, cells)]
     if table:
