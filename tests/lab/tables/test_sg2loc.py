@@ -15,7 +15,7 @@ from placegraph.io.capture.tum import write_tum
 from placegraph_lab.tables.indoor import sg2loc as sources
 from placegraph_lab.tables.indoor.sg2loc import LAYOUT, How, Set, Walk, WindowRunner, recipes
 from placegraph_lab.tables.named.scene_retrieval import BASELINES, PAPER, STORAGE
-from placegraph_lab.tables.named.sg2loc import SPECS
+from placegraph_lab.tables.named.sg2loc import SPECS, find_sets
 from placegraph_lab.tables.named.sg2loc import read_published as figures
 from placegraph_lab.tables.runner import Run, load, names
 from placegraph_lab.worlds.flat.flat import Flat
@@ -280,7 +280,29 @@ def test_what_is_missing_is_told(measure, tmp_path):
     assert " ".join(LAYOUT.split())[:60] in " ".join(measure("sg2loc-3", "--help").output.split())
 
 
+def test_a_list_of_pairs_and_of_scenes(cells, tmp_path):
+    run = Run("sg2loc-7", cells, tmp_path)
+    names = [walk.recording for walk in sources.of_3rscan(run, "test").walks]
+    assert names == ["a1-x", "b1-x", "c1-x"]
+    (tmp_path / "list").write_text("b1-x b0-x\n")
+    assert [w.recording for w in sources.of_3rscan(run, "test", tmp_path / "list").walks] == [
+        "b0-x"
+    ]
+    (tmp_path / "list").write_text(
+        f"scene0001_00 scene0001_01 {' '.join(map(str, np.eye(4).ravel()))}"
+    )
+    assert [w.recording for w in sources.of_scannet(run, tmp_path / "list").walks] == [
+        "scene0001_01"
+    ]
+    for of in (sources.of_scannet, lambda *given: sources.of_3rscan(given[0], "test", given[1])):
+        with pytest.raises(InputError, match="none"):
+            of(run, tmp_path / "none")
+    found = find_sets(run, ["3RScan"], "test", None, 2)
+    assert [walk.recording for of in found for walk in of.walks] == names[:2]
+
+
 REFUSED = [
+    ("sg2loc-1 --sets house --pairs x", "pairs: a list is of one set"),
     ("sg2loc-1 --lengths abc", "lengths are whole numbers"),
     ("sg2loc-1 --lengths 5,0", "lengths are whole numbers"),
     ("sg2loc-1 --frames -3", "Invalid value for '--frames'"),

@@ -246,9 +246,9 @@ def of_3rscan(run: Run, split: scan3r.Split, pair_list: Path | None = None) -> S
         replace(room, scans=tuple(s for s in room.scans if _has(root, s.id)))
         for room in scan3r.split_rooms(rooms, lists if parted else None)[split]
     ]
-    pair_list = pair_list or root / "pairs.txt"
-    if pair_list.exists():
-        pairs = scan3r.read_pairs(pair_list, rooms)
+    known_pairs = root / "pairs.txt"
+    if pair_list or known_pairs.exists():
+        pairs = scan3r.read_pairs(pair_list or known_pairs, rooms)
         there = list({pair.room: rooms.room_of(pair.room) for pair in pairs}.values())
     else:
         pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
@@ -286,10 +286,10 @@ def of_scannet(run: Run, pair_list: Path | None = None) -> Set:
     `pair_list`: file with the pairs (`scannet.read_pairs`); if not given, `pairs.txt` if it exists.
     """
     scans = _Scans(run)
-    pair_list = pair_list or scans.root / "pairs.txt"
+    known_pairs = scans.root / "pairs.txt"
     pairs = (
-        scannet.read_pairs(pair_list)
-        if pair_list.exists()
+        scannet.read_pairs(pair_list or known_pairs)
+        if pair_list or known_pairs.exists()
         else scannet.derive_pairs(scannet.scans_in(scans.folder))
     )
     known = [found for pair in pairs if (found := scans.register_pair(pair)) is not None]
