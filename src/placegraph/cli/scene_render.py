@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from placegraph.io.capture.frame import Frame
 
 _UNITS = 1000.0
-"""Of a depth picture in a metre."""
+"""Units of a depth picture per metre."""
 _MOST = (1 << 16) - 1
 
 

@@ -123,7 +123,7 @@ class Pass:
 
 
 ONE_PASS = (Pass(),)
-"""What the benchmark left of the passes."""
+"""Single level with the default stride and box."""
 COARSE_TO_FINE = (
     Pass(stride=20.0, box=0.0, turn=pi, particles=600),
     Pass(stride=8.0, box=0.8, turn=0.3, particles=160),

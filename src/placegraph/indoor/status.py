@@ -113,7 +113,7 @@ class Diagnostics:
     consistent: bool = False
     """Whether nothing that was seen contradicts the best mode (`decide_pose` fills it)."""
     refinement: RefinementDiagnostics | None = None
-    """Of the refinement; None: there was none."""
+    """Diagnostics of the refinement; None without refinement."""
 
     @property
     def ratio(self) -> float:

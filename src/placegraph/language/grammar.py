@@ -19,10 +19,10 @@ LONGEST_CLAUSE = 60
 UNSURE = 0.6
 """Certainty of a clause that says "maybe"."""
 _BACK = 4
-"""How many chunks are given up at most to make sense of those before them."""
+"""Maximum number of chunks that are given up to parse the chunks before them."""
 Noun = TypeVar("Noun")
 Builders = Mapping[str, Callable[[list[Any]], Any]]
-"""What becomes of the children of each rule of a grammar."""
+"""Functions that build a value from the children of each rule of a grammar."""
 
 
 @dataclass(slots=True)

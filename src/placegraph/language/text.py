@@ -179,7 +179,7 @@ class Word(NamedTuple):
     start: int
     end: int
     metres: float = 0.0
-    """Of a measure."""
+    """Length of a measure."""
 
 
 _UNMEASURED = r"""
@@ -198,7 +198,7 @@ _OPENS = re.compile(
     r"|Keep|Continue|Follow|Pass|Take|Stop|Come|Get|And|But|So|Our)\b(?!\s+[A-Z])"
     r"|(?:It|I|There|You|Let|That|We|They)['’])"
 )
-"""What opens a new sentence even after a word that a full stop may shorten."""
+"""Pattern of a new sentence, even after a word that is often abbreviated by a full stop."""
 
 
 _MIXED = str.maketrans("أإآٱىیةک", "ااااييهك")

@@ -219,9 +219,9 @@ class EmbeddedStore:
     """
 
     origin: Origin
-    """What the vectors were made from."""
+    """Map and model of the vectors."""
     bits: int
-    """Of a number as stored: 8, 16 or 32."""
+    """Bits of a stored number: 8, 16 or 32."""
     ids: NDArray[np.int64]
     """(C,)"""
     positions: NDArray[np.int32]

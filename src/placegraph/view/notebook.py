@@ -20,9 +20,9 @@ from placegraph.view.city.picture import draw_city, write_picture
 from placegraph.view.scene.plan import draw_scene, write_plan
 
 WIDTH = 640
-"""Of a picture [px]."""
+"""Width of a picture [px]."""
 COLOURS = 96
-"""Of a picture: a notebook keeps it as text."""
+"""Number of colours of a picture, which a notebook stores as text."""
 MAX_ROWS = 12
 """Rows of a table."""
 

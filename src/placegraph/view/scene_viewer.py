@@ -36,7 +36,7 @@ INKS = (
 )  # fmt: skip
 """Colours of kinds of relations, and of camera paths, in turn."""
 PICKED = (255, 111, 0)
-"""Of the box around the object that is picked."""
+"""Colour of the box around the selected object."""
 _EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
 _CORNERS = np.array([(i & 1, i >> 1 & 1, i >> 2) for i in range(8)])
 

@@ -51,7 +51,7 @@ class AnchorFit(NamedTuple):
     anchors: tuple[Anchor, ...]
     notes: tuple[str, ...]
     footprints: tuple[Footprint, ...] = ()
-    """Of the buildings that the map was fitted to."""
+    """Footprints of the buildings that the map was fitted to."""
 
 
 def fit_points(

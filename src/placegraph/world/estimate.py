@@ -47,7 +47,7 @@ class WorldQuery:
     language: str | None = None
     progress: Progress | None = None
     budget: float | None = None
-    """Of worlds in shards [s]."""
+    """Time budget of worlds in shards [s]."""
 
     def __post_init__(self) -> None:
         if self.text is None and self.capture is None and self.near is None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from placegraph.world.world import World
 
 FIT_UNANCHORED = 0.1
-"""How well a scene without an anchor fits a location prior, against one that stands right there."""
+"""Fit of a scene without an anchor to a location prior, relative to a scene at its mean."""
 WRONG_FIX_SHARE = 1e-3
 """Share of location priors that are far off."""
 WRONG_ROOM_SHARE = 0.05
@@ -156,7 +156,7 @@ class RemainingScenes:
     """Weight of the scenes in shards that were not proposed for a query."""
 
     count: int
-    """Of all scenes."""
+    """Number of all scenes."""
     near: float
     """Sum over all scenes of how well they fit the location prior."""
     weight: float
@@ -184,7 +184,7 @@ class SceneEvidence:
     inside: float = 0.0
     """The same of the inside."""
     near: float = 1.0
-    """How well the scene fits the location prior, 0 to 1."""
+    """Fit of the scene to the location prior, 0 to 1."""
     is_meant: bool = False
     """Whether the text mentions the building, or the scene itself, by name or kind."""
     building_match: BuildingMatch | None = None

@@ -50,7 +50,7 @@ MAX_POSES = 3
 NEGLIGIBLE = 0.005
 """Scenes that together hold less of the probability are not looked into."""
 COMPASS_CONCENTRATION, COMPASS_OUTLIERS = 8.0, 0.1
-"""Of a compass: concentration (about 20 degrees), and the share of headings that are far off."""
+"""Concentration of a compass (about 20 degrees), and share of outliers."""
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 

@@ -32,7 +32,7 @@ _NEIGHBOUR_DISTANCE = 0.6  # what is beyond a wall is looked for this far outsid
 _PIECE_LENGTH, _MAX_PIECES = 1.0, 400  # of walls, length [m] and number
 
 WALL, WINDOW, DOOR = 0, 1, 2
-"""What a point of the outer walls lies in."""
+"""Kinds of a point of the outer walls."""
 _OPENING_KINDS = {
     "window": WINDOW,
     "windows": WINDOW,

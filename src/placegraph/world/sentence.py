@@ -78,9 +78,9 @@ _ME = re.compile(
     rf"{_EN}|{_DE})\b",
     re.IGNORECASE,
 )
-"""Of a sentence about the speaker, or one without a verb."""
+"""Pattern of a sentence about the speaker, or without a verb."""
 _NOTHING = re.compile(r"\W*(?:(?:i|we|ich|wir)\b\W*\w*\W*)?", re.IGNORECASE)
-"""What says no more of where one is: "I am"."""
+"""Pattern of words that say nothing about the place: "I am"."""
 _INSIDE_WORDS = {"der": "in der", "in der": "in der", "des": "im", "of": "in"}
 
 

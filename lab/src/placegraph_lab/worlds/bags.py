@@ -19,7 +19,7 @@ OPTICAL = "camera_optical_frame"
 BASE_FROM_CAMERA = np.array(
     [[0.0, 0.0, 1.0, 0.1], [-1.0, 0.0, 0.0, 0.02], [0.0, -1.0, 0.0, 0.4], [0.0, 0.0, 0.0, 1.0]]
 )
-"""Of the robot that carries the camera: it looks ahead, 0.4 m above the base."""
+"""Pose of the camera on the robot: it looks ahead, 0.4 m above the base."""
 
 
 class BagWriter(bag.BagWriter):

@@ -39,7 +39,7 @@ class ShardFile:
     """SHA-256 of the file's contents, as its last 32 bytes hold it."""
     bytes: int
     objects: int
-    """Of which the centre lies in the core."""
+    """Number of objects with their centre in the core."""
     cells: int
     viewpoints: int
     """In the core."""
@@ -57,7 +57,7 @@ class WorldFile:
     folder: Path
     zoom: int
     overlap: float
-    """How far shards reach beyond their cores [m]."""
+    """Distance by which shards extend beyond their cores [m]."""
     words: str
     """SHA-256 of `words.table`, as of a shard."""
     shards: tuple[ShardFile, ...]

@@ -62,12 +62,12 @@ MAGIC = b"PGS2"
 ROOM = 64 << 20
 """Bytes that wait in memory until they are written."""
 MANY = 16
-"""What touches more tiles than this is put to them only where they hold something else."""
+"""Number of tiles above which an object is stored only in tiles that hold other objects."""
 BORDER = 60.0
 """An object so near to a tile's core is seen from within it [m]."""
 LARGE, DONE = "large", "split.json"
 SPARE = 0.01
-"""What sticks out of a tile by less than this stays whole [deg]: squares, parks, long buildings."""
+"""Overhang [deg] up to which an object that leaves a tile stays whole: squares, parks, long buildings."""
 
 
 def pack_frame(objects: ElementTable) -> bytes:
@@ -378,7 +378,7 @@ class TileJob:
     out: str
     """City to write."""
     margin: float
-    """How far around the tile objects are taken [m]."""
+    """Distance around the tile within which objects are included [m]."""
     sizes: tuple[float, float, float]
     """Cells, their distance, and how far edges reach [m]."""
     source: str

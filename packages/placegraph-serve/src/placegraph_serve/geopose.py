@@ -52,7 +52,7 @@ class ProtocolRequest:
 
     id: str
     timestamp: Any
-    """As it was sent: milliseconds, or text."""
+    """Timestamp as sent: milliseconds, or text."""
     version: int
     camera: list[dict[str, Any]] = field(default_factory=list)
     """Readings, oldest first; `params`, `imageOrientation`, `image` (bytes) and `when` are added."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
 ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
-"""What is listed of where a scene stands."""
+"""Listed properties of a scene's anchor."""
 
 State = tuple[int, int, int]
 

@@ -215,7 +215,7 @@ class Photo:
     focal: float | None
     """By its EXIF, in pixels as sent; None: it does not say."""
     fix: Fix | None
-    """Where it was taken, by its EXIF."""
+    """Position of the photo by its EXIF."""
 
     def camera(self, given: Camera | None, name: str) -> Camera:
         """Intrinsics of `rgb`: those given, else by EXIF, else a phone's usual ones.
@@ -349,7 +349,7 @@ class Hints:
     height: float | None = None
     """Above the ellipsoid [m]."""
     heading: float | None = None
-    """Of the camera, clockwise from north [rad]."""
+    """Heading of the camera, clockwise from north [rad]."""
     seed: int = 0
 
     def prior_in(self, anchors: Sequence[Anchor]) -> Prior | None:
@@ -467,7 +467,7 @@ def images_of(photos: Sequence[Photo], depths: Sequence[Any], parameters: dict[s
 
 _BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, ValueError, RuntimeError,
            EOFError)  # fmt: skip
-"""What zipfile raises at damaged, encrypted and strange files."""
+"""Errors of zipfile for damaged, encrypted and strange files."""
 _CHUNK = 1 << 20
 _EACH = 6
 """Files that a frame may have."""

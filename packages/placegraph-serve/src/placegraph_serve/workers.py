@@ -40,7 +40,7 @@ VERBS = {
     "step": "localize:step",
     "end": "localize:end",
 }
-"""What can be asked, and the function of `placegraph_serve` that answers."""
+"""Requests to a worker, and the function of `placegraph_serve` that answers each."""
 
 Answer = tuple[bytes | None, dict[str, Any] | None]
 """A body, or else a problem."""

@@ -36,7 +36,7 @@ _BLOCK = 4  # [cells], over which the coarser contrast is taken
 _DARK = 40.0  # added to colours before their logarithm: differences of dark ones are noise
 _EVEN = 0.05  # added to contrasts before theirs
 _WIDTHS = np.array([0.75, 0.19, 0.04, 1.6, 1.2], np.float32)
-"""What counts as alike: lightness, red - blue, green - both, fine and coarse contrast (logs)."""
+"""Tolerances of similar colours: lightness, red - blue, green - both, fine and coarse contrast (logs)."""
 _BALANCE = 0.8
 """Share of the cast of the brightest cells, and of the level of lightness, that is taken out."""
 _BRIGHT = 0.3  # share of cells that count among the brightest

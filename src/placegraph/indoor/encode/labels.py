@@ -66,7 +66,7 @@ def find_majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) ->
 
 _FOREIGN = 0.2  # Share of the ids of frames that a map may lack: things come and go
 _AGREE = 0.5
-"""Of patches that name an object, the share that see it, below which they may name another."""
+"""Least share of patches naming an object that must see it; below, they may name another object."""
 
 
 class InstancesEncoder:

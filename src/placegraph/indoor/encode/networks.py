@@ -20,7 +20,7 @@ from placegraph.io.capture.frame import Images
 from placegraph.io.capture.json_files import read_json
 
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
-"""What a network says (h, w) of an image (H, W, 3) sRGB."""
+"""Network: maps an image (H, W, 3), sRGB, to its output (h, w)."""
 
 _MAX_CACHED = 64  # Answers of a capture that are kept; what was used last stays
 _HEAD = b"TFL3"  # at byte 4 of such a file
@@ -113,7 +113,7 @@ class ImageNetwork:
             )
         self._input, self._output = inputs[0], outputs[0]
         self.shape = tuple(int(n) for n in self._output["shape"])
-        """Of what it gives: (1, h, w) or (1, h, w, channels)."""
+        """Shape of the output: (1, h, w) or (1, h, w, channels)."""
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Return width and height [px] of the answers to images of this width and height [px]."""

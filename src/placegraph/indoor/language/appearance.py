@@ -37,7 +37,7 @@ PLACES = ("corner", "middle", "wall", "row")
 COLUMNS = (
     *COLOURS, *MATERIALS, *SHAPES, "patterned", *PLACES, "longest", "height", "volume",
 )  # fmt: skip
-"""What is known of an object, NaN where nobody knows; the last three are logarithms [m], [m3]."""
+"""Known properties of an object, NaN where unknown; the last three are logarithms [m], [m3]."""
 AT = {name: i for i, name in enumerate(COLUMNS)}
 KEY = "colours"
 """Attribute of an object's colours."""
@@ -61,7 +61,7 @@ _NEAR = 0.6  # of a wall [m], so softly
 _ALIGNED = 0.25  # things in a row are off it by less [m]
 _SMALLEST = 0.02  # [m]
 _LIGHT = np.array([0.35, 0.5, 0.7, 0.4, 0.35, 0.35, 0.65, 0.25, 0.85, 1.0, 0.5, 0.0])
-"""How light the basic colours are."""
+"""Lightness of the basic colours."""
 _OF_ROOMS = {
     "large": ("volume", 1.0), "small": ("volume", -1.0), "long": ("longest", 1.0),
     "narrow": ("longest", 1.0), "empty": ("height", 1.0), "full": ("height", -1.0),
@@ -87,7 +87,7 @@ class AppearanceWords:
     material_colours: Mapping[str, Sequence[str]]
     """Colours by which a material is known."""
     classes: Mapping[str, Mapping[str, tuple[str, ...]]]
-    """Of each class ("colours", "sizes" ...) the entries that a word stands under."""
+    """Entries that each word means, by class ("colours", "sizes" ...)."""
 
     @property
     def colours(self) -> Mapping[str, tuple[str, ...]]:

@@ -30,7 +30,7 @@ from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, normalize_relati
 Triple = tuple[str, str, str]
 """Label, relation by its canonical name and never turned, label."""
 _PLAIN = 0.25
-"""How much a wall is spoken of, against a chair."""
+"""Frequency with which texts mention a wall, relative to a chair."""
 _canonical = cache(normalize_relation)
 
 
@@ -39,9 +39,9 @@ class DescriptionUnit:
     """A room, or a scene as a whole: what somebody may describe."""
 
     labels: dict[str, int]
-    """How many things of each label."""
+    """Number of objects of each label."""
     triples: dict[Triple, int]
-    """How many things at most lie so to one other."""
+    """Maximum number of objects in this relation to one other object."""
     name: str = ""
     """Name of the room, where it has one."""
     is_scene: bool = False
@@ -149,11 +149,11 @@ class MatchCounts(NamedTuple):
     """Counts of the words that were asked for, in each unit (U,)."""
 
     exact: Floats
-    """How many that are what was asked for."""
+    """Number of objects with the label that was asked for."""
     kin: Floats
-    """How many that are that, or kin of it."""
+    """Number of objects with that label or a related one."""
     best: Floats32
-    """How well the best of them fits."""
+    """Similarity of the best object."""
     entries: NDArray[np.int64]
     """Entries of the postings that fit at all."""
 
@@ -212,7 +212,7 @@ class Columns(NamedTuple):
     scene: NDArray[np.int32]
     """(U,) row of the scene of each unit, ascending."""
     scenes: int
-    """How many."""
+    """Number of scenes."""
 
     def match_labels(self, query: str) -> Floats32:
         """Return the similarity (L,) of the labels to the query."""

@@ -61,9 +61,9 @@ class Term(NamedTuple):
     fit: Floats
     """(U,) how well units fit it."""
     base_rate: float
-    """How well the average unit does."""
+    """Mean fit of all units."""
     sure: float
-    """How probably it is right."""
+    """Probability that the term is read correctly."""
     where: Floats | None = None
     """(U,) of which units it says something at all; of all if None."""
 

@@ -38,17 +38,17 @@ class Mention:
     """Object or person that a description mentions."""
 
     words: str
-    """As written: "two brown chairs"."""
+    """Words of the text: "two brown chairs"."""
     label: str
-    """What it is called, without what counts or describes it: "chairs"."""
+    """Noun without number and adjectives: "chairs"."""
     count: int | None = None
-    """How many, where said: "two sinks"."""
+    """Number of objects, if the text gives it: "two sinks"."""
     several: bool = False
     """"some chairs", "many books": more than one."""
     plural: bool = False
     """"curtains", without saying how many."""
     attributes: tuple[str, ...] = ()
-    """How it looks, and where in the room it stands: "brown", "tall", "in the corner" (`looks`)."""
+    """Appearance and position in the room: "brown", "tall", "in the corner" (`looks`)."""
     negated: bool = False
     """"no plant", "without a desk"."""
     room: str = ""
@@ -63,13 +63,13 @@ class Statement:
     mentions: tuple[int, ...]
     """Rows of `Sentence.mentions`."""
     relation: str = ""
-    """Of RELATED, by a name that `map.relations.words` knows; of NEAR how: "in front of", "on"."""
+    """RELATED: relation by a name of `map.relations.words`; NEAR: preposition, "in front of", "on"."""
     bearing: float = 0.0
-    """Of TOWARDS: direction of the thing from where the speaker looks [rad, left is +pi/2]."""
+    """TOWARDS: direction of the object from the viewing direction [rad, left is +pi/2]."""
     wide: bool = False
-    """Of TOWARDS: anywhere in the picture ("I see a plant"), not straight there."""
+    """TOWARDS: anywhere in the image ("I see a plant"), not straight ahead."""
     distance: float | None = None
-    """How far, where said [m]."""
+    """Distance, if the text gives it [m]."""
     negated: bool = False
     certainty: float = 1.0
     """In (0, 1]: lower for what is said to be "maybe" so."""

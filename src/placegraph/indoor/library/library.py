@@ -66,7 +66,7 @@ class Entry:
     path: Path | None  # Map file; None where the map is only in memory
     digest: str = ""  # SHA-256 of the file
     earth: tuple[EarthPose, ...] = ()
-    """Where its map stands on Earth: one a candidate, likeliest first, for somebody anywhere in it."""
+    """Candidate poses of the map on Earth, likeliest first; each covers all of the map."""
 
 
 class SceneLibrary(SceneCollection, HtmlRepr):

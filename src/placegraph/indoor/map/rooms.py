@@ -159,7 +159,7 @@ NARROW, NARROW_DOOR = 0.6, 0.75
 """Width of a pass that ends a room, as a share of the room's; where it is as narrow as a door."""
 DOOR = 1.0  # Widest door [m] in a wall that is not known above it
 REACH = 0.5
-"""What is no farther from a room's floor belongs to it [m]: what hangs on its walls, the walls."""
+"""Maximum distance of an object from the floor of its room [m]; walls and what hangs on them are within."""
 
 _MOSTLY, _PARTLY = 2.0 / 3.0, 1.0 / 3.0  # of a wall, or of a thing, that lies in its room
 _STOREY = 3.5  # what begins higher above the floor is in another storey [m]

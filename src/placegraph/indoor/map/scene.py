@@ -156,7 +156,7 @@ class Scene(PickleFields):
     viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(V, 3) where the cameras were that the map was made from [m, map]; none of a mesh."""
     anchors: tuple[Anchor, ...] = ()
-    """Where it stands on Earth: candidates, best first; none: nobody said."""
+    """Candidate anchors on Earth, best first; empty if unknown."""
 
     @classmethod
     def create(

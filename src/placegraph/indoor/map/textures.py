@@ -38,7 +38,7 @@ class Detail:
     max_texture: int = 512
     """Longer sides of the source's textures are brought to this many texels."""
     quality: int = 80
-    """Of WebP, 1 to 100; 0: a source's JPEG and PNG are kept where that is possible."""
+    """Quality of WebP, 1 to 100; 0 keeps JPEG and PNG of the source where possible."""
     grain: float = 8 * GRAIN
     """Step of vertices [m], a power of two: 0.98 mm."""
     uv_grain: float = 4 * UV_GRAIN

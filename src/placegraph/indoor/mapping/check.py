@@ -45,7 +45,7 @@ class Finding:
     objects: Sequence[str] = ()
     """Ids of the objects it is about, at most 20; empty where it is about the whole map."""
     remedy: str = ""
-    """What to do: an option of `placegraph scene build`, or a word about the file."""
+    """Remedy: an option of `placegraph scene build`, or advice about the file."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain strings."""

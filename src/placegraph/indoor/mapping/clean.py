@@ -199,7 +199,7 @@ def _index_used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDAr
 VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
 PATTERNED = 0.03
-"""Where more than this share of the edges have a pattern, colours are baked into textures."""
+"""Share of patterned edges above which colours are baked into textures."""
 BAKED = 2.0  # Triangles of fewer texels than this have colours enough at their vertices
 MOST_BAKED = 1_000_000
 """Meshes of more triangles keep the colours of their vertices, to save memory."""

@@ -60,12 +60,12 @@ class Source:
     colour_of: ColourOf | None = None  # Colours of its surface, sharper than those of its vertices
     notes: tuple[str, ...] = ()  # What was found out or taken for granted, in sentences
     finish: Callable[[Model], Source] | None = None
-    """What is left to be done once the model is in metres and upright."""
+    """Remaining step, called when the model is in metres and upright."""
     landmarks: Landmarks | None = None  # Points that its frames show again and again
     viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(V, 3) where its frames were taken from, thinned [m]."""
     anchors: tuple[Anchor, ...] = ()
-    """Where it stands on Earth, where it says so; it is then drawn to be kept as it is."""
+    """Anchors on Earth that the source gives; the map then keeps the source's axes."""
 
 
 def read_capture(

@@ -534,7 +534,7 @@ class FuseStats:
     voxels: int
     """In blocks that hold anything."""
     memory: int
-    """Of the volume [bytes]."""
+    """Memory of the volume [bytes]."""
     agreement: float
     """Median distance of the used readings from the fused surface [m]. Poses that drift show here:
     it should not be much above the depth's own noise."""

@@ -45,7 +45,7 @@ DOOR = (0.9, 2.05)  # Width and height of doors, where nobody said [m]
 SLAB = 0.3  # Of a storey's height that is no room [m]
 SPREAD = 2000.0  # Over which the rooms of one building may be spread [m]
 SIGMA = (1.0, 1.0, 50.0, np.radians(1.0))
-"""How far off a plan in OpenStreetMap may be: east, north [m]; nobody says how high it is; turn [rad]."""
+"""Standard deviation of a plan in OpenStreetMap: east, north, up (unknown) [m]; rotation [rad]."""
 _LOW, _HIGH = 1.8, 40.0  # of what may be the height of a room [m]
 _LENGTH = re.compile(r"\s*(\d{1,3}(?:[.,]\d{1,3})?)\s*(m|cm)?\s*", re.ASCII)
 

@@ -42,7 +42,7 @@ def fill_groups(keys, table, group, first):
 
 
 BORDER = 10.0
-"""How much more a border edge's plane weighs than a face's: open sheets keep their outline."""
+"""Weight of the plane of a border edge, relative to a face's: open sheets keep their outline."""
 STUBBY = 1e-4
 """Share of the squared edge length [m^2 of error per m^2 of area] that breaks ties on flat parts:
 short edges go first, and triangles stay fat."""

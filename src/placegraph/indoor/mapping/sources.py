@@ -63,7 +63,7 @@ class ReadOptions:
     """Options of `build_scene` for reading a source."""
 
     labels: Any = None
-    """As `read_label_table` takes them."""
+    """Label table, as a path or mapping that `read_label_table` accepts."""
     up: Up = "auto"
     scale: float | None = None
     object_property: str | None = None

@@ -51,12 +51,12 @@ class ConfidenceModel:
 
     level: float
     depth: tuple[float, float, float]
-    """Of: presence of depth; log odds of its share that agrees; log of the constraint by surfaces, as
-    far as depth is the only evidence."""
+    """Coefficients of the presence of depth, of the log odds of its agreeing share, and of the log of the
+    constraint by surfaces if depth is the only evidence."""
     colour: tuple[float, float]
-    """Of: presence of colours; log-likelihood of their steps [1 / nat]."""
+    """Coefficients of the presence of colours, and of the log-likelihood of their steps [1 / nat]."""
     tone: tuple[float, float]
-    """Of: presence of colours beside depth; log-likelihood of tones [1 / nat]."""
+    """Coefficients of the presence of colours beside depth, and of the log-likelihood of tones [1 / nat]."""
 
     @property
     def coefficients(self) -> tuple[float, ...]:
@@ -124,7 +124,7 @@ class Agreement:
     semantic: float
     """Share that fits of the informative patches that see the map; NaN: no patches."""
     depth: float
-    """Of readings where the map has a surface, the share within one deviation; NaN: none."""
+    """Share of depth readings on the map's surface within one deviation; NaN without such readings."""
     colour: float
     """Mean log-likelihood of the steps of colour per independent pair [nat]; NaN: no colours."""
     weights: Floats

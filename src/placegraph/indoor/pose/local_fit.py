@@ -47,7 +47,7 @@ class Fit:
     poses: Floats
     """(T, 4) of all frames of the window."""
     log_likelihood: float
-    """Of the whole window [nat]; of a mode of particles the log of their weight."""
+    """Log-likelihood of the whole window [nat]; for a mode of particles, the log of their weight."""
     sampling: Floats
     """(4, 4) covariance of the next samples, were there any: before one image a step aside and a turn
     look nearly alike, so samples lie along such ridges."""
@@ -75,7 +75,7 @@ class FitLevel:
     """One level of the coarse-to-fine fit."""
 
     chain: Chain
-    """Of all frames of the window."""
+    """Odometry of all frames of the window."""
     rows: NDArray[np.int64]
     """(L,) frames that are looked at."""
     views: Sequence[View]

@@ -30,9 +30,9 @@ class Prior:
     yaw: float | None = None
     """[rad]; None: any."""
     spread: float = 1.0
-    """Of the position [m]."""
+    """Standard deviation of the position [m]."""
     turn: float = 0.3
-    """Of the yaw [rad]."""
+    """Standard deviation of the yaw [rad]."""
 
     def __post_init__(self) -> None:
         numbers = (self.x, self.y, self.z or 0.0, self.yaw or 0.0, self.spread, self.turn)

@@ -23,7 +23,7 @@ _FULL = 65535
 _FARTHEST = 1e7
 """Beyond it nothing lies on a map, in metres or their squares."""
 _ROUNDING = 1e-6
-"""Of probabilities that add up to one."""
+"""Rounding error of probabilities that sum to one."""
 
 
 def write_run(path: str | PathLike[str], estimate: PoseEstimate, *, source: str = "") -> None:

@@ -382,7 +382,7 @@ class CorrectedImages:
     images: Images
     factor: float
     camera: Camera | None
-    """Of the depth images."""
+    """Camera of the depth images."""
     mount: Floats | None
     """(4, 4) pose of the depth camera in the camera; None: they are one."""
 

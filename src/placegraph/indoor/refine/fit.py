@@ -54,7 +54,7 @@ class Lags:
     twist: Floats
     """(T, 6) as of `twists`"""
     deviation: float
-    """As of `lag_deviation`."""
+    """Standard deviation, see `lag_deviation`."""
 
     def depth_poses(self, poses: Floats) -> Floats:
         """Return the poses (T, 4, 4) of the depth images, from poses at the stamps."""
@@ -120,10 +120,9 @@ READINGS = 200.0
 POINTS = 40.0
 """Independent points that the matches of one frame are worth at most."""
 ASTRAY = (0.006, 0.004)
-"""What a frame sees errs together, as by the map where it looks or by the moment when it looked: usual
-deviations [m], [rad] of a frame as a whole ..."""
+"""Usual deviations [m], [rad] that all measurements of one frame share, by errors of map or stamp."""
 WITNESSES = 4
-"""... which are believed as if so many errors had shown them."""
+"""Number of errors that `ASTRAY` counts as, beside those of the capture."""
 
 
 class NormalEquations(NamedTuple):

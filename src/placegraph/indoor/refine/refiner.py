@@ -109,7 +109,7 @@ class FittedTrajectory:
     covariance: Floats
     """(6, 6) of the last frame, as `PoseMode.covariance`."""
     by_depth: FittedTrajectory | None = None
-    """What depth alone says, where images took part, too."""
+    """Trajectory by depth alone, if images took part as well."""
 
     @property
     def lags(self) -> Lags | None:
@@ -131,7 +131,7 @@ class Refiner:
     matcher: Matcher | None
     """None: the guided matcher."""
     prior: tuple[Floats, Floats] | None = None
-    """As `Problem.prior`."""
+    """Known poses (T, 4, 4) and their standard deviations (6,), see `Problem.prior`."""
     landmarks: Sequence[PointMatches] = ()
     """(T,) landmarks of the map that frames show; empty: nobody looked."""
     stats: dict[str, Any] = field(default_factory=dict)

@@ -258,7 +258,7 @@ class DepthUnit(NamedTuple):
     """Unit of depth images, for messages about implausible depth."""
 
     source: str
-    """Where the unit is set, in words: "`depth.scale` in walk/camera.json"."""
+    """Place where the unit is set, in words: "`depth.scale` in walk/camera.json"."""
     per_metre: float
     """Units in a metre."""
 

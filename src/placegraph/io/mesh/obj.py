@@ -44,7 +44,7 @@ _OPTION_VALUES = {
     "-blendu": 1, "-blendv": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-boost": 1,
     "-bm": 1, "-type": 1, "-colorspace": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3,
 }  # fmt: skip
-"""How many values, at most, follow an option of a texture."""
+"""Maximum number of values after each option of a texture."""
 _MOVING = ("-o", "-s", "-t")
 
 

@@ -62,7 +62,7 @@ ROOMS = ("room", "corridor", "area")
 """Kinds of shapes that somebody may be in."""
 KINDS = frozenset({*ROOMS, "wall", "door", "level", "building"})
 MAX_POINTS = 1000
-"""Of an outline; longer ones are left out."""
+"""Maximum number of points of an outline; longer outlines are left out."""
 _KEYS = ("indoor", "osmAG:type", "building", "building:part", "door", "entrance")
 _OSMAG = {"structure": "level", "corridor": "corridor"}
 
@@ -259,7 +259,7 @@ def _join_ways(pieces: Sequence[Sequence[int]]) -> list[list[int]]:
 
 
 OSMAG_ENDINGS = (".osmag", ".osmag.osm", ".osmag.xml")
-"""Of files that become osmAG."""
+"""Endings of files that are written as osmAG."""
 BESIDE = 0.6
 """Farthest that a door may be from the outline of its room [m]."""
 _METRES = 111_200.0  # per degree of latitude, to a few per mille: what is compared is near

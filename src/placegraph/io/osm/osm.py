@@ -39,7 +39,7 @@ AREA_VALUES = frozenset(
 )
 
 _FULL = re.compile("No space left|File too large|quota", re.IGNORECASE)
-"""What osmium says of a disk that has no room."""
+"""Error of osmium when the disk is full."""
 STEPS = 1e7
 """Steps in a degree, in which OpenStreetMap has its coordinates."""
 
@@ -70,7 +70,7 @@ class OsmColumns(NamedTuple):
     steps: NDArray[np.int32]
     """(V, 2) longitude, latitude in steps of 1e-7 degrees."""
     tags: list[dict[str, str]]
-    """Of each; elements of the same tags share them."""
+    """Tags of each element; elements with equal tags share one dictionary."""
 
 
 @dataclass

@@ -10,7 +10,7 @@ from placegraph.core.jit import kernel
 
 
 VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
-"""How the value of a field is written."""
+"""Wire types of a field in protocol buffers."""
 
 
 @kernel(inline="always")

@@ -310,7 +310,7 @@ TOUCHED = 256 << 20
 SORTED_AT_ONCE = 1 << 22
 """Nodes in no order that are sorted in memory at once: some 50 bytes each."""
 SAMPLE = 256
-"""Of so many nodes one tells where the others of its chunk may be cut."""
+"""Interval of nodes that are sampled, to find where the others of their chunk may be split."""
 
 
 class NodeIndex:

@@ -56,7 +56,7 @@ class Reader:
         self.members = NONE
         """Ids of ways that are wanted for areas, ascending."""
         self.ways: list[tuple[Numbers, Numbers, Steps]] = []
-        """Of those that were met ids, starts, and points; `LOST` where a position is not known."""
+        """Ids, starts and points of the ways read so far; `LOST` where a position is unknown."""
         self.last: dict[int, tuple[int, int]] = {}  # id and version of the last node, and way
         self.late = False  # whether there is a node behind a way
 

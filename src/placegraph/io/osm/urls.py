@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 CHUNK = 8 << 20
 """Bytes that are held in memory at once."""
 VERSIONS = ("etag", "lastmodified", "mtime", "created")
-"""What file systems tell by which a change is seen, the best first."""
+"""Fields of file systems that show a change of a file, the best first."""
 CONNECT, SILENT = 30.0, 120.0
 """A server that does not answer, or says nothing more, for so long is gone [s]."""
 

@@ -523,7 +523,7 @@ class Walk:
         self.way = Way()
         self.legs = 0
         self.ends = 0
-        """How often the end of a measured way was said; each time replaces the one before."""
+        """Number of times that the end of a measured way was given; each replaces the one before."""
         self.on_the_way: int | None = None
         """Node that was last said to be met on the way."""
         self.led_to: int | None = None

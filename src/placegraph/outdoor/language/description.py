@@ -25,7 +25,7 @@ LISTENER = 1
 
 
 CARDINAL_SIGMA, DIAGONAL_SIGMA, SHARP_SIGMA, LOOSE_SIGMA = 0.5, 0.4, 0.25, 0.6
-"""How loosely people mean "north", "north-east", "directly north", "mostly north" [rad]."""
+"""Standard deviations of "north", "north-east", "directly north" and "mostly north" [rad]."""
 
 
 class Direction(NamedTuple):
@@ -82,13 +82,13 @@ class Mention:
 
     id: int
     words: str
-    """As written, first occurrence: "two benches", "the Rex Theater"."""
+    """Words of the first occurrence: "two benches", "the Rex Theater"."""
     senses: tuple[Sense, ...] = ()
-    """What the common noun may mean on a map; empty for an unknown word or a bare name."""
+    """Meanings of the common noun on a map; empty for an unknown word or a bare name."""
     name: str = ""
     """Proper name as written ("Rex Theater", "Ripley's Aquarium of Canada"), or empty."""
     count: int | None = None
-    """How many, where said: "two benches" -> 2; None where one or unsaid."""
+    """Number of objects, if given: "two benches" -> 2; None for one or an unknown number."""
     definite: bool = True
     """"the bakery" (True) or "a bakery" (False)."""
 
@@ -105,9 +105,9 @@ class Statement:
     bearing: float | None = None
     """Direction of the source seen from the target [rad], clockwise from north."""
     bearing_sigma: float = 0.5
-    """How loosely the direction is meant [rad]."""
+    """Standard deviation of the direction [rad]."""
     distance: float | None = None
-    """How far, where said [m]."""
+    """Distance, if the text gives it [m]."""
     within: bool = False
     """Whether the distance is the most: "within 50 m", "on the same block"."""
     negated: bool = False

@@ -41,17 +41,17 @@ _BEFORE_THING = frozenset(("DET", "THIS", "NAME", "MY", "YOUR", "A"))
 _DETERMINERS = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS"))
 _IN_THING = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "WORD", "ADVERB"))
 _ENDS = frozenset(("NOUN", "NAME", "ME", "DIR", "HERE", "NEARBY"))
-"""What a place may end with: a thing that follows without a joint is what is there."""
+"""Last terminal of a place: an object that follows without a joint is located there."""
 _OWNED = frozenset(("NOUN", "NAME", "WORD", "DIR", "PART", "NUM", ""))
 _RIGHT = Direction(pi / 2, facing=True)
 
 _STARTS = VERBS - {"BE", "SEE", "HAVE"}
 """Verbs that open a clause of their own even without a joint before them."""
 _BEFORE_TARGET = frozenset(("AND", "COND", "PREP", "OF", "FROM", "BETWEEN"))
-"""What a person after them is no subject of, or joined to already: "next to it is a bank"."""
+"""Terminals before a person that is no subject, or is joined already: "next to it is a bank"."""
 _SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
 _GOVERNS = frozenset(("PREP", "OF", "FROM", "BETWEEN", "ACROSS", "IN", "ON", "AT", "TO", "WITH"))
-"""What makes a pronoun no subject of the verb behind it: "next to it is a bakery"."""
+"""Terminals that make a pronoun no subject of the verb after it: "next to it is a bakery"."""
 
 
 class Part(NamedTuple):
@@ -375,7 +375,7 @@ class NounPhrase:
     """Whether the noun is a label as a map has it, and no English."""
     name: str = ""
     part: str = ""
-    """Of a part of a thing: ``corner middle block ...``."""
+    """Terminal of a part of an object: ``corner middle block ...``."""
 
 
 Place: TypeAlias = PlacePhrase[NounPhrase]

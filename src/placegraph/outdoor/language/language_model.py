@@ -23,7 +23,7 @@ from placegraph.outdoor.language.words import NameFinder, Words
 LONGEST_ANSWER = 1_000_000
 """Bytes of the longest answer."""
 SIGMA = 0.5
-"""How loosely a direction is meant [rad] where the answer does not say."""
+"""Standard deviation of a direction [rad] if the answer gives none."""
 LARGEST = 1e9
 """Largest number of an answer; this also keeps out infinity and what is no number."""
 _PEOPLE = {"speaker": SPEAKER, "listener": LISTENER}

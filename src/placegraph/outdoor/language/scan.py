@@ -17,7 +17,7 @@ from placegraph.outdoor.language.languages import Language, english, language, t
 from placegraph.outdoor.language.words import NameFinder, Words, singular, tokens
 
 VERSION = "1"
-"""Of what is kept."""
+"""Version of the cached data."""
 NO_CODE = ""
 """Code of a text of which no language is recognised; it is read as English."""
 _SENTENCE_SPAN = re.compile(
@@ -51,13 +51,13 @@ _PLAIN = frozenset(
 _LEAST = 0.2
 """Share of a sentence's words that a language must know ..."""
 _THING = 0.5
-"""How much a word for a thing tells of its language, where one of the grammar tells 1."""
+"""Evidence of a noun for its language, where a word of the grammar counts 1."""
 _FEW = 0.75
 """... and how many words at least, each shared with those who know it as well."""
 _ALIKE = 0.1
 """Languages whose scores differ by less are as likely as each other."""
 _FOREIGN = 0.75
-"""How much a word with letters that a language lacks speaks against it."""
+"""Evidence against a language of a word with letters that the language lacks."""
 
 
 class Stretch(NamedTuple):
@@ -168,11 +168,11 @@ def _is_english(sentence: str) -> bool:
 
 class _Evidence(NamedTuple):
     scores: dict[str, float]
-    """How much speaks for each language."""
+    """Evidence for each language."""
     words: int
-    """Of how many words."""
+    """Number of words."""
     english: int
-    """How many of them are English, whatever else they are."""
+    """Number of words that are English, even if they belong to other languages, too."""
 
 
 def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | None) -> _Evidence:
@@ -447,7 +447,7 @@ _SENTENCE = re.compile(
 _ENGLISH = re.compile(
     r"\b(?:is|are|on|in|at|near|next|by|with|that|which|from|across|between|me|you|my|your|I|the|a)\b"
 )
-"""What makes a stretch of text more than a label."""
+"""Pattern of a stretch of text that is more than a label."""
 
 
 def is_shouting(sentence: list[Word]) -> bool:

@@ -29,7 +29,7 @@ _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 TYPING_ERROR = 0.8
 """Similarity from which an unknown word counts as a misspelt known one."""
 GENERIC = 0.7
-"""How surely a "sandwich place" is what "sandwich" alone stands for."""
+"""Probability that a "sandwich place" means the same as "sandwich" alone."""
 
 
 class References:
@@ -54,7 +54,7 @@ class References:
         self.kinds: set[int] = set()
         """Mentions by a label as a map has it, which stands for any thing of its kind."""
         self.topic: int | None = None
-        """What "it" means."""
+        """Row of the mention that "it" refers to."""
         self.street: int | None = None
         """The street that was spoken of last."""
 
@@ -192,7 +192,7 @@ BlockLength = Callable[[float | None], float]
 """Length of a block [m] in the direction of a bearing [rad], or in any (None)."""
 
 SIDE_SIGMA = 0.6
-"""How loosely "on the north side of" is meant [rad]."""
+"""Standard deviation of "on the north side of" [rad]."""
 FROM_YOU = 0.8
 """Certainty that a direction without a target is seen from the listener."""
 LEGS = (0.5, 0.25, 0.15)

@@ -25,12 +25,12 @@ _NOUNS = ("NOUN", "NAME")
 _THINGS = (*_NOUNS, *_PERSONS, "THIS", "HERE")
 _LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF")
 _LINKS = ("OF", "AT", "TO", "FROM")
-"""What joins a preposition of two words to its thing."""
+"""Terminals that join a preposition of two words to its object."""
 _LINKED = ("PREP", "NEARBY", "ACROSS", "BETWEEN", "FROM", "TO", "FACE")
 _PLACES = (*_LEADS, "PREP", "DIR", "NEARBY", "ACROSS", "BETWEEN", "DIST")
 _STATED = ("BE", "EXISTS", "SEE", "HAVE")
 _ENDS = (*_THINGS, "DIR", "NEARBY", "AWAY", "DIST", "PART")
-"""What a place may end with."""
+"""Last terminals of a place."""
 _RELATIONS = ("DIR", "SHORT", "PREP", "BETWEEN", "ACROSS", "PART")
 _MEASURED = ("DIST", "AWAY")
 _CASES = ("GEN", "DROP")

@@ -30,7 +30,7 @@ _POSSESSIVE = re.compile(r"'s\b|(?<=s)'(?!\w)")
 _SEPARATORS = re.compile(
     r"[^\w\u0300-\u036f\u0591-\u05c7\u0610-\u061a\u064b-\u0670\u0900-\u109f\u1780-\u17ff]+|_"
 )
-"""What stands between words; marks that combine with Hebrew, Arabic, Indic, Thai letters do not."""
+"""Pattern between words; combining marks of Hebrew, Arabic, Indic and Thai letters are no separators."""
 _FOLDED_LETTERS = str.maketrans(
     {**dict(zip("ıςłøđð", "iσlodd", strict=True)), "þ": "th", "æ": "ae", "œ": "oe", "ß": "ss"}
 )
@@ -212,7 +212,7 @@ COMPASS = frozenset(
 ROADS = frozenset(
     ("st", "ave", "rd", "blvd", "ln", "dr", "hwy", "pl", "ter", "alley", "pkwy", "sokak", "caddesi")
 )
-"""What names of roads end with, as `tokens` writes it."""
+"""Last words of names of roads, as `tokens` writes them."""
 SMALL = _read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
     e der die das dem den von vom zu zum zur am im van het

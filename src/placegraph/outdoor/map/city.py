@@ -75,9 +75,9 @@ class City(PickleFields):
     source: str
     """Name of the file the map was built from."""
     left_out: dict[str, int]
-    """What of that file could not be used, by reason."""
+    """Number of elements of the source that could not be used, by reason."""
     index: ViewIndex | None = field(default=None, init=False, repr=False)
-    """Of its viewpoints, as the map file has it; see `views`. `replace` leaves it behind."""
+    """Index of the viewpoints, as the map file stores it; see `views`. `replace` drops it."""
 
     @classmethod
     def create(

@@ -235,13 +235,13 @@ LONGEST = 50_000.0
 UNKNOWN = "name=*"
 """Label of things that have a name and no tag the vocabulary knows."""
 NOT_THINGS = frozenset({"boundary", "route", "type"})
-"""What carries such a key and no known tag is a line on the map, not a thing."""
+"""Keys of lines on the map: an element with such a key and no known tag is no object."""
 NAME_KEY = re.compile(
     r"(name|alt_name|official_name|short_name|loc_name|old_name|int_name|nat_name|reg_name|brand"
     r"|(name|brand|official_name):[a-z]{2,3}(-[A-Za-z]+)?)$"
 )
 RUN = frozenset({"amenity", "shop", "office", "craft", "healthcare", "leisure", "tourism"})
-"""What carries such a key and no name is called by who runs it: a letter box of the post."""
+"""Keys of objects that are called by their operator if they lack a name: a letter box of the post."""
 
 
 class Overture(Protocol):

@@ -44,7 +44,7 @@ STRIDE = 20.0
 ENOUGH = 2.0
 """A viewpoint needs this much in sight (sum of `sight`), or a point object close by."""
 SECOND_LABEL = (1.0, 0.35, 0.2)
-"""How readily a thing is called by its first, second, third ... label."""
+"""Probability that an object is called by its first, second, third ... label."""
 LEVELS = (LEAST * np.exp(STEP * np.arange(GRADES))).astype(np.float32)
 """(GRADES,) mass of a grade."""
 WORTH = 10_000
@@ -353,7 +353,7 @@ class ViewIndex:
     share: NDArray[np.float64]
     """(tokens,) share of each in all that is in sight of all viewpoints."""
     watch: FileWatch | None = None
-    """Of the map file that columns are windows on."""
+    """Watch on the map file that the columns are read from."""
 
     @classmethod
     def build(cls, objects: CityObjects, core: Core | None = None) -> tuple[Self, SightTotals]:

@@ -27,7 +27,7 @@ ALMOST = 0.9
 MANY = 60
 """A part of more names than this means none of them."""
 CROWDED = 20_000
-"""Of names with a number no more than this are looked through for streets."""
+"""Maximum number of names with a number that are searched for streets."""
 
 
 class NameTable(Protocol):

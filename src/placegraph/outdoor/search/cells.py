@@ -29,7 +29,7 @@ from placegraph.outdoor.search.posterior import (
 from placegraph.outdoor.search.request import LocationPrior, Matching, Request, is_count
 
 TIMEOUT = 0.1
-"""Of one edit distance [s]."""
+"""Time limit of one edit distance [s]."""
 
 
 class Ranking(NamedTuple):

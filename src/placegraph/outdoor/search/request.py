@@ -255,7 +255,7 @@ class Matching(RankingOptions):
     """Options of the search, with the store, region and network that it uses; raises `OptionError`."""
 
     store: VectorStore | None = None
-    """Where embeddings are searched, such as a Milvus server; the map's own if not given."""
+    """Vector store that is searched for embeddings, such as a Milvus server; the map's own if not given."""
     region: Region | None = None
     """The place is known to lie in it."""
     printed: bool = False

@@ -66,9 +66,9 @@ class Claim:
     radius: float
     """An `OK` estimate claims that the truth lies within this distance of its best place [m]."""
     of_radius: Calibration
-    """Of the share within `radius`."""
+    """Calibration of the share within `radius`."""
     of_place: Calibration
-    """Of the share within `MODE_RADIUS`, which is a place's probability."""
+    """Calibration of the share within `MODE_RADIUS`, which is the probability of a place."""
 
 
 IN_SIGHT = Claim(MODE_RADIUS, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79))

@@ -279,7 +279,7 @@ FAINT = 0.1
 SIGMAS = 2.0
 """Ellipses hold 86 % of a mode."""
 SHOWN = 120.0
-"""Of long or wide evidence the stretch this close to the mode is marked [m]."""
+"""Distance from the mode [m] up to which long or wide evidence is marked."""
 VERDICT_COLOR = {"for": "for", "against": "against"}
 
 

@@ -62,7 +62,7 @@ MAX_LEVEL = 0.5
 MARGIN = 0.04
 """A tile holds what lies so far beyond its border, so that wide roads are whole [sides]."""
 SMALLEST = 2.0
-"""What is smaller than this on the screen is left out [px]."""
+"""Minimum size on the screen of what is drawn [px]."""
 TOP_LEVEL = 12
 THROUGH = frozenset(("motorway", "main-road", "rail", "river", "shore"))
 """Paints that make long lines of short pieces, which are kept at every scale."""
@@ -253,7 +253,7 @@ DULL = frozenset(
      "signal", "buffer stop", "vacant")
 )  # fmt: skip
 NEAR, FAR = 12.0, 120.0
-"""What is spoken of is so far away [m]."""
+"""Nearest and farthest distance of mentioned objects [m]."""
 WINDS = ("north", "east", "south", "west")
 
 

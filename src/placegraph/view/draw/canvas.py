@@ -122,7 +122,7 @@ class Text:
     angle: float = 0.0
     """Counter-clockwise [rad]."""
     anchor: str = "m"
-    """What of the text stands at the place: its start (l), middle (m) or end (r)."""
+    """Part of the text at the position: its start (l), middle (m) or end (r)."""
     shift: tuple[float, float] = (0.0, 0.0)
     """Offset, right and down [px]."""
     row: int = -1

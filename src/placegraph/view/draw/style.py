@@ -77,7 +77,7 @@ class Paint:
     dash: tuple[float, float] | None = None
     """Drawn and blank length of a dashed line [m]."""
     ink: str = "soft-ink"
-    """Of lettering."""
+    """Colour of lettering."""
     rank: int = 9
     """Lettering of a smaller rank goes first; 9 is never lettered."""
     since: float = 0.0

@@ -37,7 +37,7 @@ SQUARES = 8
 LINE, FAINT = (255, 40, 160), (40, 230, 200)
 """Colours of edges of shapes and of edges of colours."""
 EMPTY_COLOUR = (38, 40, 46)
-"""Where the map shows nothing."""
+"""Colour of pixels without a surface of the map."""
 GAP = 8
 """Between pictures [px]."""
 CAPTIONS = (

@@ -53,13 +53,13 @@ REACH = 3.5
 ANYWHERE, CERTAIN = 3e-4, 0.3
 """Probabilities around a particle that are painted as unlikely and as certain."""
 CELL, SECTOR = 0.4, np.pi / 6
-"""What lies around a particle: this far [m], turned by this much [rad]."""
+"""Neighbourhood of a particle: distance [m] and rotation [rad]."""
 VERDICTS = ("for", "against")
 """Verdicts that are drawn; each is also the name of its colour."""
 OPENING = 1.1
 """Horizontal field of view where the camera is not known [rad]."""
 MAX_FRAMES = 5000
-"""Of a longer way some are left out."""
+"""Maximum number of frames; of longer trajectories some are left out."""
 
 
 def particle_levels(poses: Floats, weights: Floats) -> Floats:
@@ -509,9 +509,9 @@ def draw_scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
 
 
 MOVING_WIDTH = 760
-"""Of an animation [px]."""
+"""Width of an animation [px]."""
 COLOURS = 128
-"""Of an animation."""
+"""Number of colours of an animation."""
 PAUSE, REST = 220, 3000
 """Time of one picture of an animation, and of the last [ms]."""
 

@@ -101,9 +101,9 @@ def room_paint(label: str) -> str:
 CUT = 1.4
 """Walls are cut this high above the floor [m]: through windows and doors, above most furniture."""
 HANGING = 1.2
-"""What begins higher above the floor than this is left out: lamps, pictures, shelves [m]."""
+"""Height above the floor [m] from which objects are left out: lamps, pictures, shelves."""
 LOW_CEILING = 1.9
-"""Of a scan without labels, what begins higher above the floor than this is left out [m]."""
+"""Height above the floor [m] from which objects are left out in scans without labels."""
 NAMED = 0.35
 """Footprint of the smallest thing with a name on the plan [m2]."""
 SMALL = 9.5

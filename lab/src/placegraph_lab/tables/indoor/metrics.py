@@ -22,7 +22,7 @@ NEAR = (
     10.0,
 )  # what `OK` promises, and what a mode's probability speaks of: this near to the truth
 AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
-"""What the six numbers of a pose's error are, in the order of `PoseMode.covariance`."""
+"""Names of the six numbers of a pose's error, in the order of `PoseMode.covariance`."""
 WITHIN_95 = 12.5916
 """95 % of the squared normalised errors of six degrees of freedom are smaller (chi-squared)."""
 

@@ -310,9 +310,9 @@ def spread(results: Sequence[RefineOutcome]) -> dict[str, Any]:
 Start = Literal["found", "disturbed"]
 
 MATCHERS = ("auto", "none", "guided", "sift", "xfeat")
-"""What refines, if nothing else is asked for; `none` is depth alone."""
+"""Matchers that refine by default; `none` is depth alone."""
 PAPER = ", paper's recipe"
-"""What follows the word for a matcher where `RefineOptions.paper()` is meant: images alone."""
+"""Suffix of a matcher's name for `RefineOptions.paper()`: images alone."""
 GICP: dict[str, Kind] = {"small_gicp, plane": "PLANE_ICP", "small_gicp, GICP": "GICP"}
 PLACES = {"house": "House", **OFFICE}
 STARTS: dict[Start, str] = {

@@ -57,7 +57,7 @@ class Outcome:
     reason: str
     milliseconds: float  # CPU time a frame; NaN of an error
     agreement: dict[str, float | None] = field(default_factory=dict)
-    """What the verdict was made of (`PoseEstimate.stats`); None: that sense was not there."""
+    """Diagnostics of the status (`PoseEstimate.stats`); None for a missing sense."""
     rival: dict[str, float | None] = field(default_factory=dict)
     """The same of the second best pose, where that is wrong."""
 

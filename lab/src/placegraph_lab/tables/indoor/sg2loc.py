@@ -133,7 +133,7 @@ training, draws of these seeds."""
 FRAMES = 100
 CAMERA = Camera(320, 240, 230.0, 230.0, 160.0, 120.0)
 RPY = {"second half in the first": (0, 52, 104), "first half in the second": (52, 0, 52)}
-"""Of freiburg1_rpy: the first of 52 frames that make the map; the frames that are asked about."""
+"""Rows of freiburg1_rpy: the first of the 52 frames of the map; the frames of the query."""
 
 
 def of_house(data: Path, cache: Path) -> Set:

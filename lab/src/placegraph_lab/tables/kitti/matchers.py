@@ -48,7 +48,7 @@ NOISE = (
     0.15  # share of statements about things that the cell does not hold: it was cut out elsewhere
 )
 OTHER_COLOUR = 0.15
-"""How well a thing of the right kind fits where its part in this cell has another colour."""
+"""Fit of an object of the right kind whose part in this cell has another colour."""
 CROWD = 5.0  # added to the number of things in sight, so that lonely places are not preferred
 FLOOR = 1e-6
 

@@ -34,11 +34,11 @@ class Description:
     id: str
     text: str
     longitude: float
-    """Where it was said [deg]; the truth, for evaluation only."""
+    """Longitude of the speaker [deg]; the truth, for evaluation only."""
     latitude: float
-    """Where it was said [deg]; the truth, for evaluation only."""
+    """Latitude of the speaker [deg]; the truth, for evaluation only."""
     heading: float | None = None
-    """Where the speaker looked [rad], clockwise from north."""
+    """Viewing direction of the speaker [rad], clockwise from north."""
     near: tuple[float, ...] | None = None
     """Longitude, latitude [deg] the speaker was known to be near; a third is the radius [m]."""
 

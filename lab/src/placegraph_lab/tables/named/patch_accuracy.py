@@ -39,7 +39,7 @@ class Place:
     frames: tuple[Frame, ...]
     map_from_camera: Floats  # (T, 4, 4) of the frames
     captures: tuple[Capture, ...]
-    """Of the map, for encoders that need some; other frames, their odometry being map_from_camera."""
+    """Captures of the map, for encoders that need them; other frames, with map_from_camera as odometry."""
 
 
 def places(data: Path, cache: Path, every: int = 1, homes: int = HOMES) -> Iterator[Place]:

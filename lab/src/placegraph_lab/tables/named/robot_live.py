@@ -202,7 +202,7 @@ class Row:
     sure: float  # ... that are `OK` ...
     tracked: float  # ... and of those the share that is right.
     foretold: float
-    """Of frames after one that was `OK`, kidnapped ones left out: share right before its image came."""
+    """Share of frames right before their image came, after a frame that was `OK`; without kidnapped ones."""
     false: float  # share of all frames that are `OK` and wrong, and
     longest: int  # ... most of them in a row.
     recovered: list[int | None]

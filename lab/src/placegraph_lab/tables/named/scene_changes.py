@@ -32,7 +32,7 @@ from placegraph_lab.tables.runner import Column as Col
 
 GONE = ("moved", "vanished")  # kinds that say that an object is not where the map has it
 NEAR_NEW = 0.1
-"""What appeared is right where it lies this near to the box of a thing that moved there [m]."""
+"""Maximum distance of an appeared object from the box of the moved one, to count as right [m]."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class WindowChanges:
     removed: int
     removed_found: int  # of `detected`, what was truly removed, and is reported as vanished
     errors: tuple[tuple[float, float], ...]
-    """Of the motions of those: metres of the box's middle, and degrees."""
+    """Errors of the motions of right changes: distance of the box's centre [m], and rotation [deg]."""
     right: tuple[
         float, ...
     ]  # confidences of reports (moved, vanished) of things that truly changed

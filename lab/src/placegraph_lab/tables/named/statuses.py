@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 TRAPS = Path(__file__).parents[1] / "data/traps.toml"
 MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}  # extracts that templates speak of
 TOLD = {"pittsburgh": "rvs_pittsburgh.jsonl", "manhattan": "rvs_manhattan.jsonl"}
-"""What people wrote, by the map it is about."""
+"""Files of texts by people, by the map that they are about."""
 PROTOCOLS = (
     *(Protocol(6, s) for s in ("none", "replaced", "absent", "synonyms", "names", "speaker")),
     Protocol(10, "none"),

@@ -124,7 +124,7 @@ KINDS = {
 }
 """Kinds of text, and the setting of `make_queries` that makes them."""
 NAME = re.compile("[Tt]he [A-Z0-9]")
-"""What of the texts of the setting `names` holds one: a fifth of them speaks of common things alone."""
+"""Pattern of names; a fifth of the texts of the setting `names` mention common things alone."""
 NEAR = 500.0  # radius of the fix of texts of the kind "with a fix" [m]
 PLANET = 1.5e9  # cells of the planet, as extrapolated from four extracts
 

@@ -22,7 +22,7 @@ from placegraph_lab.tables.outdoor.places import Ints
 from placegraph_lab.tables.outdoor.queries import Query
 
 Words = Literal["labels", "triples", "speaker"]
-"""What a bag holds: labels, triples of two objects, or triples of an object and the speaker."""
+"""Content of a bag: labels, triples of two objects, or triples of an object and the speaker."""
 
 CELL = 50.0  # edge of a cell [m]
 

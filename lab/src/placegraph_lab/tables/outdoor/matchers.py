@@ -112,7 +112,7 @@ PIPELINES: dict[str, MatchingOptions] = {
     COSINE: {"matcher": "transformer", "score": "cosine", **_SPARSE},
     LOGIT: {"matcher": "transformer", **_SPARSE},
 }
-"""What ranks ten cells, found by the paper's embeddings, by ours, or by the inverted index."""
+"""Matchers that rank ten cells from the paper's embeddings, from ours, or from the inverted index."""
 MATCHERS = (*BAGS, *PIPELINES, RELATIONAL, FUSED)  # all, in the order of the table
 SLOW = (PRINTED_EDITS, EDIT_PLAIN)  # those that only get some of the queries, of some of the cities
 

@@ -158,8 +158,8 @@ def _finite(value: float, digits: int) -> float | None:
 OURS, BAG, TUNED = "placegraph", "triple bag", "triple bag, tuned"
 CEILING, ORACLE = "ceiling", "oracle"
 BAGS = {"label bag": (50.0, 50.0), BAG: (50.0, 50.0), TUNED: (30.0, 25.0)}
-"""How near to a cell's centre its objects are, and how far apart those of a triple [m]: as in the
-published generator, and as fits the texts best."""
+"""Distance of objects from a cell's centre, and of the two objects of a triple [m]: as in the published
+generator, and as fits the texts best."""
 
 
 @dataclass(frozen=True)

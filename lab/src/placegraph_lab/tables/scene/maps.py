@@ -91,7 +91,7 @@ PLACES = {
     ),
 }  # fmt: skip
 OFFICE_SIZES = ("full", "default", "small", "labelled")
-"""What is made of the office unless more is asked for: fusing takes a while."""
+"""Sizes of the office's map that are built by default: fusion takes a while."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class MapMeasurement:
     textures: int
     open_seconds: float  # median of 5, ray-casting structure included, compiled code warm
     build_seconds: float | None = None
-    """Of the build itself, in a fresh process, compiled code cached; median of 3 where cheap."""
+    """Time of the build alone, in a fresh process with cached code; median of 3 where cheap."""
     command_seconds: float | None = None  # of the whole command
     peak_bytes: int | None = None  # largest memory of the command; the largest of those measured
     left_out: dict[str, int] | None = None
@@ -276,12 +276,12 @@ ROWS = (
     "instances: semantic", "instances: semantic + depth", "none: depth + colour",
     "b in a: depth + colour", "a in b: depth + colour",
 )  # fmt: skip
-"""Of the protocol of `indoor_filter`."""
+"""Rows of the protocol of `indoor_filter`."""
 REFINED_ROWS = (
     "house found: all, auto", "house disturbed: no depth, auto",
     "b in a disturbed: no depth, auto", "a in b disturbed: no depth, auto",
 )  # fmt: skip
-"""Of the protocol of `indoor_refine`: where textures matter, images refine alone."""
+"""Rows of the protocol of `indoor_refine`: where textures matter, images refine alone."""
 REFINED_SIZES = ("full", "default", "small")
 LENGTHS = (5, 10)  # frames of the house's windows; refining gets the longer ones
 LIMITS = {"house": ((0.10, 5.0), (0.25, 2.0)), "office": ((0.10, 5.0), (0.25, 10.0))}

@@ -370,7 +370,7 @@ class NoisyThings(NoisyLabels):
         self._words: dict[bytes, int] = {}
         self._before: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
         self._taken: list[NDArray[np.float32] | None] = []
-        """Of each thing what it is taken for; None: for itself."""
+        """Feature of the object that each object is mistaken for; None for the object itself."""
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Vectors (rows, columns, d) of the next frame's patches, those of some things wrong."""

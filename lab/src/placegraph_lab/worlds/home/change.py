@@ -51,7 +51,7 @@ class Kind:
     front: tuple[Items, ...] = ()  # what may stand before it and look at it
     beside: tuple[Items, ...] = ()  # what may stand at either side of it
     around: tuple[Items, ...] = ()
-    """What may stand on all its sides and look at it: each of so many with that probability."""
+    """Items that may stand on all sides and face the object, each with its number and probability."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +168,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "washbasin": ("washbasin", "sink"),
     "washing machine": ("washing machine", "washer"),
 }
-"""What the same thing is called from home to home; a home has one word for it."""
+"""Synonyms of an object's label; a home uses one of them."""
 
 _WHITE = "plain #eceff1"
 _LAMP = Items("ceiling lamp", 0.9)

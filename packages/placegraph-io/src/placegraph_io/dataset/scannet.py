@@ -30,7 +30,7 @@ FILES = (
     "_vh_clean_2.0.010000.segs.json", "_vh_clean_2.labels.ply", "_vh_clean.aggregation.json",
     "_vh_clean.segs.json", ".aggregation.json", "_vh_clean_2.ply", "_vh_clean.ply",
 )  # fmt: skip
-"""How files of a scan are called after its name; the longer of two that fit comes first."""
+"""Endings of the files of a scan; of two that fit, the longer comes first."""
 TABLES = (
     "scannetv2-labels.combined.tsv",
     "scannet-labels.combined.tsv",

@@ -263,7 +263,7 @@ def _open_file(path: Path) -> BinaryIO:
 DEPTH_PER_METRE = 1000.0  # Units of depth in a metre of exported images
 _RIGID = 1e-2  # Poses are single precision, and rounded where they are exported
 _INTRINSICS = ("intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt")
-"""Of SensReader, and of ScanNet's own selection of 25,000 frames."""
+"""Names of intrinsics of SensReader, and of ScanNet's own selection of 25,000 frames."""
 
 
 def is_sens(path: Path) -> bool:

@@ -120,7 +120,7 @@ class Lessons:
     city: CityMap
     pool: ExamplePool
     subwords: float = 1.0
-    """As the network's `Shape` has it."""
+    """Weight of subwords of the network's `Shape`."""
     word_vectors: WordVectors | None = None
     """Word vectors that stand for the words they know."""
 

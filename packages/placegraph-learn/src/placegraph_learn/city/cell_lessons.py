@@ -31,7 +31,7 @@ class CellLessons:
     truth: Rows
     """(Q,) row of `cells` that a text is about."""
     subwords: float = 1.0
-    """As the network's `Shape` has it."""
+    """Weight of subwords of the network's `Shape`."""
     word_vectors: WordVectors | None = None
     """Word vectors that stand for the words they know."""
 

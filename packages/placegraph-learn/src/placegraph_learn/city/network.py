@@ -14,7 +14,7 @@ from placegraph.outdoor.network.network_kernels import BUCKETS, CHANNELS, LITERA
 R = len(CHANNELS)
 EPSILON = 1e-5
 DROPOUT = 0.5
-"""Of the joint embeddings before they are judged, as in the paper's code."""
+"""Dropout of the joint embeddings before the perceptron, as in the paper's code."""
 FEW = -11.0
 """Log odds that a text was given at one of a city's many viewpoints."""
 

@@ -243,7 +243,7 @@ def recall(scores: NDArray[np.float64], scored: ViewpointScores) -> float:
 
 
 SCALES, WEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Of relational matching and of what the network adds, that are tried together."""
+"""Grid of the scale of relational matching and the weight of the network."""
 
 
 def fit_prior(scored: Sequence[ViewpointScores], scale: float) -> tuple[float, float]:

@@ -89,7 +89,7 @@ def features_named(
 _CELL = 8  # pixels of a patch, each way, that statistics are made of
 _LEVELS = (0.1, 0.5, 0.9)
 _WEIGHTS = np.repeat(np.array([0.8, 3.0, 5.0, 4.0, 1.0]), [4, 4, 4, 4, 1]).astype(np.float32)
-"""Of brightness, two chromaticities, edges, and a constant: their usual sizes are made alike."""
+"""Weights of brightness, two chromaticities, edges and a constant, which give them like magnitudes."""
 
 
 class ColourFeatures:
@@ -187,7 +187,7 @@ def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
 MODEL = "vit_giant_patch14_dinov2.lvd142m"
 """Name of DINOv2 ViT-g/14 without registers in timm."""
 BLOCK = 31
-"""Of 40, counted from 0."""
+"""Transformer block whose output is used: number 31 of 40, counted from 0."""
 LONG, SHORT, SQUARE = 224, 126, 224
 """Sides of images, and of crops, as the network sees them [px]."""
 MEAN = np.array([0.485, 0.456, 0.406], np.float32)

@@ -31,18 +31,18 @@ class Widths:
     embedding: int = 400
     """Numbers of what patches and objects are compared by."""
     hidden: int = 512
-    """Of the perceptrons."""
+    """Width of the perceptrons."""
     gate: int = 384
-    """Of the channel gate's waist."""
+    """Width of the waist of the channel gate."""
     modality: int = 100
-    """Of each object modality but the views."""
+    """Width of each object modality but the views."""
     points: tuple[int, int, int] = (64, 128, 256)
-    """Of the three layers that look at points."""
+    """Widths of the three layers over points."""
     graph: int = 256
-    """Of the graph attention, heads side by side."""
+    """Width of the graph attention, all heads together."""
     graph_heads: int = 2
     view: int = 256
-    """Of what is known of a view of an object."""
+    """Width of a view of an object."""
     view_heads: int = 4
     pose_hidden: int = 128
     relations: int = RELATIONS
@@ -218,7 +218,7 @@ class ViewEncoder(nn.Module):
 
 
 MODALITIES = ("point", "gat", "rel", "attr", "img_patch")
-"""What is known of an object, in the order in which the network joins it."""
+"""Modalities of an object, in the order in which the network joins them."""
 DROPOUT = 0.1
 
 
@@ -231,7 +231,7 @@ class Objects:
     offsets: Tensor
     """(N, 3) barycentre of the room's root less the object's [m]."""
     edges: tuple[Tensor, ...]
-    """Of each room (E, 2): rows in the room of source and target."""
+    """Edges of each room (E, 2): rows of source and target within the room."""
     sizes: tuple[int, ...]
     """Objects of each room, which follow each other."""
     relations: Tensor

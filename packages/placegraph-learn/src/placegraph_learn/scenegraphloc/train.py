@@ -65,7 +65,7 @@ class TrainOptions:
 
 TEMPERATURE = 0.1
 PATCH_SHARE = 0.5
-"""Of the patch side; the rest is the object side's."""
+"""Share of the loss of the patch side; the rest is that of the object side."""
 EPSILON = 1e-8
 
 
@@ -116,7 +116,7 @@ def losses(patches: Tensor, objects: Tensor, truth: Truth) -> Tensor:
 SCALES = ((0.05, 0.2), (0.2, 0.4), (0.4, 0.4))
 """Granularity, the distance [m] over which the pull changes, and magnitude [m]."""
 SHARE = 0.95
-"""Of all clouds; the others stay as they are."""
+"""Share of clouds that are augmented."""
 _MOST = 48
 """Cells along an axis: clouds too large for a granularity are pulled more coarsely."""
 

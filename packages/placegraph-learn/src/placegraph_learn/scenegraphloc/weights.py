@@ -39,9 +39,9 @@ class Weights:
     network: SceneGraphLoc
     """In the state for inference."""
     notes: dict[str, str]
-    """Of .safetensors files: `features`, `temperature` and the like."""
+    """Notes in .safetensors files: `features`, `temperature` and the like."""
     digest: str
-    """Of all weights that have a say, 16 hexadecimal digits."""
+    """Hash of all weights in use, 16 hexadecimal digits."""
 
 
 def read_weights(path: str | PathLike[str]) -> Weights:

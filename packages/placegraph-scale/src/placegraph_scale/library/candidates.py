@@ -45,7 +45,7 @@ class CandidateScenes(SceneShards):
     """All scenes of a world: those of shards, and of maps beside them as one shard more, the first."""
 
     library: SceneLibrary = field(default_factory=SceneLibrary)
-    """Of the maps beside them."""
+    """Library of the maps beside the shards."""
 
     @classmethod
     def of(cls, shards: Iterable[SceneShards], library: SceneLibrary) -> CandidateScenes:

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from placegraph.core.estimate import Evidence
 
 KIND, VERSION = "shard", 1
-"""Of map files."""
+"""Kind and version of the map file."""
 HEAD, BESIDE = "usual.shard", "beside.shard"
 """Background model and list of shards, written last; the homes that no library has."""
 MEND = "Create the shards again with `placegraph library shard`."
@@ -118,9 +118,9 @@ class Shard:
     folder: Path = Path()
     """To which paths of maps are relative."""
     watch: FileWatch | None = None
-    """Of the file that columns are windows on."""
+    """Watch on the file that the columns are read from."""
     _vocabularies: dict[int, Vocabulary] = field(default_factory=dict)
-    """Of encoders with few vectors, unpacked."""
+    """Vocabularies of encoders with few vectors, unpacked."""
 
     @classmethod
     def open(cls, path: Path, background: Background) -> Shard:

@@ -211,7 +211,7 @@ class CandidatePool:
     shard_query: ShardQuery
     proposals: dict[int, Proposal] = field(default_factory=dict)
     scores: dict[int, Floats] = field(default_factory=dict)
-    """Of each candidate of a shard; -inf where it was not scored."""
+    """Scores of the candidates of each shard; -inf where not computed."""
     positions: dict[int, Floats] = field(default_factory=dict)
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not scored."""
     drawn: int = MIN_SAMPLES

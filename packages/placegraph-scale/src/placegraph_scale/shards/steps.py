@@ -59,7 +59,7 @@ class RareObject:
     center: Floats
     """(2,) longitude, latitude [deg]."""
     extent: float
-    """How far it reaches from its centre [m]; what reaches beyond 1 km is walked in sight."""
+    """Distance from its centre to its farthest point [m]."""
 
 
 @dataclass(eq=False)
@@ -171,7 +171,7 @@ class ShardQuery:
     """Text of each of its tokens (`WordTable.text`)."""
     rare_objects: tuple[RareObject, ...]
     viewpoints: int
-    """Of the world."""
+    """Number of viewpoints of the world."""
     fix: Fix | None
     key: str = field(default_factory=lambda: uuid4().hex)
     """Tells it from other queries."""
@@ -202,7 +202,7 @@ class Proposal(NamedTuple):
     highest: float
     """Largest log prior of the shard."""
     origin: tuple[float, float]
-    """Of the shard's plane [deg]."""
+    """Origin of the shard's plane [deg]."""
     least: float
     """Log of a bound times the prior below which candidates do not count."""
     scored: tuple[NDArray[np.int64], CandidateScores] | None = None

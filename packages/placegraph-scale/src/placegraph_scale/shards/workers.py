@@ -286,7 +286,7 @@ class _Dispatch:
     deadline: float | None
     results: dict[int, Any] = field(default_factory=dict)
     ends: Counter[int] = field(default_factory=Counter)
-    """How many workers ended at a task; if any did, each is tried alone."""
+    """Number of workers that ended at each task; after any such end, tasks are tried alone."""
     gone: set[str] = field(default_factory=set)
     """Workers that ended."""
 

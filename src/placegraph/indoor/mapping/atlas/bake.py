@@ -394,7 +394,7 @@ ColourOf: TypeAlias = Callable[[Floats, Floats, Ints], tuple[Bytes, NDArray[np.b
 with unit normals (N, 3) on triangles (N,)."""
 
 TOLERANCE = 5.0
-"""Of 255: what a smaller chart may differ from its samples (root mean square of 8 x 8 texels)."""
+"""Maximum error of a smaller chart, of 255 (root mean square over 8 x 8 texels)."""
 LONGEST = 256
 """Charts longer than this [texels] are cut, so that the dull part of a wall can be smaller."""
 _BATCH = 1 << 19  # texels a call of `colour_of`

@@ -173,8 +173,8 @@ _CELL = 0.1
 _COARSE = 0.3  # What a start may be off [m]
 _FINE = 0.4  # Share of `within` by which motions that fit are compared
 _BUILDING = 0.2
-"""What is built in has to be this share of a map's surface, if the map is to be aligned by it: in a
-map of unlabelled objects it is the rest that no object has."""
+"""Minimum share of a map's surface that must be built in, so that the map is aligned by this part; in
+a map of unlabelled objects, surface without an object counts as built in."""
 _UPRIGHT = 0.3  # What is upright has normals no steeper than this
 _FEW = 0.05  # A smaller share of upright surface tells nothing
 _SOME = 1500  # Points by which starts are compared

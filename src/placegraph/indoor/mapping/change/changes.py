@@ -141,11 +141,11 @@ class Change:
 
     kind: Kind
     label: str
-    """As the first map has it; of what appeared as the second says, or "unknown"."""
+    """Label in the first map; for appeared objects, in the second map or "unknown"."""
     confidence: float
     """0 to 1, how often such a finding is taken to be right."""
     reason: str
-    """What speaks for it."""
+    """Evidence for the change, in words."""
     id: str = ""
     """In the first map; empty for what appeared."""
     name: str = ""
@@ -154,7 +154,7 @@ class Change:
     after_from_before: Floats | None = None
     """(4, 4) rigid [m], of what moved: where a point of it was, to where it is now."""
     new_label: str = ""
-    """Of what was relabelled."""
+    """New label of a relabelled object."""
     box: Floats | None = None
     """(2, 3) lower and upper corner [m]: where it is now; of what vanished, where it was."""
     piece: Piece | None = field(default=None, repr=False)
@@ -242,10 +242,10 @@ class SceneDiff:
     b_from_a: Floats
     """(4, 4) rigid [m], from the first map's axes to the second's; the identity for a capture."""
     alignment: str
-    """How `b_from_a` came about, and how well it fits."""
+    """Origin of `b_from_a`, and its quality, in words."""
     before: str = ""
     after: str = ""
-    """What was compared."""
+    """Source of the second map or capture; `before` is that of the first map."""
 
     def __iter__(self) -> Iterator[Change]:
         return iter(self.changes)

@@ -243,7 +243,7 @@ COVERED = 0.4  # Share of what is around an object that the other map has: it co
 FITS = 0.6  # Share of two objects' points that have to lie on each other after a motion
 SUREST = 0.99  # No finding is surer than this
 UNSURE = 0.3
-"""Of what may have been there before, and of all between maps that are doubtfully aligned."""
+"""Confidence of an object that may have been there before, and of all changes if the alignment is unsure."""
 
 
 def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff:

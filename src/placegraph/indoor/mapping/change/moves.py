@@ -233,7 +233,7 @@ class Placement:
     rivals: tuple[str, ...] = ()
     """Ids of other things that are gone and fit the place nearly as well."""
     share: float = 1.0
-    """How likely it is this thing, and none of those, by how far each would have come."""
+    """Probability of this object among its rivals, by the distance that each would have moved."""
 
     @property
     def is_good(self) -> bool:
@@ -453,7 +453,7 @@ def _find_inside(
 
 
 _NEARNESS = 1.0
-"""Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
+"""Distance [m] over which the score of a fit falls to a third; among like objects the nearest wins."""
 _RIVAL = 0.7
 """Another thing that is gone and fits a place this well, against the best, may be it as well."""
 _SHARED = 0.3  # Two things whose boxes share this much of the smaller stand at one place

@@ -51,13 +51,13 @@ class Order:
     genitive: bool = False
     """A thing follows its direction or part without a word between: "nördlich der Kirche"."""
     head_first: bool = False
-    """What is said of a noun follows it: "côté nord", "Hôtel de la Gare"; "à côté de" is one word."""
+    """Modifiers follow their noun: "côté nord", "Hôtel de la Gare"; "à côté de" is one word."""
     pro_drop: bool = False
     """A verb needs no subject: "está al norte"."""
     cases: bool = False
     """An owner stands in the genitive behind what it owns: "brama parku"."""
     verbless: bool = False
-    """Where something is can be said without a verb: "слева парк"."""
+    """Statements of places need no verb: "слева парк"."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class Language(Phrases):
         self.things: Mapping[str, list[str]] = table.get("things", {})
         """Everyday words of things, by what they mean: an English word or a tag."""
         self.say: Mapping[str, Any] = table.get("say", {})
-        """How a statement is said: frames with slots, and what is done to a noun in a slot."""
+        """Phrases of statements: frames with slots, and inflections of a noun in a slot."""
         self._compass: Mapping[str, list[str]] = table.get("compass", {})
         counts = {fold_case(word): int(n) for word, n in numbers.items() if n >= 1}
         self.counts: Mapping[str, int] = COUNTS if code == "en" else counts

@@ -40,8 +40,8 @@ LEAST = 0.15
 CALLED = 0.8
 """Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
 WEIGHTS = {"r": 1.0, "n": 1.0, "a": 0.95, "v": 0.85, "t": 0.7}
-"""How likely a word is meant so: a raw tag value, a preset's name, an alias, a part or variant of
-its name, a search term."""
+"""Probability of a word's meaning by its source: a raw tag value, a preset's name, an alias, a part or
+variant of its name, a search term."""
 DIACRITICS = 0.95
 """Factor for a word that was found only by leaving its diacritics out."""
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
