@@ -131,7 +131,7 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
         OURS: base,
         "no cross attention": of(crossings=0),
         "GOTLoc as printed": printed,
-        "GOTLoc as printed, and the embedding loss": replace(printed, losses=(*PAPER, "embedding")),
+        "GOTLoc as printed plus embedding loss": replace(printed, losses=(*PAPER, "embedding")),
         "one layer and two heads": of(layers=1, crossings=1, heads=2),
         "no message passing": of(layers=0),
         "labels: whole words only": of(subwords=0.0),
