@@ -39,6 +39,7 @@ lint: $(TOOLS) ## check rules, layout, spelling, wording, workflows, who imports
 	$(BIN)/zizmor --offline --quiet .github
 	$(BIN)/lint-imports
 	$(BIN)/python tools/check_words.py
+	$(BIN)/python tools/check_sentences.py
 	$(BIN)/mypy || $(BIN)/mypy --num-workers 0  # a busy machine starts no worker in the three seconds it is given
 
 docs: $(TOOLS) ## build the documentation into site/

@@ -43,10 +43,10 @@ def rebuild(cls: type[Any], values: dict[str, Any], readonly: tuple[str, ...]) -
 
 
 class HtmlRepr:
-    """HTML display in Jupyter, by `placegraph.view.notebook`, which is imported when it is needed."""
+    """HTML display in Jupyter, by `placegraph.view.html_repr`, which is imported when it is needed."""
 
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        html: str = import_module("placegraph.view.notebook").html(self)
+        html: str = import_module("placegraph.view.html_repr").html(self)
         return html

@@ -305,7 +305,7 @@ def test_what_is_refused(live, room, film):
 def test_what_breaks_in_the_background_is_told(room, film, monkeypatch):
     executor = ManualExecutor()
     live = room.live(film.camera, background=executor)
-    monkeypatch.setattr(live._follower, "follow", lambda _: 1 / 0)
+    monkeypatch.setattr(live._tracker, "follow", lambda _: 1 / 0)
     live.see(film[0])
     executor.run_all()
     with pytest.raises(ZeroDivisionError):
@@ -399,7 +399,7 @@ def test_depth_in_another_unit_is_named(live, film):
 def test_slow_frames_are_looked_up_with_those_before(room, film):
     search = []
     live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
-    live._follower.take_answer = lambda found: search.append(found.frames)
+    live._tracker.take_answer = lambda found: search.append(found.frames)
     for i in range(24):
         odometry = film[0].odometry.copy()
         odometry[:3, 3] += (0.04 * i, 0.0, 0.0)

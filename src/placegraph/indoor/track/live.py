@@ -28,7 +28,7 @@ from placegraph.indoor.track.belief import (
     checked_odometry,
     checked_pose,
 )
-from placegraph.indoor.track.tracker import Follower, Relocalizer, SceneSource
+from placegraph.indoor.track.tracker import Relocalizer, RelocalizingTracker, SceneSource
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
@@ -48,18 +48,22 @@ class Inline(Executor):
 
 
 class Worker:
-    """Worker that passes images to a follower, relocalizations to maps, and results to a belief.
+    """Worker that passes images to a tracker, relocalizations to maps, and results to a belief.
 
     Of images that come too fast only the newest counts. At most one job follows images, and one searches
     lost frames; `changed` guards the belief and all fields here.
     """
 
     def __init__(
-        self, follower: Follower, belief: Belief, changed: Condition, background: bool | Executor
+        self,
+        tracker: RelocalizingTracker,
+        belief: Belief,
+        changed: Condition,
+        background: bool | Executor,
     ) -> None:
         self.dropped = 0
         self.status_counts: Counter[str] = Counter()
-        self._follower, self._belief, self._changed = follower, belief, changed
+        self._tracker, self._belief, self._changed = tracker, belief, changed
         self._own = not isinstance(background, Executor)
         self._executor = background if isinstance(background, Executor) else Inline()
         if background is True:
@@ -128,11 +132,11 @@ class Worker:
                         return
                     if epoch != self._heard:
                         self._heard, found = epoch, None
-                        self._follower.reset(self._belief.near)
+                        self._tracker.reset(self._belief.near)
                 if found is not None:
-                    self._publish(epoch, self._follower.take_answer(found))
+                    self._publish(epoch, self._tracker.take_answer(found))
                 if frame is not None:
-                    self._publish(epoch, self._follower.follow(frame))
+                    self._publish(epoch, self._tracker.follow(frame))
                     self._ask(epoch)
                     looked = True
         except BaseException as error:  # noqa: BLE001  # raised in the next call
@@ -159,7 +163,7 @@ class Worker:
     def _ask(self, epoch: int) -> None:
         """Submit a relocalization, if one is due."""
         with self._changed:
-            question = None if self._searching else self._follower.question()
+            question = None if self._searching else self._tracker.question()
             self._searching |= question is not None
         if question is not None:
             self._executor.submit(self._search, epoch, question)
@@ -169,7 +173,7 @@ class Worker:
             with limit_threads(
                 max(1, count_processors() - 1)
             ):  # a core is left to those that follow
-                found = question.search(self._follower.relocalizer)
+                found = question.search(self._tracker.relocalizer)
         except BaseException as error:  # noqa: BLE001  # raised in the next call
             self._fail(error)
             return
@@ -298,11 +302,11 @@ class LiveTracker:
             raise OptionError("options: a live tracker needs start='table' and answer='fit'.")
         check_device(known.get("device", "auto"), network=True)
         self.maps, self.camera = maps, camera
-        self._finder = Relocalizer(maps, known)
-        self._follower = Follower(self._finder, camera, seed)
+        self._relocalizer = Relocalizer(maps, known)
+        self._tracker = RelocalizingTracker(self._relocalizer, camera, seed)
         self._belief = Belief(options.motion)
         self._changed = Condition()
-        self._worker = Worker(self._follower, self._belief, self._changed, background)
+        self._worker = Worker(self._tracker, self._belief, self._changed, background)
 
     @property
     def dropped(self) -> int:
@@ -363,7 +367,7 @@ class LiveTracker:
 
         """
         if self.camera is None:
-            self.camera = self._follower.camera = frame.camera
+            self.camera = self._tracker.camera = frame.camera
         if frame.camera != self.camera:
             raise OptionError(
                 "frame: its camera differs from the tracker's; create a tracker for this camera."
@@ -427,7 +431,7 @@ class LiveTracker:
         spread = checked_covariance("covariance", covariance)
         with self._changed:
             anchor = self._belief.anchor
-            name = self._finder.resolve_scene(scene or (anchor.scene if anchor else ""))
+            name = self._relocalizer.resolve_scene(scene or (anchor.scene if anchor else ""))
             why = "The pose was given; no image has confirmed it."
             self._belief.believe(pose, spread, name, why)
 
@@ -452,7 +456,7 @@ class LiveTracker:
             moved = self._belief.moved
         if now is None or pose.map_from_camera is None or pose.covariance is None:
             raise OptionError(f"There is no pose to save. {pose.reason}")
-        digest = digest_of(self._finder.scene(pose.scene))
+        digest = digest_of(self._relocalizer.scene(pose.scene))
         SavedPose(
             pose.scene, digest, now.stamp, moved, now.pose, pose.map_from_camera, pose.covariance
         ).write(path)
@@ -485,7 +489,7 @@ class LiveTracker:
         live = cls(maps, **options)
         try:
             same = (
-                digest_of(live._finder.scene(live._finder.resolve_scene(saved.scene)))
+                digest_of(live._relocalizer.scene(live._relocalizer.resolve_scene(saved.scene)))
                 == saved.digest
             )
         except OptionError as error:

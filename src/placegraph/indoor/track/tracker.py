@@ -518,7 +518,7 @@ class FrameResult:
     """Whether the pose before is given up."""
 
 
-class Follower:
+class RelocalizingTracker:
     """Tracking in one map, with relocalization in all maps when the pose is uncertain."""
 
     def __init__(self, relocalizer: Relocalizer, camera: Camera | None, seed: int) -> None:

@@ -569,7 +569,7 @@ class WindowRunner:
         """Return the encoder of a window, bound to a map, `name`, or to merged maps."""
         if of.own_ids and not self.how.encoder:
             return NoisyEncoder(InstancesEncoder(scene), seed=self.how.seed, name=window.place)
-        its = self.unbound(window)
+        its = self.plain_encoder(window)
         if self.named_encoder is None:
             known = scene.compute_once(("sg2loc", its.key), lambda s: encode_objects(its, s))
             return BoundEncoder(its, known)
@@ -578,7 +578,7 @@ class WindowRunner:
         made = [encode_objects(its, of.scene(n), of.pictures(n)) for n in names]
         return BoundEncoder(its, np.concatenate(made))
 
-    def unbound(self, window: Window) -> Encoder:
+    def plain_encoder(self, window: Window) -> Encoder:
         if self.named_encoder is not None:
             return self.named_encoder
         if window.capture.label_kind != "labels":

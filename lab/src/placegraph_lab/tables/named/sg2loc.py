@@ -344,7 +344,7 @@ def _retrieved(asking: WindowRunner, of: Set, length: int, frames: int, count: i
         names = group(of, walk.map, count)
         show = of.pictures if asking.named_encoder else lambda _: ()
         scenes = Scenes([Place(name, of.scene(name), pictures=show(name)) for name in names])
-        its = asking.unbound(window)
+        its = asking.plain_encoder(window)
         scenes.know(its)
         told = Cosines(scenes.library(names, [its])).search(window.capture[:frames])
         found.append(told.names[0] == walk.map)
