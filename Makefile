@@ -18,7 +18,7 @@ CHROMIUM := command -v chromium || { command -v apt-get && $(AS_ROOT) apt-get up
 .PHONY: help venv demo test test-all lint docs bench release clean
 
 help: ## show this list
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(CORE) ## locate three sentences in a small town and a film in a flat; see demo-out/
 	$(BIN)/placegraph demo --out demo-out

@@ -87,7 +87,7 @@ class Visibility(NamedTuple):
 
     @classmethod
     def of_query(cls, query: Query, table: WordTable) -> Visibility:
-        """CloserLook up the mentions of a query in the table of words."""
+        """Look up the mentions of a query in the table of words."""
         starts, tokens, weights = query.mentions
         peaks = np.zeros((len(table), len(starts) - 1))
         means = np.zeros_like(peaks)
