@@ -1,4 +1,4 @@
-"""Mutations of files: flip_bytes bytes, cuts, repetitions, and extreme lengths and numbers."""
+"""Mutations of files: flipped bytes, cuts, repetitions, and extreme lengths and numbers."""
 
 from __future__ import annotations
 

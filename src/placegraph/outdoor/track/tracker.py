@@ -200,7 +200,7 @@ class CityTracker:
         Raises
         ------
         OptionError
-            A number is not check_finite, or `sigma` is negative.
+            A number is not finite, or `sigma` is negative.
 
         """
         east = check_finite(east, "east", "metres")
@@ -239,7 +239,7 @@ class CityTracker:
         Raises
         ------
         OptionError
-            A number is not check_finite, or a distance or deviation is negative.
+            A number is not finite, or a distance or deviation is negative.
 
         """
         distance = check_nonnegative(distance, "distance")

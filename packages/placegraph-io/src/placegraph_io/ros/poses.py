@@ -217,7 +217,7 @@ def read_transforms(
     """Return the transforms of a topic's messages, recorded within a window [ns] (None: always).
 
     Messages of one transform between the same frames differ only in stamp and numbers: the first is
-    decode_message, and only stamp and numbers of the others are read.
+    decoded, and only stamp and numbers of the others are read.
     """
     groups: dict[bytes | int, list[tuple[int, bytes]]] = defaultdict(list)
     ros1 = topic.encoding == "ros1"
