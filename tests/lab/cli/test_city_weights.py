@@ -71,6 +71,20 @@ def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
     assert run(*locate, "--store", tmp_path / "gone.vectors").code == 3
 
 
+def test_the_papers_preset_searches_a_store_of_its_own_network(run, city, tmp_path):
+    vectors = tmp_path / "printed.vectors"
+    assert run("city", "embed", city, "-o", vectors, "--weights", "printed").code == 0
+    locate = ("city", "locate", city, TEXT, "--json", "--preset", "paper")
+    direct, named, stored = (
+        run(*locate, *options) for options in ((), ("--weights", "printed"), ("--store", vectors))
+    )
+    assert direct.code == named.code == stored.code == 0
+    cells = [mode["cell"] for mode in direct.json["modes"]]
+    assert cells == [mode["cell"] for mode in named.json["modes"]]
+    assert cells == [mode["cell"] for mode in stored.json["modes"]]
+    assert run("city", "locate", city, TEXT, "--store", vectors).code == 10  # of another network
+
+
 def test_what_locate_does_not_know_is_refused(run, city, tmp_path):
     locate = ("city", "locate", city, TEXT)
     assert run(*locate, "--matcher", "luck").code == 7

@@ -350,6 +350,10 @@ def test_the_shipped_network_is_sound():
     assert network is GraphTransformer.default()
     assert network.shape.dimension == 64
     assert network.fingerprint == "b912c5c859e73f93"  # vectors that were kept are told by it
+    printed = GraphTransformer.default(printed=True)
+    assert printed.shape == Shape(printed=True, layers=1, crossings=1, heads=2)
+    assert find_shipped_weights(printed=True).stat().st_size <= 1_500_000
+    assert printed.fingerprint == "df1378d765af03fb"
 
 
 BAD_SHAPES = (
