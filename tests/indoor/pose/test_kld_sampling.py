@@ -13,7 +13,7 @@ from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.local_fit import moments
 from placegraph.indoor.pose.particle_filter import BIN, Particles, kld_bound, kld_count, resample
-from placegraph.indoor.pose.search import distinct
+from placegraph.indoor.pose.search import select_distinct
 
 seeds = st.integers(0, 2**32 - 1)
 logs = st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=40).map(np.array)
@@ -137,12 +137,12 @@ def test_distinct_by_hand():
         float,
     )
     scores = np.array([5.0, 6.0, 1.0, 2.0, 0.5, 3.0])
-    assert distinct(poses, scores, 8).tolist() == [1, 5, 3, 4]
-    assert distinct(poses, scores, 2).tolist() == [1, 5]
-    assert distinct(poses, scores, 8, apart=0.01, turned=0.01).tolist() == [1, 0, 5, 3, 2, 4]
-    assert distinct(np.zeros((0, 4)), np.zeros(0), 8).tolist() == []
+    assert select_distinct(poses, scores, 8).tolist() == [1, 5, 3, 4]
+    assert select_distinct(poses, scores, 2).tolist() == [1, 5]
+    assert select_distinct(poses, scores, 8, apart=0.01, turned=0.01).tolist() == [1, 0, 5, 3, 2, 4]
+    assert select_distinct(np.zeros((0, 4)), np.zeros(0), 8).tolist() == []
     across = np.array([[0, 0, 0, 3.1], [0, 0, 0, -3.1]])  # the half turn
-    assert len(distinct(across, np.zeros(2), 8)) == 1
+    assert len(select_distinct(across, np.zeros(2), 8)) == 1
 
 
 @given(seeds, st.integers(1, 60), st.integers(1, 10))
@@ -150,7 +150,7 @@ def test_modes_are_apart_and_cover_what_they_left_out(seed, size, most):
     rng = np.random.default_rng(seed)
     poses = rng.uniform((-2, -2, 1, -np.pi), (2, 2, 2, np.pi), (size, 4))
     scores = rng.integers(0, 10, size).astype(float)
-    rows = distinct(poses, scores, most, apart=0.7, turned=0.6)
+    rows = select_distinct(poses, scores, most, apart=0.7, turned=0.6)
     assert rows[0] == scores.argmax()
     assert (np.diff(scores[rows]) <= 0).all()
     assert 1 <= len(rows) <= most

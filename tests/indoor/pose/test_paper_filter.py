@@ -19,7 +19,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.particle_filter import (
     ParticleFilter,
     Particles,
-    everywhere,
+    draw_uniform_start,
     kld_bound,
     kld_count,
     propagate,
@@ -132,7 +132,10 @@ def test_the_start(scene, rng):
     window = Window(PoseQuery(scene=scene, options=PAPER), Scorer(scene, PAPER.likelihood), [])
     table = window.table
     cells = np.unique(table.positions[:, :2], axis=0)
-    ours, other = everywhere(window, window.options, rng), theirs.start(cells, scene.floors[0], rng)
+    ours, other = (
+        draw_uniform_start(window, window.options, rng),
+        theirs.start(cells, scene.floors[0], rng),
+    )
 
     def count_particles(poses):
         cell = np.floor((poses[:, :2] - table.origin) / theirs.CELL)
@@ -162,7 +165,7 @@ def test_a_grid_of_heights_gets_no_others(scene, rng):
             PoseQuery(scene=scene, options=options), Scorer(scene, PAPER.likelihood), []
         )
         told, counts = np.unique(
-            everywhere(window, options, rng)[:, 2].round(6), return_counts=True
+            draw_uniform_start(window, options, rng)[:, 2].round(6), return_counts=True
         )
         np.testing.assert_allclose(told - scene.floors[0], expected, atol=1e-6)
         assert np.ptp(counts) == 0

@@ -9,9 +9,9 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions, Pass
-from placegraph.indoor.pose.particle_filter import _later, everywhere
+from placegraph.indoor.pose.particle_filter import _later, draw_uniform_start
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.pose.search import around, near_prior
+from placegraph.indoor.pose.search import draw_near_prior, scatter_poses
 from placegraph.indoor.pose.window import PoseQuery, Window
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -20,13 +20,13 @@ OPTIONS = FilterOptions()
 
 def test_poses_about_a_prior(room, rng):
     prior = Prior(2.0, -1.0, z=1.4, yaw=0.7, spread=0.5, turn=0.2)
-    got = near_prior(prior, window_of(room, OPTIONS), 20_000, rng)
+    got = draw_near_prior(prior, window_of(room, OPTIONS), 20_000, rng)
     np.testing.assert_allclose(got.mean(axis=0), [2.0, -1.0, 1.4, 0.7], atol=0.02)
     np.testing.assert_allclose(got.std(axis=0), [0.5, 0.5, 0.05, 0.2], rtol=0.03)
 
 
 def test_what_a_prior_leaves_open_is_anything(room, rng):
-    got = near_prior(Prior(0.0, 0.0), window_of(room, OPTIONS), 20_000, rng)
+    got = draw_near_prior(Prior(0.0, 0.0), window_of(room, OPTIONS), 20_000, rng)
     # heights are those of cameras above the floor that is there
     above = got[:, 2] - room.floors[0]
     assert -0.1 < above.min() < 0.2
@@ -53,7 +53,7 @@ def test_a_wider_grid_is_as_dense(room, rng, monkeypatch):
     options = FilterOptions(start="uniform", spacing=0.1, per_cell=4, heights=(1.6,))
     table = replace(room.visibility(options), spacing=0.2)
     monkeypatch.setattr(Window, "table", table)
-    assert len(everywhere(window_of(room, options), options, rng)) == 16 * len(table)
+    assert len(draw_uniform_start(window_of(room, options), options, rng)) == 16 * len(table)
 
 
 def test_later_passes_lie_in_boxes_and_give_every_mode_its_share(rng):
@@ -78,13 +78,13 @@ def test_layers_do_not_multiply_cells(room, rng):
     assert table.index.shape[0] > 1
     cells = len(np.unique(table.positions[:, :2], axis=0))
     assert (
-        len(everywhere(window_of(room, options), options, rng)) == 3 * cells
+        len(draw_uniform_start(window_of(room, options), options, rng)) == 3 * cells
     )  # 1.5 m lies between
 
 
 def test_poses_fill_a_box_around_each_seed(rng):
     seeds = np.array([[1.0, 2.0, 1.6, 0.5], [-3, 0, 1.2, 3.0]])
-    got = around(seeds, 4000, 0.4, 0.15, rng)
+    got = scatter_poses(seeds, 4000, 0.4, 0.15, rng)
     assert got.shape == (8000, 4)
     for i, seed in enumerate(seeds):
         own = got[4000 * i : 4000 * (i + 1)] - seed
@@ -92,5 +92,5 @@ def test_poses_fill_a_box_around_each_seed(rng):
         limits = np.array([0.2, 0.2, 0.2, 0.15])
         assert (np.abs(own) <= limits).all()
         np.testing.assert_allclose(own.std(axis=0), limits / math.sqrt(3), rtol=0.05)
-    assert around(np.zeros((0, 4)), 5, 1.0, 1.0, rng).shape == (0, 4)
-    np.testing.assert_array_equal(around(seeds, 1, 0.4, 0.1, rng), seeds)
+    assert scatter_poses(np.zeros((0, 4)), 5, 1.0, 1.0, rng).shape == (0, 4)
+    np.testing.assert_array_equal(scatter_poses(seeds, 1, 0.4, 0.1, rng), seeds)

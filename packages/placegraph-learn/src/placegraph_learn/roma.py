@@ -27,8 +27,8 @@ from placegraph.indoor.refine.matching.matches import (
     Matches,
     ViewByView,
     Warp,
-    blank,
     check_range,
+    is_blank,
     thin_matches,
 )
 from placegraph_learn.torch_files import check_weights, read_state, select_device
@@ -87,7 +87,7 @@ class _DenseMatcher(ViewByView):
     ) -> Matches:
         """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         sizes = ours.shape[:2], view.shape[:2]
-        if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
+        if is_blank(ours) or is_blank(view) or min(min(s) for s in sizes) < _SMALLEST:
             return Matches.empty()
         found = self._warps(ours, view)
         return thin_matches(

@@ -20,10 +20,10 @@ from placegraph.indoor.refine.matching.matches import (
     Features,
     Matches,
     ViewByView,
-    blank,
     check_range,
-    inside,
-    mutual,
+    is_blank,
+    is_inside_mask,
+    match_mutually,
 )
 from placegraph_learn.torch_files import check_weights, read_state, select_device
 
@@ -116,7 +116,7 @@ class XFeatMatcher(ViewByView):
 
     def _points(self, image: NDArray[np.uint8]) -> Features:
         """Return features at points of an image (H, W, 3) uint8."""
-        if blank(image):
+        if is_blank(image):
             return Features.empty(64)
         tensor, step = self._tensor(image)
         found = self._xfeat.detectAndCompute(
@@ -139,7 +139,7 @@ class XFeatMatcher(ViewByView):
 
     def _cells(self, image: NDArray[np.uint8]) -> _Cells:
         """Return features of cells of an image; their points are the cells' centres."""
-        if blank(image):
+        if is_blank(image):
             return _Cells(Features.empty(64), None, np.empty((0, 2)))
         tensor, step = self._tensor(image)
         found = self._xfeat.detectAndComputeDense(tensor, top_k=self.features)
@@ -155,8 +155,10 @@ class XFeatMatcher(ViewByView):
         theirs = self._cells(view)
         if not len(ours.features) or not len(theirs.features):
             return Matches.empty()
-        theirs = theirs.at(np.flatnonzero(inside(mask, theirs.features.points, self.margin)))
-        rows, columns, _ = mutual(
+        theirs = theirs.at(
+            np.flatnonzero(is_inside_mask(mask, theirs.features.points, self.margin))
+        )
+        rows, columns, _ = match_mutually(
             ours.features, theirs.features, ratio=self.ratio, least=self.least
         )
         if not len(rows):

@@ -21,14 +21,14 @@ from placegraph_learn.scenegraphloc.features import RELATIONS, read_attributes, 
 from placegraph_learn.scenegraphloc.inputs import (
     Views,
     barycentre,
-    complete,
+    batch_rooms,
+    complete_edges,
     crops,
-    farthest,
     object_views,
     quarter_turns,
     rooms_of,
+    sample_farthest,
     seen_objects,
-    together,
     vote_patches,
 )
 from placegraph_learn.scenegraphloc.train import distort
@@ -104,7 +104,7 @@ def test_relations_are_counted_by_3dssgs_words(scene):
     # next to, above, standing on: each object is in two pairs, the first wins
     assert np.allclose(room.offsets, middles[0] - middles, atol=1e-3)
     # where a pair has two relations, the k-th edge has the word of the k-th triple, as published
-    edges, words = complete(3, [(0, 5, 1), (0, 6, 1), (2, 7, 1)])
+    edges, words = complete_edges(3, [(0, 5, 1), (0, 6, 1), (2, 7, 1)])
     assert edges[:2].tolist() == [[0, 1], [2, 1]]
     assert words.tolist() == [5, 6, 7, 0, 0, 0]
     assert len(edges) == 6
@@ -113,7 +113,7 @@ def test_relations_are_counted_by_3dssgs_words(scene):
     assert not bare.offsets[0].any()
     assert alone.edges.shape == (0, 2)
     assert not alone.relations.any()
-    objects = together([room, room])
+    objects = batch_rooms([room, room])
     assert objects.sizes == (3, 3)
     assert objects.owner.tolist() == [0, 1, 2, 3, 4, 5]
     assert objects.poses[4].tolist() == [0, 0, 0, 1, 0, 0, 0]
@@ -157,9 +157,9 @@ def test_a_barycentre_is_that_of_the_hulls_corners(points):
 def test_the_farthest_points_cover_a_line(rng):
     line = np.zeros((2000, 3), np.float32)
     line[:, 0] = np.linspace(0, 1, 2000)
-    chosen = np.sort(farthest(line, 17, rng)[:, 0])
+    chosen = np.sort(sample_farthest(line, 17, rng)[:, 0])
     assert np.diff(chosen).min() > 0.02
-    few = farthest(line[:3], 8, rng)
+    few = sample_farthest(line[:3], 8, rng)
     assert set(few[:, 0].tolist()) <= set(line[:3, 0].astype(float).tolist())
 
 

@@ -20,7 +20,7 @@ from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.indoor.likelihood.observe import COARSE, FINE, View, recent
 from placegraph.indoor.likelihood.score import Scorer, log_sum
 from placegraph.indoor.likelihood.score_kernels import DEPTH
-from placegraph.indoor.pose.search import APART, SCREENED, TURNED, distinct, thin_view
+from placegraph.indoor.pose.search import APART, SCREENED, TURNED, select_distinct, thin_view
 from placegraph.indoor.pose.window import Chain, Window, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 
@@ -126,7 +126,7 @@ def fit_modes(
 def merge_fits(candidates: list[Fit]) -> list[Fit]:
     """Keep the best of fits near each other; best first."""
     poses = np.array([f.pose for f in candidates])
-    kept = distinct(
+    kept = select_distinct(
         poses, np.array([f.log_likelihood for f in candidates]), len(candidates), **MERGED
     )
     return [candidates[i] for i in kept]
@@ -142,7 +142,7 @@ def _survivors(
     """Return distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in candidates])
     values = np.array([f.log_likelihood for f in candidates])
-    kept = [candidates[i] for i in distinct(poses, values, len(candidates), **reach)]
+    kept = [candidates[i] for i in select_distinct(poses, values, len(candidates), **reach)]
     able = [f for f in kept[: level.most] if f.log_likelihood > values.max() - level.gap]
     return able, kept[len(able) :]
 

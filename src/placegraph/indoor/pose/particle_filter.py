@@ -16,7 +16,13 @@ from placegraph.indoor.likelihood.observe import COARSE, View
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import STANDING, FilterOptions, MotionNoise, Pass
 from placegraph.indoor.pose.local_fit import FINEST, Fit
-from placegraph.indoor.pose.search import around, distinct, near, near_prior, table_seeds
+from placegraph.indoor.pose.search import (
+    are_near,
+    draw_near_prior,
+    scatter_poses,
+    select_distinct,
+    table_seeds,
+)
 from placegraph.indoor.pose.window import Chain, Window, deviations, time_stage
 
 if TYPE_CHECKING:
@@ -96,7 +102,7 @@ def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float
     """Return the weight (K,) of the particles of each of modes (K, 4), without those of earlier modes."""
     left, out = particles.weights, np.zeros(len(modes))
     for k, mode in enumerate(modes):
-        own = near(particles.poses, mode)
+        own = are_near(particles.poses, mode)
         out[k] = left[own].sum()
         left = np.where(own, 0.0, left)
     return out
@@ -193,7 +199,7 @@ class ParticleFilter:
 
     def modes(self) -> NDArray[np.float64]:
         """Return distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
-        rows = distinct(self.particles.poses, self.particles.log_weights, self.options.modes)
+        rows = select_distinct(self.particles.poses, self.particles.log_weights, self.options.modes)
         return self.particles.poses[rows]
 
 
@@ -252,7 +258,7 @@ def run_pass(
         if tick:
             tick()
     if options.pool_modes:
-        pool = pool[distinct(pool[:, :4], pool[:, 4], options.modes)]
+        pool = pool[select_distinct(pool[:, :4], pool[:, 4], options.modes)]
     return Run(pool[:, :4], pool[:, 4], filter_.particles, tuple(record), tuple(counts))
 
 
@@ -299,7 +305,7 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
     def elsewhere(t: int, count: int) -> Floats:
         """Poses (count, 4) of frame t where that frame alone fits best: a kidnapped camera."""
         if options.start == "uniform":
-            drawn = everywhere(window, options, rng)
+            drawn = draw_uniform_start(window, options, rng)
             return drawn[rng.choice(len(drawn), count)]
         view, noise = window.views(COARSE)[t], window.scorer.model.noise
         log_prior = window.log_prior
@@ -337,7 +343,7 @@ def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
     """
     share = 0.25 / len(modes) + 0.75 * masses / masses.sum()
     ends = np.rint(spec.particles * np.cumsum(share)).astype(np.int64)
-    return around(modes, np.maximum(1, np.diff(ends, prepend=0)), spec.box, spec.turn, rng)
+    return scatter_poses(modes, np.maximum(1, np.diff(ends, prepend=0)), spec.box, spec.turn, rng)
 
 
 def _start(
@@ -346,13 +352,13 @@ def _start(
     """Draw the first particles of the first pass, as poses (N, 4) of the first frame."""
     prior = window.query.prior
     if prior is not None:
-        return near_prior(prior, window, spec.particles, rng)
+        return draw_near_prior(prior, window, spec.particles, rng)
     if options.start == "uniform":
-        return everywhere(window, options, rng)
-    return around(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
+        return draw_uniform_start(window, options, rng)
+    return scatter_poses(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
 
 
-def everywhere(window: Window, options: FilterOptions, rng: Generator) -> Floats:
+def draw_uniform_start(window: Window, options: FilterOptions, rng: Generator) -> Floats:
     """Draw the paper's start (Sec. 3.1): `per_cell` poses a free cell and height, with random yaws.
 
     Two heights are a span: its ends and those of `STANDING` between them are used. Free cells are
@@ -380,10 +386,10 @@ def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
     weight and covariance.
     """
     poses, weights = particles.poses, particles.weights
-    modes = poses[distinct(poses, weights, most)]
+    modes = poses[select_distinct(poses, weights, most)]
     fits = []
     for mode, mass in zip(modes, masses(particles, modes), strict=True):
-        own = near(poses, mode)
+        own = are_near(poses, mode)
         errors = poses[own] - mode
         errors[:, 3] = wrap_angle(errors[:, 3])
         covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)

@@ -84,7 +84,7 @@ def search(window: Window, rng: Generator) -> Floats:
         if prior is None:
             seeds, _ = table_seeds(table, views, window.poses, noise, last, log_prior=log_prior)
         else:
-            drawn = near_prior(prior, window, first.each * SEEDS, rng)
+            drawn = draw_near_prior(prior, window, first.each * SEEDS, rng)
             seeds = compose(drawn, between(window.poses[0], window.poses[-1]))
             first = first._replace(each=1)  # they lie as dense as tries
         for round_ in (first, *rounds):
@@ -95,7 +95,7 @@ def search(window: Window, rng: Generator) -> Floats:
 def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Generator) -> Floats:
     """Move each seed (K, 4) to the best of poses drawn around it; best first."""
     poses, last = window.poses, len(window) - 1
-    tries = around(seeds, round_.each, round_.box, round_.turn, rng)
+    tries = scatter_poses(seeds, round_.each, round_.box, round_.turn, rng)
     looked = spread(len(window), round_.frames)
     steps = between(poses[last], poses[looked])
     views = [thin_view(window.views(COARSE)[i], round_.thinned, i) for i in looked]
@@ -156,11 +156,11 @@ def _best(
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
     position, heading = np.divmod(pool, HEADINGS)
     found = np.column_stack([table.positions[rows[position]], heading * (2.0 * np.pi / HEADINGS)])
-    kept = distinct(found, flat[pool].astype(np.float64), most, apart=0.45, turned=0.3)
+    kept = select_distinct(found, flat[pool].astype(np.float64), most, apart=0.45, turned=0.3)
     return found[kept], flat[pool][kept].astype(np.float64)
 
 
-def around(
+def scatter_poses(
     seeds: Floats, each: int | NDArray[np.int64], box: float, turn: float, rng: Generator
 ) -> Floats:
     """`each` (or each (K,)) poses spread evenly in a box around each seed; the first is the seed."""
@@ -171,7 +171,7 @@ def around(
     return out + offset
 
 
-def near_prior(prior: Prior, window: Window, count: int, rng: Generator) -> Floats:
+def draw_near_prior(prior: Prior, window: Window, count: int, rng: Generator) -> Floats:
     """Poses (count, 4) of the first frame drawn around a prior."""
     floor = float(floor_under(window.scene, np.array([[prior.x, prior.y]]))[0])
     low, high = min(window.options.heights), max(window.options.heights)
@@ -185,7 +185,7 @@ def near_prior(prior: Prior, window: Window, count: int, rng: Generator) -> Floa
     return out
 
 
-def distinct(
+def select_distinct(
     poses: Floats,
     scores: Floats,
     most: int,
@@ -199,13 +199,13 @@ def distinct(
     while len(left) and len(kept) < most:
         best = left[0]
         kept.append(int(best))
-        close = near(poses[left], poses[best], apart, turned)
+        close = are_near(poses[left], poses[best], apart, turned)
         close[0] = True
         left = left[~close]
     return np.array(kept, np.int64)
 
 
-def near(
+def are_near(
     poses: Floats,
     pose: Floats,
     apart: float = APART,

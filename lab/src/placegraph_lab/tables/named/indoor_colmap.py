@@ -26,7 +26,7 @@ from placegraph.indoor.map.scene_file import measure_parts
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.landmarks import read_depth
 from placegraph.indoor.options import PoseSearchOptions
-from placegraph.indoor.refine.matching.matches import Features, mutual
+from placegraph.indoor.refine.matching.matches import Features, match_mutually
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
@@ -81,7 +81,7 @@ class Peer:
         for row in nearest[:CANDIDATES]:
             view = self.views[row]
             its = Features(np.zeros((len(view.points), 2)), view.vectors)
-            ours, theirs, _ = mutual(found, its, ratio=self.ratio, apart=-1.0)
+            ours, theirs, _ = match_mutually(found, its, ratio=self.ratio, apart=-1.0)
             pixels.append(found.points[ours])
             points.append(view.points[theirs])
         pose = pnp(np.concatenate(pixels), np.concatenate(points), frame.camera)

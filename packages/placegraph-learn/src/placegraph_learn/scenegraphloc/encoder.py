@@ -24,10 +24,10 @@ from placegraph_learn.scenegraphloc.features import (
 from placegraph_learn.scenegraphloc.inputs import (
     POINTS,
     PointSource,
+    batch_rooms,
     object_views,
     quarter_turns,
     rooms_of,
-    together,
 )
 from placegraph_learn.scenegraphloc.weights import Weights, read_weights
 from placegraph_learn.torch_files import select_device
@@ -176,7 +176,7 @@ class SceneGraphLocEncoder:
         with torch.inference_mode():
             for rows, room in rooms:
                 vectors = self.network.objects(
-                    together([room.with_points(self._points)], device=self._device)
+                    batch_rooms([room.with_points(self._points)], device=self._device)
                 )
                 unit = torch.nn.functional.normalize(vectors, dim=-1, eps=1e-12)
                 out[rows] = unit.cpu().numpy()

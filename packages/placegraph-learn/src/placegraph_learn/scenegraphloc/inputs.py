@@ -302,7 +302,7 @@ def rooms_of(
             continue
         _check_size(rows.size, scene.source or name)
         triples = _triples(scene, rows)
-        edges, words = complete(len(rows), triples)
+        edges, words = complete_edges(len(rows), triples)
         points, mean = clouds.sample(rows, deepcopy(rng))  # merged or alone, it is the same room
         scene_from_map, seen = scene.scene_from_map[part], views.of(rows)
         turn = scene_from_map[:3, :3]
@@ -331,7 +331,7 @@ def _check_size(count: int, name: str) -> None:
         )
 
 
-def complete(
+def complete_edges(
     count: int, triples: Sequence[tuple[int, int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return edges (E, 2) of the complete graph, and the word (E,) that the published data give each.
@@ -395,7 +395,7 @@ class _Clouds:
         """Return points (n, 512, 3) of objects, and the mean (3,) of their room."""
         if self.source == "vertices":
             clouds = [self.vertices(row) for row in rows.tolist()]
-            points = np.stack([farthest(cloud, POINTS, rng) for cloud in clouds])
+            points = np.stack([sample_farthest(cloud, POINTS, rng) for cloud in clouds])
             return points, np.concatenate(clouds).mean(axis=0, dtype=np.float64)
         points = np.stack([self._spread(row, rng) for row in rows.tolist()])
         weights = np.array([self.areas[self.triangles[row]].sum() for row in rows.tolist()])
@@ -413,7 +413,7 @@ class _Clouds:
         return np.asarray(a + u * (b - a) + v * (c - a), np.float64)
 
 
-def farthest(
+def sample_farthest(
     points: NDArray[np.float32], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """`count` of the points (V, 3), each the farthest from those before; drawn where they are fewer."""
@@ -471,7 +471,7 @@ def _attributes(
     return table
 
 
-def together(rooms: Sequence[Room], *, device: Any = "cpu") -> Objects:  # noqa: ANN401
+def batch_rooms(rooms: Sequence[Room], *, device: Any = "cpu") -> Objects:  # noqa: ANN401
     """Return several rooms as the tensors that the network reads, one after the other."""
 
     def joined(arrays: list[NDArray[Any]]) -> torch.Tensor:

@@ -19,7 +19,7 @@ from placegraph.core.files import write_file
 from placegraph.core.options import check_options, option
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures
-from placegraph_learn.scenegraphloc.inputs import POINTS, Room, together
+from placegraph_learn.scenegraphloc.inputs import POINTS, Room, batch_rooms
 from placegraph_learn.scenegraphloc.lessons import Lesson, Teacher, World, kept_lesson, split
 from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths, unit
 from placegraph_learn.scenegraphloc.weights import (
@@ -238,7 +238,7 @@ class Trainer:
         wanted = dict.fromkeys((row, False) for p in batch for row in (p.lesson, *p.negatives))
         wanted |= dict.fromkeys(key for p in batch if (key := (p.lesson, True)) in rooms)
         asked = [rooms[key] for key in wanted]
-        vectors = unit(self.network.objects(together(asked, device=self.device)))
+        vectors = unit(self.network.objects(batch_rooms(asked, device=self.device)))
         encoded = dict(zip(wanted, vectors.split([len(room) for room in asked]), strict=True))
         patches = self._patches(batch)
         means = []
@@ -365,7 +365,7 @@ def evaluate(
             for e, room in enumerate(_rooms(lesson))
         }
         encoded = {
-            key: unit(network.objects(together([room], device=device))).cpu().numpy()
+            key: unit(network.objects(batch_rooms([room], device=device))).cpu().numpy()
             for key, room in rooms.items()
         }
         right: dict[bool, list[NDArray[np.bool_]]] = {False: [], True: []}

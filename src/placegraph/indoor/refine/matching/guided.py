@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
+from placegraph.indoor.refine.matching.matches import Matches, ViewByView, check_range, is_blank
 from placegraph.indoor.refine.refine_kernels import corners, search
 from placegraph.io.capture.images import lightness, resize_image
 
@@ -67,7 +67,7 @@ class GuidedMatcher(ViewByView):
         """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         height, width = view.shape[:2]
         side = 2 * self.half + 3
-        if blank(ours) or blank(view) or min(height, width) < side + 2:
+        if is_blank(ours) or is_blank(view) or min(height, width) < side + 2:
             return Matches.empty()
         sought = lightness(resize_image(ours, width, height))
         drawn = lightness(view)

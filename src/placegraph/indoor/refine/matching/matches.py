@@ -96,8 +96,8 @@ class ViewByView:
         masks: Sequence[NDArray[np.bool_]] | None = None,
     ) -> list[Matches]:
         """Return matches of the query with each view; see `Matcher.match`."""
-        shown = pairs(views, masks)
-        ours = self.prepare_query(colours(query, "query"))
+        shown = pair_masks(views, masks)
+        ours = self.prepare_query(to_colours(query, "query"))
         return [self.match_view(ours, view, mask) for view, mask in shown]
 
     def prepare_query(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # the matcher's own
@@ -114,7 +114,7 @@ class ViewByView:
         raise NotImplementedError
 
 
-def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
+def to_colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
     """Return (H, W, 3) uint8 of a colour or grey image; `OptionError` where it is neither."""
     array = np.asarray(image)
     if array.dtype != np.uint8 or array.ndim not in {2, 3} or array.shape[2:] not in {(), (3,)}:
@@ -127,11 +127,11 @@ def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
     return np.repeat(array[:, :, None], 3, axis=2) if array.ndim == 2 else array
 
 
-def pairs(
+def pair_masks(
     views: Sequence[NDArray[np.uint8]], masks: Sequence[NDArray[np.bool_]] | None
 ) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_] | None]]:
     """Return each view with its mask, checked; raises as `Matcher.match` does."""
-    checked = [colours(view, f"views[{i}]") for i, view in enumerate(views)]
+    checked = [to_colours(view, f"views[{i}]") for i, view in enumerate(views)]
     if masks is None:
         return [(view, None) for view in checked]
     if len(masks) != len(checked):
@@ -148,18 +148,20 @@ def pairs(
     return found
 
 
-def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return (H, W) uint8, lightness by the weights of Rec. 601."""
     weighted = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     return np.rint(weighted).astype(np.uint8)
 
 
-def blank(image: NDArray[np.uint8]) -> bool:
+def is_blank(image: NDArray[np.uint8]) -> bool:
     """Return whether an image shows nothing: unlit, burnt out, or of one colour."""
     return float(image.std(axis=(0, 1)).max()) < BLANK
 
 
-def inside(mask: NDArray[np.bool_] | None, points: Floats, margin: int = 0) -> NDArray[np.bool_]:
+def is_inside_mask(
+    mask: NDArray[np.bool_] | None, points: Floats, margin: int = 0
+) -> NDArray[np.bool_]:
     """Return which points (N, 2) [px] lie in the mask, and `margin` pixels from where it ends.
 
     The edge of the image is no edge of the mask.
@@ -202,18 +204,18 @@ class Features:
 
     def within(self, mask: NDArray[np.bool_] | None, margin: int) -> Features:
         """Select features in a mask (H, W), `margin` px from its edge."""
-        keep = inside(mask, self.points, margin)
+        keep = is_inside_mask(mask, self.points, margin)
         return self if keep.all() else Features(self.points[keep], self.vectors[keep])
 
     def match(
         self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
     ) -> Matches:
         """Match with the features of a view; parameters: see `mutual`."""
-        rows, columns, sure = mutual(self, view, ratio=ratio, least=least, apart=apart)
+        rows, columns, sure = match_mutually(self, view, ratio=ratio, least=least, apart=apart)
         return Matches.of(self.points[rows], view.points[columns], sure)
 
 
-def mutual(
+def match_mutually(
     query: Features, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
     """Pair features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
@@ -333,7 +335,7 @@ def thin_matches(
     theirs = to_pixels(np.concatenate([p[1] for p in parts]), view)
     sure = np.concatenate([p[2] for p in parts])
     keep = _in_image(ours, query) & _in_image(theirs, view)
-    keep[keep] = inside(mask, theirs[keep], margin)
+    keep[keep] = is_inside_mask(mask, theirs[keep], margin)
     return Matches.of(ours[keep], theirs[keep], sure[keep])
 
 

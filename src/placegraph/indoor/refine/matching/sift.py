@@ -18,9 +18,9 @@ from placegraph.indoor.refine.matching.matches import (
     Features,
     Matches,
     ViewByView,
-    blank,
     check_range,
-    grey,
+    is_blank,
+    to_grey,
 )
 
 _SMALLEST = 8
@@ -88,9 +88,9 @@ class SiftMatcher(ViewByView):
 
         `turn` in degrees; None: each as it looks.
         """
-        if blank(image) or min(image.shape[:2]) < _SMALLEST:
+        if is_blank(image) or min(image.shape[:2]) < _SMALLEST:
             return Features.empty(128)
-        lightness = grey(image)
+        lightness = to_grey(image)
         if self._clahe is not None:
             lightness = self._clahe.apply(lightness)
         found = self._sift.detect(lightness, None)
