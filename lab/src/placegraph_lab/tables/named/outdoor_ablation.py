@@ -126,7 +126,8 @@ def variants(base: TrainOptions) -> dict[str, TrainOptions]:
     def of(**shape: Any) -> TrainOptions:
         return replace(base, shape=replace(base.shape, **shape))
 
-    printed = replace(of(printed=True, layers=1, crossings=1, heads=2), losses=PAPER)
+    shape = replace(base.shape, printed=True, layers=1, crossings=1, heads=2)
+    printed = replace(base, losses=PAPER, shape=shape)
     return {
         OURS: base,
         "no cross attention": of(crossings=0),
