@@ -122,7 +122,9 @@ def test_agreement(cell, new, interval, same):
     [
         ("cells", "1,387", True), ("50 m @1/3/5", ".91/.96/.96", True), ("off", "7.2 cm, 0.6°", True),
         ("s/query", "0.0358", False), ("p50 / p95", "9.2", False), ("a frame", "26 ms", False),
-        ("95 % interval", "+.083 to +.121", False), ("paper", "–", False), ("map", "1.2 s (1.7)", False),
+        ("95 % interval", "+.083 to +.121", False),
+        ("exact cell @1, 95 % interval", ".10 (.08 to .12)", True),
+        ("paper", "–", False), ("map", "1.2 s (1.7)", False),
         ("mb", "0.14", True), ("pairs/s", "26", False), ("windows", "house", False),
     ],
 )  # fmt: skip

@@ -155,7 +155,7 @@ def compare(table: PageTable, printed: Iterable[Grid]) -> list[Agreement]:
                 wrong = [
                     f"{here.header[i] or 'value'}: {row[i]}, now {new}"
                     for i, new in shared
-                    if not agrees(row[i], new, _interval_beside(here.header, row, i))
+                    if not agrees(row[i], new, "".join(row[i + 1 : i + 2]))
                 ]
                 found.append(Agreement(table, ", ".join(row[:keys]), len(shared), tuple(wrong)))
     return found
@@ -170,22 +170,17 @@ def _matching(header: Sequence[str], i: int, other: Sequence[str]) -> int | None
 
 def is_compared(title: str, cell: str) -> bool:
     """Whether a cell holds numbers that another run should repeat: neither times nor intervals."""
-    if "interval" in title or _SECONDS.search(title) or _SECONDS.search(cell):
+    if _INTERVAL.fullmatch(cell) or _SECONDS.search(title) or _SECONDS.search(cell):
         return False
     return bool(_NUMBER.search(cell))
 
 
-def _interval_beside(header: Sequence[str], row: Sequence[str], i: int) -> str:
-    """Cell of the interval that follows a column; empty where there is none."""
-    return row[i + 1] if i + 1 < len(row) and "interval" in header[i + 1] else ""
-
-
-def agrees(cell: str, new: str, interval: str = "") -> bool:
+def agrees(cell: str, new: str, beside: str = "") -> bool:
     """Whether a new cell has the numbers of a cell, up to rounding, or lies in the stated interval.
 
-    The interval stands in its own cell, or in the cell after its number: ".45 (.40 to .50)".
+    The interval fills the cell `beside` it, or follows the number: ".45 (.40 to .50)".
     """
-    bounds = _INTERVAL.search(interval) or _INTERVAL.search(cell)
+    bounds = _INTERVAL.fullmatch(beside) or _INTERVAL.search(cell)
     numbers = [_NUMBER.findall(_INTERVAL.sub("", text)) for text in (cell, new)]
     if bounds:
         low, high = (_value(bound) for bound in bounds.groups())
