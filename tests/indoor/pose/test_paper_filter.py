@@ -120,7 +120,8 @@ class Told:
         table = np.full((image.best.size, 10), -0.2, np.float32)
         rows = np.arange(image.best.size, dtype=np.int32)
         table[rows, image.best.ravel()] = image.cosine.ravel()
-        return Patches(frame.camera, GRID, np.where(image.best.ravel() < 0, -1, rows), table)
+        rows = np.where(image.best.ravel() < 0, -1, rows)
+        return Patches(frame.camera, image.best.shape, rows, table)
 
 
 def scattered(rng, count):
@@ -179,6 +180,22 @@ def test_silent_patches_are_counted(scene, images, frames):
     parts = np.arange(len(view.weight)) % 2
     halves = [view._replace(weight=(view.weight * (parts == k)).astype("f4")) for k in (0, 1)]
     assert sum(float(score(TRUE[:1], half)[0, 0]) for half in halves) == pytest.approx(whole, 1e-6)
+
+
+@pytest.mark.parametrize("grid", [(14, 14), (9, 16), (3, 5)])
+@pytest.mark.parametrize("stride", theirs.STRIDES)
+def test_grids_of_patches_that_rays_do_not_fill(grid, stride, scene, world, images, frames, rng):
+    """Those of Sec. 3.1 and 3.3, and one that no stride divides; half of the patches are silent."""
+    best = np.where(rng.random(grid) < 0.5, -1, rng.integers(10, size=grid))
+    cosine = rng.uniform(0.3, 0.9, grid).astype(np.float32).astype(float)
+    asked = [replace(images[0], best=best, cosine=cosine)]
+    (view,) = view_frames(scene, frames[:1], PAPER, Told(asked), float(stride))
+    poses = scattered(rng, 40)
+    scores = Scorer(scene, PAPER.likelihood).terms(poses, view)[:, 0]
+    nearest, *_ = theirs.cast(world, poses, asked[0].at(stride)[2])
+    expected = theirs.similarity(world, asked[0], stride, nearest)
+    np.testing.assert_allclose(scores, expected, rtol=0, atol=1e-6)
+    assert np.ptp(expected) > 0.01
 
 
 @pytest.mark.parametrize(("stride", "samples"), [(20.0, 48 * 28), (8.0, 120 * 68)])

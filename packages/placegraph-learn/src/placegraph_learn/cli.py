@@ -113,7 +113,7 @@ def train_scene(
         bool | None,
         Option(
             "--rotate/--no-rotate",
-            help="Rotate all images clockwise, as in 3RScan; if not given, each according to its gravity.",
+            help="Rotate all images clockwise (3RScan's as stored); if not given, each by its gravity.",
         ),
     ] = None,
     frames: Annotated[
