@@ -240,7 +240,7 @@ def test_a_city_and_what_was_found_in_it(harbour):
     estimate = harbour.locate(SAID)
     there = sent(harbour)
     assert len(pickle.dumps(harbour)) < 50_000  # tables of the search are made again
-    assert there.fingerprint == harbour.fingerprint
+    assert there.digest == harbour.digest
     assert there.locate(SAID).to_dict() == estimate.to_dict()
     assert len(pickle.dumps(estimate)) < 100_000
     assert sent(estimate).to_dict() == estimate.to_dict()

@@ -92,7 +92,7 @@ def test_an_index_is_stored_where_it_is_worth_it(harbour, tmp_path):
     assert small.index is None
     for name, column in harbour.views.arrays().items():
         np.testing.assert_array_equal(quick.index.arrays()[name], column)
-    assert quick.fingerprint == small.fingerprint
+    assert quick.digest == small.digest
     assert quick.locate(TEXT).to_dict() == small.locate(TEXT).to_dict()
     assert replace(quick, objects=harbour.objects).index is None, "the index of other objects"
 

@@ -1,4 +1,4 @@
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from placegraph.core import plugins
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, StoreError
 from placegraph.maps import open_map
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
 from placegraph.vectors import EmbeddedStore, Origin, Region, Vectors, list_stores, open_store
 from placegraph.vectors.stores import GRAIN, checked_queries, is_uri, unit
 
@@ -96,13 +96,13 @@ def test_origins_tell_what_differs():
     assert all(len(v) == 12 and int(v, 16) >= 0 for v in versions)
 
 
-def test_a_map_keeps_its_fingerprint_and_another_has_another(
+def test_a_map_keeps_its_digest_and_another_has_another(
     harbour, harbour_file, make_city, hafenstadt
 ):
-    mark = harbour.fingerprint
-    assert open_map(harbour_file).fingerprint == mark
-    assert make_city(hafenstadt, cell_size=40.0).fingerprint != mark
-    assert make_city(hafenstadt, edge_distance=40.0).fingerprint != mark
+    mark = harbour.digest
+    assert open_map(harbour_file).digest == mark
+    assert make_city(hafenstadt, cell_size=40.0).digest != mark
+    assert make_city(hafenstadt, edge_distance=40.0).digest != mark
     assert len(mark) == 32
 
 
@@ -113,7 +113,8 @@ URI = "http://fake:19530"
 class Scatter:
     """A model that throws every place somewhere."""
 
-    fingerprint: str = "scattered"
+    digest: str = "scattered"
+    shape: Shape = field(default_factory=Shape)
 
     def word_vectors(self, words):
         return np.zeros((len(words), 1), np.float32)
@@ -124,7 +125,10 @@ class Scatter:
 
 @pytest.fixture
 def shipped(monkeypatch):
-    monkeypatch.setattr(GraphTransformer, "default", staticmethod(Scatter))
+    def default(*, printed):
+        return Scatter(shape=Shape(printed=printed))
+
+    monkeypatch.setattr(GraphTransformer, "default", default)
 
 
 def test_addresses_of_files_and_of_servers():
@@ -142,7 +146,7 @@ def test_positions_are_the_centres_of_the_cells(harbour):
 def test_a_city_is_embedded_into_a_file(harbour, tmp_path):
     path = tmp_path / "town.vectors"
     made = EncodedCity(harbour, Scatter()).save_embeddings(path, name="town")
-    origin = Origin(harbour.fingerprint, "scattered")
+    origin = Origin(harbour.digest, "scattered")
     with open_store(path, origin=origin) as opened:
         assert isinstance(opened, EmbeddedStore)
         assert opened.ids.tolist() == harbour.cells.points.tolist()

@@ -45,7 +45,7 @@ def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
         assert len(drawn.getcolors(1 << 20)) > 20
     assert {path.suffix for path in pools.iterdir()} == {".pool"}
     again = run(*given, "--json")
-    assert again.json["fingerprint"] == weights.fingerprint
+    assert again.json["fingerprint"] == weights.digest
     assert [row["epoch"] for row in again.json["curves"]] == [1, 2]
     here = run("city", "locate", city, TEXT, "--weights", out, "--matcher", "transformer", "--json")
     assert here.json["modes"]

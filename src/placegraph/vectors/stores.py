@@ -96,9 +96,9 @@ class Origin:
     """Map and model that vectors were made from; vectors of others cannot be compared."""
 
     map: str = ""
-    """Fingerprint of the map, as its maker tells maps apart; empty where it is not known."""
+    """Digest of the map; empty if unknown."""
     model: str = ""
-    """Fingerprint of the model that embeds; empty where it is not known."""
+    """Digest of the network that embeds; empty if unknown."""
 
     @property
     def version(self) -> str:

@@ -103,7 +103,7 @@ def test_a_city_of_a_url(extract, remote, tmp_path, run):
     told = []
     one = pg.build_city(remote, tmp_path / "a.city", progress=lambda *step: told.append(step))
     other = pg.build_city(extract, tmp_path / "b.city")
-    assert one.fingerprint == other.fingerprint
+    assert one.digest == other.digest
     assert told[0][0].startswith("fetching")
     assert {p.name for p in tmp_path.iterdir()} == {extract.name, "a.city", "b.city"}
     assert run("city", "build", remote, "-o", tmp_path / "c.city").code == 0

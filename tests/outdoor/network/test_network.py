@@ -128,7 +128,7 @@ class Watched(GraphTransformer):
 
 
 def watched(network):
-    return Watched(network.shape, network.arrays, network.fingerprint)
+    return Watched(network.shape, network.arrays, network.digest)
 
 
 def test_cross_attention_sees_the_partner(network, make_network, texts, places, words, some):
@@ -288,9 +288,9 @@ def test_weights_come_back_as_they_were_written(file, made):
     for name, array in made.arrays.items():
         assert array.dtype == np.float32
         assert np.array_equal(found.arrays[name], array)
-    assert found.fingerprint == made.fingerprint
+    assert found.digest == made.digest
     network = GraphTransformer.open(file)
-    assert network.fingerprint == made.fingerprint
+    assert network.digest == made.digest
 
 
 def test_word_vectors_come_along(knowing):
@@ -298,9 +298,9 @@ def test_word_vectors_come_along(knowing):
     found, known = GraphTransformer.open(path), network.word_table
     assert found.word_table.words == known.words
     assert np.array_equal(found.word_table.vectors, known.vectors)
-    assert found.fingerprint == made.fingerprint
+    assert found.digest == made.digest
     for other in (None, WordVectors(("cafe", "oil"), known.vectors)):
-        assert replace(made, words=other).fingerprint != made.fingerprint
+        assert replace(made, words=other).digest != made.digest
     said = ("amenity=cafe", "~Öl", "shop=bakery")
     assert np.array_equal(
         found.word_vectors(said), replace(network, arrays=made.arrays).word_vectors(said)
@@ -325,21 +325,21 @@ def test_word_vectors_that_do_not_fit_are_refused(tmp_path, knowing, arrays, say
         GraphTransformer.open(rewritten(path, arrays=arrays))
 
 
-def test_weights_are_small_and_their_fingerprint_is_of_the_arrays(file, made):
+def test_weights_are_small_and_their_digest_is_of_the_arrays(file, made):
     numbers = sum(a.size for a in made.arrays.values())
     assert file.stat().st_size < 2 * numbers + 20_000
     full = sum(np.prod(size) for size in Shape().arrays().values())
     assert 2 * full < 4_000_000  # what may ship
     bias = {"judge.2.bias": made.arrays["judge.2.bias"] + 1.0}
-    assert replace(made, arrays=made.arrays | bias).fingerprint != made.fingerprint
-    assert replace(made, training={}).fingerprint == made.fingerprint
+    assert replace(made, arrays=made.arrays | bias).digest != made.digest
+    assert replace(made, training={}).digest == made.digest
 
 
 def test_weights_of_before_are_not_those_as_printed(file, made):
     plain = {k: v for k, v in made.shape.to_dict().items() if k != "printed"}
     found = read_weights(rewritten(file, meta={"shape": plain}))
     assert found.shape == made.shape
-    assert found.fingerprint == made.fingerprint
+    assert found.digest == made.digest
 
 
 def test_the_shipped_network_is_sound():
@@ -349,11 +349,11 @@ def test_the_shipped_network_is_sound():
     network = GraphTransformer.default()
     assert network is GraphTransformer.default()
     assert network.shape.dimension == 64
-    assert network.fingerprint == "b912c5c859e73f93"  # vectors that were kept are told by it
+    assert network.digest == "b912c5c859e73f93"  # vectors that were kept are told by it
     printed = GraphTransformer.default(printed=True)
     assert printed.shape == Shape(printed=True, layers=1, crossings=1, heads=2)
     assert find_shipped_weights(printed=True).stat().st_size <= 1_500_000
-    assert printed.fingerprint == "df1378d765af03fb"
+    assert printed.digest == "df1378d765af03fb"
 
 
 BAD_SHAPES = (

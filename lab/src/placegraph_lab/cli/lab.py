@@ -210,4 +210,4 @@ def train_kitti360pose(  # options of a command
             data, out, folder=work, options=options, readings=chosen,  # type: ignore[arg-type]
             edge_distance=edge_distance, device=device, progress=progress,
         )  # fmt: skip
-    progress.report(out, {"fingerprint": weights.fingerprint}, as_json=False, quiet=False)
+    progress.report(out, {"fingerprint": weights.digest}, as_json=False, quiet=False)

@@ -70,7 +70,7 @@ def train_city(  # options of a command
         weights = train(
             cities, out, folder=work, pools=pools, options=chosen, device=device, progress=progress
         )
-    progress.report(out, {"fingerprint": weights.fingerprint}, as_json=as_json, quiet=quiet)
+    progress.report(out, {"fingerprint": weights.digest}, as_json=as_json, quiet=quiet)
 
 
 def train_scene(

@@ -284,7 +284,7 @@ class City(PickleFields):
         return columns_of(self.objects, self.tokens)
 
     @cached_property
-    def fingerprint(self) -> str:
+    def digest(self) -> str:
         """Digest of objects and cells; equal for a map built and the map opened."""
         o, cells = self.objects, self.cells
         # Points as the map file has them, so that rounding does not make another map of it.

@@ -198,7 +198,7 @@ class Weights:
     """Word vectors of the training, if any."""
 
     @property
-    def fingerprint(self) -> str:
+    def digest(self) -> str:
         """Digest of shape, weights and word vectors: 16 hexadecimal digits."""
         if self.words is None:
             return hash_weights(self.shape, self.arrays)[:16]
@@ -404,7 +404,7 @@ class GraphTransformer:
     shape: Shape
     arrays: dict[str, Floats]
     """Weights by PyTorch's names."""
-    fingerprint: str
+    digest: str
     """Digest of the weights: embeddings of two networks must not be compared."""
     word_table: WordVectors | None = None
     """Word vectors of the training, if any."""
@@ -420,7 +420,7 @@ class GraphTransformer:
         """Open a weights file; raises `InputError` or `MapError` where it does not fit this version."""
         weights = read_weights(path)
         try:
-            network = cls(weights.shape, weights.arrays, weights.fingerprint, weights.words)
+            network = cls(weights.shape, weights.arrays, weights.digest, weights.words)
             network.check()
         except (KeyError, ValueError) as error:
             raise MapError(
@@ -636,7 +636,7 @@ class EncodedCity:
     @cached_property
     def origin(self) -> Origin:
         """Map and network of the embeddings."""
-        return Origin(self.city.fingerprint, self.network.fingerprint)
+        return Origin(self.city.digest, self.network.digest)
 
     @cached_property
     def store(self) -> VectorStore:

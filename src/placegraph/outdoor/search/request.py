@@ -333,7 +333,7 @@ class Matching(RankingOptions):
         encoded = self.encoded
         if encoded is not None and not (
             isinstance(encoded, EncodedCity)
-            and (encoded.city is city or encoded.origin.map == city.fingerprint)
+            and (encoded.city is city or encoded.origin.map == city.digest)
         ):
             raise OptionError(
                 f"encoded is not an encoding of {city!r}; give an `EncodedCity` of this map."

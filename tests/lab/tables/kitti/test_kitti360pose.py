@@ -179,7 +179,7 @@ def test_training_takes_only_the_training_drives(data, network, tmp_path):
     options = trained_by(**SMALL, epochs=2, steps=6, batch=8)
     train_on_drives(data, tmp_path / "a.weights", folder=tmp_path, options=options)
     again = GraphTransformer.open(tmp_path / "a.weights")
-    assert again.fingerprint == network.fingerprint  # the same seed, the same weights
+    assert again.digest == network.digest  # the same seed, the same weights
     plan = json.loads((tmp_path / "plan.json").read_text())
     assert (plan["readings"], plan["edge_distance"]) == (["paper"], 15.0)
     rows = [json.loads(line) for line in (tmp_path / "curves.jsonl").read_text().splitlines()]

@@ -168,7 +168,7 @@ class NetworkComparison:
         """By city, what a network finds."""
         found, code = [], lab.code_key(lab.OUTDOOR)
         for city in self.measured:
-            key = f"{network.fingerprint}{as_what}, {city}, {self.queries}, {self.seed}, {code}"
+            key = f"{network.digest}{as_what}, {city}, {self.queries}, {self.seed}, {code}"
             if key not in self.journal:
                 hits = evaluate(self._task(city), network)
                 self.journal.put(key, {name: h.tolist() for name, h in hits.items()})

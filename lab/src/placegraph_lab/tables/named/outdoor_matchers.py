@@ -295,7 +295,7 @@ class MatcherRunner:
                 n = self.query_count(name, protocol, method)
                 key = f"{extract.key}, {title(protocol)}, {method}, {n}, {self.seed}, {code}"
                 network = None if weights is None else GraphTransformer.open(weights)
-                key += "" if network is None else f", {network.fingerprint}"
+                key += "" if network is None else f", {network.digest}"
                 if n and key not in self.journal:
                     found = (
                         matcher(method, city, bins, setting, seed=self.seed) if network is None

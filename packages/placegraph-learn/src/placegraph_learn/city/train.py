@@ -528,7 +528,7 @@ class Examples:
     def _made(self, name: str, file: str, epoch: int, n: int, *, held_out: bool) -> Lessons:
         city, seed = self.cities[name], self.options.descriptions
         seed = self.options.seed if seed is None else seed
-        file = f"{file}-{seed}-{n}-{city.fingerprint[:8]}"
+        file = f"{file}-{seed}-{n}-{city.digest[:8]}"
         path = self.folder / f"{file}.pool"
         if path.exists():
             pool = read_pool(path)
