@@ -434,12 +434,8 @@ def train(
         options, device, progress, word_vectors.vectors.shape[1] if word_vectors else 0
     )
     trainer.read(at / "state")
-    examples: Examples | CellExamples = (
-        CellExamples(cities, vocabulary, options, progress, word_vectors)
-        if options.shape.printed
-        else Examples(
-            cities, vocabulary, options, progress, word_vectors, Path(pools or at / "pools")
-        )
+    examples = Examples(
+        cities, vocabulary, options, progress, Path(pools or at / "pools"), word_vectors
     )
     held_out: Any = examples.held_out()
     past = [lessons for epoch in range(trainer.epochs) for lessons in examples.lessons(epoch)]
@@ -466,82 +462,54 @@ def train(
 
 
 @dataclass(frozen=True, eq=False)
-class CellExamples:
-    """Examples of every epoch for the network as printed; the same seed makes the same ones."""
+class Examples:
+    """Examples of every epoch; those of our network are made once and then kept in a folder."""
 
     cities: Mapping[str, CityMap]
     vocabulary: Vocabulary
     options: TrainOptions
     progress: Progress
+    folder: Path
     word_vectors: WordVectors | None = None
 
     @cached_property
     def cells(self) -> dict[str, LabelGraphs]:
-        """Graphs of all cells, by city."""
+        """Graphs of all cells as printed, by city."""
         return {name: LabelGraphs.of_cells(city) for name, city in self.cities.items()}
 
-    def lessons(self, epoch: int) -> list[CellLessons]:
-        """Return examples of an epoch, by city."""
-        return [self._make(name, epoch, self.options.examples) for name in self.cities]
-
-    def held_out(self) -> list[CellLessons]:
-        """Return examples from the tiles that are never trained on, by city."""
-        return [self._make(name, None, self.options.check) for name in self.cities]
-
-    def _make(self, name: str, epoch: int | None, n: int) -> CellLessons:
-        options, number = self.options, 1 << 20 if epoch is None else epoch
-        seed = options.seed if options.descriptions is None else options.descriptions
-        done = count(1)
-        lessons = make_cell_lessons(
-            Speaker(self.cities[name], self.vocabulary, held_out=epoch is None, plain=True),
-            self.cells[name], n, np.random.default_rng([seed, number, *name.encode()]),
-            lambda: self.progress.report_descriptions(number, name, next(done), n),
-        )  # fmt: skip
-        return replace(lessons, subwords=options.shape.subwords, word_vectors=self.word_vectors)
-
-
-@dataclass(frozen=True, eq=False)
-class Examples:
-    """Examples of every epoch, made once and then kept in a folder."""
-
-    cities: Mapping[str, CityMap]
-    vocabulary: Vocabulary
-    options: TrainOptions
-    progress: Progress
-    word_vectors: WordVectors | None
-    folder: Path
-
-    def lessons(self, epoch: int) -> list[Lessons]:
+    def lessons(self, epoch: int) -> list[Lessons | CellLessons]:
         """Return examples of an epoch, one pool a city."""
         return [
             self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held_out=False)
             for name in self.cities
         ]
 
-    def held_out(self) -> list[Lessons]:
+    def held_out(self) -> list[Lessons | CellLessons]:
         """Return examples from the tiles that are never trained on."""
         return [
             self._made(name, f"{name}-check", 1 << 20, self.options.check, held_out=True)
             for name in self.cities
         ]
 
-    def _made(self, name: str, file: str, epoch: int, n: int, *, held_out: bool) -> Lessons:
-        city, seed = self.cities[name], self.options.descriptions
+    def _made(
+        self, name: str, file: str, epoch: int, n: int, *, held_out: bool
+    ) -> Lessons | CellLessons:
+        city, seed, shape = self.cities[name], self.options.descriptions, self.options.shape
         seed = self.options.seed if seed is None else seed
-        file = f"{file}-{seed}-{n}-{city.digest[:8]}"
-        path = self.folder / f"{file}.pool"
+        rng, done = np.random.default_rng([seed, epoch, *name.encode()]), count(1)
+        speaker = Speaker(city, self.vocabulary, held_out=held_out, plain=shape.printed)
+
+        def tick() -> None:
+            self.progress.report_descriptions(epoch, name, next(done), n)
+
+        if shape.printed:
+            lessons = make_cell_lessons(speaker, self.cells[name], n, rng, tick)
+            return replace(lessons, subwords=shape.subwords, word_vectors=self.word_vectors)
+        path = self.folder / f"{file}-{seed}-{n}-{city.digest[:8]}.pool"
         if path.exists():
             pool = read_pool(path)
         else:
-            rng = np.random.default_rng([seed, epoch, *name.encode()])
-            done = 0
-
-            def tick() -> None:
-                nonlocal done
-                done += 1
-                self.progress.report_descriptions(epoch, name, done, n)
-
-            pool = make_pool(Speaker(city, self.vocabulary, held_out=held_out), n, rng, tick)
+            pool = make_pool(speaker, n, rng, tick)
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
@@ -550,7 +518,7 @@ class Examples:
                     "another."
                 ) from error
             write_pool(path, pool)
-        return Lessons(city, pool, self.options.shape.subwords, self.word_vectors)
+        return Lessons(city, pool, shape.subwords, self.word_vectors)
 
 
 def write_pool(path: Path, pool: ExamplePool) -> None:
