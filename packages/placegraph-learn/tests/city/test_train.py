@@ -114,6 +114,38 @@ def test_the_loss_falls(learn, tmp_path, make_notes):
     assert last < 0.9 * told[4]
 
 
+PRINTED = replace(
+    OPTIONS,
+    losses=("eq17", "eq18"),
+    shape=Shape(width=8, dimension=8, heads=2, layers=1, crossings=1, printed=True),
+)
+
+
+def test_the_network_as_printed_learns_cells_with_word_vectors(learn, tmp_path, make_notes):
+    file, rng = tmp_path / "words.bin", np.random.default_rng(2)
+    blocks = [w + b" " + rng.normal(size=300).astype("<f4").tobytes() for w in WORDS]
+    file.write_bytes(b"%d 300\n" % len(WORDS) + b"".join(blocks))
+    options = replace(PRINTED, epochs=2, steps=12, rate=1e-2, word_vectors=str(file))
+    notes = make_notes()
+    weights = learn(tmp_path / "a", options, progress=notes)
+    assert weights.words.words == ("bench", "museum")
+    assert notes.rows[0].keys() == {"epoch", "eq17", "eq18", "dense", "network"}
+    first, last = (sum(row[name] for name in ("eq17", "eq18")) for row in notes.rows)
+    assert last < first
+    network = GraphTransformer.open(tmp_path / "a" / "a.weights")
+    bench = network.word_vectors(("bench", "bicycle parking"))
+    means = weights.words.vectors[0] @ network.arrays["meaning.weight"].T
+    assert bench[0] == pytest.approx(means, rel=1e-4, abs=1e-5)
+    assert bench[1].any()  # hashed subwords stand for other labels
+
+
+def test_the_network_as_printed_goes_on_as_if_never_interrupted(learn, tmp_path, make_notes):
+    with pytest.raises(KeyboardInterrupt):
+        learn(tmp_path / "b", PRINTED, progress=make_notes((1, 2)))
+    resumed, whole = learn(tmp_path / "b", PRINTED), learn(tmp_path / "c", PRINTED)
+    assert all(np.array_equal(resumed.arrays[name], a) for name, a in whole.arrays.items())
+
+
 def test_word_vectors_of_a_file_are_trained_with(learn, tmp_path, harbour, make_notes):
     rng, file = np.random.default_rng(2), tmp_path / "words.bin"
 
