@@ -16,15 +16,13 @@ ODD_SHARE = 0.005  # of all docstrings, those of attributes included
 # Bare participles, pronouns and metaphors; docs/glossary.md has the terms that stand instead.
 OLD_NAMES = frozenset(Path(__file__).with_name("old_names.txt").read_text("utf-8").split())
 PARTICIPLE = re.compile(
-    "[a-z]*(ed|wn|en|elt|ost|ung|aid|ept|ought|aught|eant|orn)|(un)?bound|built|done|found|gone|heard|held|led|left|lent|made"
-    "|met|seen|sent|sold|spent|stood|struck|told"
+    "[a-z]*(ed|wn|en|elt|ost|ung|aid|ept|ought|aught|eant|orn)|(un)?bound|built|done|found|gone|heard|held"
+    "|led|left|lent|made|met|seen|sent|sold|spent|stood|struck|told"
     "|all|another|any|both|each|it|many|mine|most|none|one|others|ours|own|same|some|that|them|there|these|they"
     "|this|those|which|whole"
 )
-EXCEPTIONS = frozenset(  # each line is a name and the reason why it stays
-    line.split(":")[0]
-    for line in Path(__file__).with_name("name_exceptions.txt").read_text("utf-8").splitlines()
-)
+_REASONS = Path(__file__).with_name("name_exceptions.txt").read_text("utf-8")
+EXCEPTIONS = frozenset(re.findall(r"^\w+", _REASONS, re.MULTILINE))  # names that stay
 
 
 def _names(node: ast.AST) -> Iterator[str]:

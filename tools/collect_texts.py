@@ -28,14 +28,18 @@ def _is_text(text: str) -> bool:
     )
 
 
+def _help(function: ast.FunctionDef) -> str:
+    """Return the help of a command, whose docstring gives an example of its use; else nothing."""
+    text = ast.get_docstring(function) or ""
+    return text if re.search(r"Examples?: placegraph", text) else ""
+
+
 def _python(path: Path) -> Iterator[str]:
     tree = ast.parse(path.read_text("utf-8"))
     skipped: set[ast.AST] = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef) and any(
-            "command" in ast.unparse(d) for d in node.decorator_list
-        ):
-            yield ast.get_docstring(node) or ""
+        if isinstance(node, ast.FunctionDef) and (help_text := _help(node)):
+            yield from help_text.split("\n\n")
         if isinstance(node, ast.Expr):
             skipped.add(node.value)  # a docstring
         if node in skipped:

@@ -251,7 +251,7 @@ def fetch(
 ) -> None:
     """Download a place's OpenStreetMap data.
 
-    From Overpass, by OSMnx (extra `osmnx`).
+    Asks Overpass through OSMnx (extra `osmnx`).
 
     Example: placegraph city fetch "Vaduz, Liechtenstein" -o vaduz.osm
     """
@@ -280,7 +280,7 @@ def info(
     as_json: AsJson = False,
     png: Annotated[Path | None, Option(help="Write an overview picture.")] = None,
 ) -> None:
-    """Say what a city map holds.
+    """Show the contents of a city map.
 
     Example: placegraph city info monaco.city
     """
@@ -322,7 +322,7 @@ def facts(city: CityMap) -> dict[str, object]:
 def check(map_file: MapFile, as_json: AsJson = False) -> None:
     """Check a city map; print each finding with its remedy.
 
-    Checksums, columns, and what may surprise.
+    Checks checksums and columns, and reports surprises.
 
     Example: placegraph city check monaco.city
     """
@@ -364,7 +364,7 @@ def locate(
     ] = None,
     png: Annotated[Path | None, Option(help="Write a picture.", panel=WRITTEN)] = None,
 ) -> None:
-    """Find the place that a description was spoken at.
+    """Find the place that a text describes.
 
     Example: placegraph city locate monaco.city "A bakery is north of me. The church is east of the bakery."
     """
@@ -468,9 +468,9 @@ def embed(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Embed a map's cells, into a file or a Milvus server.
+    """Compute the embeddings of a map's cells and store them in a file or on a Milvus server.
 
-    For `placegraph city locate --store`; a server needs the extra `milvus`.
+    `placegraph city locate --store` searches them. A server needs the extra `milvus`.
 
     Example: placegraph city embed monaco.city -o monaco.vectors
     """
@@ -561,10 +561,10 @@ def track(
     ] = None,
     png: Annotated[Path | None, Option(help="Write a picture of the last estimate.")] = None,
 ) -> None:
-    """Follow you through a city, a sentence a line.
+    """Follow a speaker through a city; one sentence per line.
 
-    Say what you see, or how you went: "A bakery is north of me.", "I walked 60 m east."
-    `reset` starts anew; `quit`, or the end of the input, ends it.
+    Enter what you see or how you moved: "A bakery is north of me.", "I walked 60 m east."
+    `reset` starts again; `quit`, or the end of the input, ends.
 
     Example: placegraph city track monaco.city
     """

@@ -65,10 +65,10 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
 
 
 def warm_up(quiet: Quiet = False) -> None:
-    """Compile everything now, on all processors, so that no first use has to wait.
+    """Compile all numeric code now, on all processors, so that the first use of a command is fast.
 
-    Code is kept beside the package or in your cache folder, or in `placegraph --compiled FOLDER`,
-    and is valid for this processor, this Python and this version of numba.
+    The code is stored beside the package, in your cache folder, or in `placegraph --compiled FOLDER`.
+    It is valid for this processor, this Python and this version of numba.
     """
     from placegraph.core.warm import list_calls, missing_calls
 

@@ -80,8 +80,8 @@ def build(
 ) -> None:
     """Make a library of scene maps: a few kilobytes a scene, searched in milliseconds.
 
-    The maps stay where they are; the library knows them by their place relative to itself, and by
-    the names of their files. A map that cannot be added is named on stderr and left out.
+    The library stores the relative path of each map; scenes are named by their files. Maps that cannot
+    be added are reported on stderr and left out.
 
     Example: placegraph library build maps/ -o homes.library
 
@@ -149,7 +149,7 @@ def info(
     weights: WeightsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a library holds.
+    """Show the contents of a library.
 
     Example: placegraph library info homes.library
     """
@@ -260,7 +260,7 @@ def search(
 ) -> None:
     """Find the scene that a capture was taken in, or that a text describes.
 
-    OK is to be trusted; AMBIGUOUS names several scenes that fit, LOST says that none does.
+    OK: use the answer. AMBIGUOUS: several scenes fit. LOST: no scene fits.
 
     Examples: placegraph library search homes.library walk/ --frames :10;
     placegraph library search homes.library "a kitchen with two sinks";
@@ -309,7 +309,7 @@ def localize(
 ) -> None:
     """Find the scene that a capture was taken in, and the pose in its map.
 
-    The likeliest scenes are looked into one after another; the pose is in the map of the scene named.
+    The likeliest scenes are tried one after another. The pose is in the map of the reported scene.
 
     Example: placegraph library localize homes.library walk/ --frames :10
     """

@@ -60,9 +60,9 @@ def locate(
 ) -> None:
     """Find place, room and pose at once, from a text, frames and a fix, or any of them.
 
-    A sentence narrows buildings, buildings narrow scenes, frames give the pose, and a fix (--near)
-    is a prior. Scenes stand in buildings by `placegraph scene anchor`. OK is to be trusted;
-    AMBIGUOUS names several places that fit, or what contradicts the best; LOST says that none fits.
+    A sentence selects buildings, a building selects its scenes, frames give the pose, and a GPS fix
+    (--near) is a prior. `placegraph scene anchor` places scenes in buildings. OK: use the answer.
+    AMBIGUOUS: several places fit, or something contradicts the best one. LOST: no place fits.
 
     Examples: placegraph locate town/ "I am in the library on Lange Straße, by the window";
     placegraph locate town/ "in the library" --capture walk/ --frames :3 --near 9.99,53.55

@@ -91,7 +91,7 @@ def anchor(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Place a scene map on Earth, and write that into the map.
+    """Place a scene map on Earth, and store the anchor in the map.
 
     Example: placegraph scene anchor flat.scene --pair 0,0=7.4201,43.7301 --pair 8,0=7.4202,43.7301
     --pair 8,6=7.4202,43.73015

@@ -131,9 +131,9 @@ def build(
 ) -> None:
     """Build a scene map from a mesh, a scan, a predicted graph or an RGB-D capture.
 
-    A mesh that names its objects keeps them; else, and for a capture, floor, walls and objects are
-    found, by label images where there are any. What is printed below the summary was found out or
-    taken for granted. The surface is simplified to an error of 5 mm, unless --detail says otherwise.
+    Objects that the mesh names are kept. Other meshes and captures are segmented into floor, walls and
+    objects, by label images if there are any. Lines below the summary list findings and assumptions.
+    The surface is simplified to an error of 5 mm; --detail changes this.
 
     Example: placegraph scene build house.glb -o house.scene
 
@@ -259,7 +259,7 @@ def check(
 ) -> None:
     """Check units, floor, gravity, holes and objects of a scene map; print remedies.
 
-    Ends with 0 where nothing makes localizing fail, with 4 where something does.
+    Exit code 4 means that localization would fail; 0 means that it can work.
 
     Example: placegraph scene check house.scene
     """
@@ -311,7 +311,7 @@ def info(
         Option(help="Write a floor plan with object names (merged scenes: the first one)."),
     ] = None,
 ) -> None:
-    """Say what a scene map holds, and how many bytes its parts take.
+    """Show the contents of a scene map, and the size of its parts.
 
     Example: placegraph scene info house.scene --png plan.png
     """
@@ -380,11 +380,11 @@ def encode(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Give a map's objects the vectors of an encoder, so that images are compared with them.
+    """Compute the vectors of a map's objects by an encoder, and store them in the map.
 
-    The map holds those of one encoder, and says of which: frames that another one encoded, or other
-    weights of it, are refused. labels and appearance are made as they are needed, and encoding
-    saves that; features and scenegraphloc need it, as they know objects by images.
+    A map stores the vectors of one encoder. Queries by another encoder, or by other weights, are
+    refused. For labels and appearance this only saves time; features and scenegraphloc need it,
+    because they describe objects by images.
 
     Example: placegraph scene encode house.scene -o house.scene --encoder appearance
 
@@ -516,19 +516,18 @@ def export(
 ) -> None:
     """Write a scene map as a file for other programs.
 
-    .glb opens in any 3D viewer, in Blender and in browsers: one node an object, named as it is,
-    with label, id and attributes in its custom properties, textures included. Edit it and build a
-    map of it again with `placegraph scene build`.
+    .glb opens in any 3D viewer, in Blender and in browsers. Each object is a node with its name,
+    textures, and label, id and attributes as custom properties. You can edit it and build a map
+    from it again with `placegraph scene build`.
 
-    .ply is one coloured mesh for MeshLab and CloudCompare: textures are averaged onto vertices,
-    objectId of each face says whose it is, and OUT.labels.json what the ids are called. Relations
-    have no place in it.
+    .ply is one coloured mesh for MeshLab and CloudCompare. Textures are averaged onto vertices, each
+    face has the objectId of its object, and OUT.labels.json names the ids. Relations are lost.
 
     .json is a scene graph for Hydra and Spark-DSG: objects with boxes, labels and their part of
     the mesh, relations as edges, and rooms.
 
-    .osm holds rooms and doors of an anchored map, in Simple Indoor Tagging for JOSM; .osmag the
-    same as osmAG, for robots.
+    .osm has the rooms and doors of an anchored map as Simple Indoor Tagging, for JOSM; .osmag has
+    them as osmAG, for robots.
 
     Example: placegraph scene export house.scene house.glb --camera-path walk.tum
     """

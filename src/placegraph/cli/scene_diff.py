@@ -55,10 +55,10 @@ def diff(
     png: Annotated[Path | None, Option(help="Write a plan of the changes.")] = None,
     quiet: NoProgress = False,
 ) -> None:
-    """Name what moved, appeared and vanished, from a map to a later map or capture of the place.
+    """Report what moved, appeared or vanished between a map and a later map or capture of the place.
 
-    A capture is localized first; where it is not found in the map (LOST), nothing is compared, and
-    the command ends with 3. What the later look does not show is unseen, never vanished.
+    A capture is localized first. If it is LOST, nothing is compared and the exit code is 3. Objects
+    that the capture or the later map does not show are unseen, never vanished.
 
     Example: placegraph scene diff house.scene walk/ --png changes.png -o changes.json
     """
@@ -114,9 +114,9 @@ def update(
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
-    """Write a map that has taken over what changed; the old one stays, unless --in-place is given.
+    """Write a new map with the changes of a diff; the old map stays, unless --in-place is given.
 
-    Each object that changed tells of it in its attribute `history`; `placegraph scene view` shows it.
+    The attribute `history` of each changed object lists its changes; `placegraph scene view` shows it.
 
     Example: placegraph scene update house.scene changes.json -o house-now.scene
     """

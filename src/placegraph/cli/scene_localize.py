@@ -224,14 +224,14 @@ def localize(
     ] = None,
     quiet: NoProgress = False,
 ) -> None:
-    """Find the pose of a camera, from some frames of it, in a map of rooms.
+    """Find the pose of a camera in a scene map, from some frames.
 
-    The answer is the pose of the last frame: x, y, z of the camera in the map [m], and yaw, which
-    way it looks, counter-clockwise from the map's x axis. OK is to be trusted; AMBIGUOUS names
-    several places that fit, LOST says that none does. The map is only read.
+    The answer is the pose of the last frame: x, y, z of the camera in the map [m], and yaw, its
+    viewing direction counter-clockwise from the map's x axis. OK: use the pose. AMBIGUOUS: several
+    places fit. LOST: no place fits. The map is not changed.
 
-    The best pose is then refined: fitted to the map by depth, and by images where depth does not
-    fix it. It stands only where held-back pixels speak for it; a line says what became of it.
+    The best pose is then refined: fitted to the map by depth, and by images if depth is not enough.
+    The refined pose is used only if held-back pixels confirm it; a line reports the result.
 
     Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
     """
@@ -332,11 +332,11 @@ def refine(
     tum: TumFile = None,
     quiet: NoProgress = False,
 ) -> None:
-    """Refine a pose that is roughly known from elsewhere; the map is not searched.
+    """Refine a roughly known pose, without searching the map.
 
-    The pose is that of the last frame chosen; with --estimate the frames are those it tells of,
-    where --frames chooses no others. The answer is OK at the refined pose, or AMBIGUOUS at the
-    pose given, with the reason why that stands.
+    The pose is that of the last frame. With --estimate, the frames are those of the estimate, unless
+    --frames is given. The answer is OK with the refined pose, or AMBIGUOUS with the given pose and
+    the reason why it stays.
 
     Example: placegraph scene refine house.scene walk/ --frames 10:20 --pose 1.5,2,1.6,90
 

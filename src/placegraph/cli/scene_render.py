@@ -98,13 +98,13 @@ def render(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Render colour, depth and objects of a map from a pose, and judge the pose at a glance.
+    """Render colour, depth and objects of a map from a pose.
 
     Writes into the folder --out: colour.png; depth.png (16 bits, millimetres, 0: nothing or beyond
     65.5 m); objects.png (16 bits, row of the object + 1, 0: nothing) with objects.json, which names
-    them, and objects_preview.png, which a person can see; with --capture also overlay.png. There,
-    pink lines are the map's edges, green ones borders of its colours: if they lie on what the
-    photograph shows, the pose is right.
+    them, and objects_preview.png in colours. With --capture it also writes overlay.png, with the map's
+    edges in pink and its colour borders in green: if they lie on the edges of the photograph, the
+    pose is right.
 
     Example: placegraph scene render house.scene -o out --pose 1.5,2,1.6,90 --camera camera.json
 
@@ -309,11 +309,11 @@ def view(
     device: Device = "auto",
     quiet: NoProgress = False,
 ) -> None:
-    """Look at a scene map in the browser; needs `pip install 'placegraph[view]'`.
+    """View a scene map in the browser; needs `pip install 'placegraph[view]'`.
 
-    Objects can be clicked, listed and hidden, each with its label, attributes and relations;
-    relations are drawn by kind. With --capture, or --run of an earlier localization, a slider goes
-    through the particles of every frame and pass. The map is only read. Ctrl-C ends it.
+    Click, list and hide objects with their labels, attributes and relations. With --capture, or with
+    --run of an earlier localization, a slider shows the particles of every frame and pass. The map
+    is not changed. Ctrl-C ends the viewer.
 
     Example: placegraph scene view house.scene --capture walk/ --frames 0:10
     """

@@ -21,7 +21,7 @@ def convert_kitti360pose(
 ) -> None:
     """Convert KITTI360Pose from its pickles.
 
-    Nothing of them is ever run. For the tables: placegraph-lab table outdoor_kitti360pose.
+    The pickles are read, never run. `placegraph-lab table outdoor_kitti360pose` prints the tables.
 
     Example: placegraph city convert-kitti360pose k360_30-10_scG_pd10_pc4_spY_all -o kitti.k360
     """
@@ -55,7 +55,7 @@ def evaluate(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how well descriptions of your own are found.
+    """Measure how well your own descriptions are located.
 
     A line of descriptions.jsonl: {"id": "1", "text": "A bakery is north of me.", "longitude": 7.42,
     "latitude": 43.73}

@@ -186,7 +186,7 @@ def train_kitti360pose(  # options of a command
 ) -> None:
     """Train the network that GOTLoc prints on the training drives of KITTI360Pose.
 
-    Needs the extra `learn`. Interrupted, the same command goes on.
+    Needs the extra `learn`. Run the same command again to resume an interrupted training.
 
     Example: placegraph-lab train-kitti360pose kitti.k360 -o kitti.weights --work training
     """

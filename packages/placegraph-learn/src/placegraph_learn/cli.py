@@ -52,7 +52,7 @@ def train_city(  # options of a command
 ) -> None:
     """Train the matching network on city maps.
 
-    Needs the extra `learn`. Interrupted, the same command goes on.
+    Needs the extra `learn`. Run the same command again to resume an interrupted training.
 
     Example: placegraph city train ulm.city bern.city -o mine.weights --work training/
     """
@@ -123,11 +123,11 @@ def train_scene(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Train the network of SceneGraphLoc, which tells what object of a map a patch of an image shows.
+    """Train the network of SceneGraphLoc, which matches image patches with objects of a map.
 
-    Needs the extra `learn`. Interrupted, the same command goes on. After each epoch it is asked about
-    places it never learned: `patch` is the share of patches told right, `changed` the same with the
-    map of months before, `room` the share of images whose own place scores highest.
+    Needs the extra `learn`. Run the same command again to resume an interrupted training. After each
+    epoch it is evaluated in held-out places: `patch` is the share of patches matched correctly,
+    `changed` the same with a map of months before, `room` the share of images whose place is first.
 
     Example: placegraph scene train --synthetic 40 -o mine.safetensors --work training/
 

@@ -85,10 +85,10 @@ def shard(
     as_json: AsJson = False,
     quiet: NoProgress = False,
 ) -> None:
-    """Put the scenes of libraries into shards, which a search maps instead of reading them.
+    """Convert libraries to shards: memory-mapped files, for tens of thousands of scenes.
 
-    For tens of thousands of scenes. Maps stay where they are, known by their place relative to the
-    folder. `library search` and `library localize` take the folder as they take a library.
+    The folder stores the relative path of each map. `library search` and `library localize` accept the
+    folder like a library.
 
     Example: placegraph library shard north.library south.library -o homes.shards
     """

@@ -25,7 +25,9 @@ class ServeOptions:
         unit="s",
         above=0,
     )
-    capture_seconds: float = option(120.0, "The same for images.", unit="s", above=0)
+    capture_seconds: float = option(
+        120.0, "Time limit of images; longer ones get 504.", unit="s", above=0
+    )
     head_seconds: float = option(
         20.0,
         "Maximum time for the head of a request to arrive; then the connection is closed.",

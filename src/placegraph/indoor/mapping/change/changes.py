@@ -45,7 +45,7 @@ class DiffOptions:
         unit="m",
         above=0,
     )
-    depth_slope: float = option(0.015, "Increase of this tolerance per metre.")
+    depth_slope: float = option(0.015, "Increase of the tolerance per metre of depth.")
     frames: int = option(60, "Maximum number of frames of a capture, spread evenly.", minimum=1)
     least_pixels: int = option(
         100,
