@@ -9,11 +9,14 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
+from tests.indoor.conftest import render, room_world  # noqa: F401  # fixtures
 
 import placegraph as pg
 from placegraph.indoor.options import Likelihood, MotionNoise
@@ -244,6 +247,55 @@ def test_its_training_calls_what_the_page_names(harbour, vocabulary, tmp_path):
         sys.setprofile(before)
     here = {(os.path.relpath(path, ROOT), name) for path, name in called}
     assert not not_called(where("GOTLoc", "Eq. 17", "Eq. 18", "Eq. 19"), here)
+
+
+def with_kernels(called):
+    """The called, and the functions of their files that they name: compiled code has no profile."""
+    found = set(called)
+    for path in {path for path, _ in called if path.endswith("_kernels.py")}:
+        tree = ast.parse((ROOT / path).read_text("utf-8"))
+        uses = {
+            f.name: {n.id for n in ast.walk(f) if isinstance(n, ast.Name)}
+            for f in tree.body if isinstance(f, ast.FunctionDef)
+        }  # fmt: skip
+        reached = [name for file, name in called if file == path and name in uses]
+        while reached:
+            for name in uses[reached.pop()] & set(uses):
+                if (path, name) not in found:
+                    found.add((path, name))
+                    reached.append(name)
+    return found
+
+
+def test_the_papers_filter_and_refinement_call_what_the_page_names(render, room_world):  # noqa: F811
+    """The presets as they are, with fewer particles; the matcher is SIFT, without RoMa's weights."""
+    clip = render(room_world, "named", 2, through="123", frames=2, labels="labels")
+    few = replace(pg.FilterOptions.paper(), spacing=0.6, per_cell=1, min_particles=60)
+    called = set()
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_code.co_filename.startswith(str(ROOT)):
+            path = os.path.relpath(frame.f_code.co_filename, ROOT)
+            called.add((path, frame.f_code.co_qualname))
+
+    library = pg.SceneLibrary("labels")
+    before = sys.getprofile()
+    threading.setprofile(note)
+    sys.setprofile(note)
+    try:
+        pg.open_map(room_world.folder / "flat.scene").localize(
+            clip, options=few, refine=RefineOptions.paper(), matcher="sift", seed=0
+        )
+        library.add("room", room_world.scene)
+        library.search(clip, options=pg.SearchOptions(method="cosines"))
+    finally:
+        sys.setprofile(before)
+        threading.setprofile(before)
+    items = ("Eq. 1", "Eq. 2", *(f"Sec. 3.{n}" for n in range(1, 7)), "Sec. 4")
+    wanted = where("SG2Loc", *items)
+    assert len(wanted) == 19
+    assert not not_called(wanted, with_kernels(called))
+    assert not_called(where("GOTLoc", "Eq. 9"), with_kernels(called))
 
 
 def write_lines():
