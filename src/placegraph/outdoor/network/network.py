@@ -171,8 +171,10 @@ class Shape:
     @classmethod
     def from_dict(cls, plain: dict[str, float]) -> Shape:
         """Make a shape of plain numbers; raises `TypeError` or `ValueError` where they are none."""
-        kinds = {"subwords": float, "printed": bool}
-        return cls(**{k: kinds.get(k, int)(v) for k, v in dict(plain).items()})  # type: ignore[arg-type]
+        kinds, plain = {"subwords": float, "printed": bool}, dict(plain)
+        if not plain.pop("statements", True):
+            raise ValueError("statements is false, which `printed` replaced")
+        return cls(**{k: kinds.get(k, int)(v) for k, v in plain.items()})  # type: ignore[arg-type]
 
 
 KIND = "graph-transformer"
