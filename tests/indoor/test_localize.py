@@ -431,8 +431,8 @@ def test_the_papers_recipes(name, room, walk, truth):
 def test_the_last_pass_at_full_resolution(room, walk, truth):
     """Table 7, "max. resolution": stride 1."""
     first, second, third = FilterOptions.paper().passes
-    passes = (first, replace(second, particles=300), replace(third, stride=1.0, particles=60))
-    options = replace(FilterOptions.paper(), passes=passes, min_particles=60)
+    passes = (first, replace(second, particles=300), replace(third, stride=1.0, particles=200))
+    options = replace(FilterOptions.paper(), passes=passes, min_particles=200)
     estimate = room.localize(walk, frames=TWO, options=options, refine=False)
     right(estimate, truth(walk)[1], 0.4, 10.0)
 
