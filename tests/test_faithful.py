@@ -1,6 +1,6 @@
 """The page "How faithful?" leaves nothing of the papers out, and all that it names exists and is run.
 
-`python3 tests/test_faithful.py` writes the lines of the functions that the page names.
+`python3 -m tests.test_faithful` writes the lines of the functions that the page names.
 """
 
 import ast
@@ -110,7 +110,7 @@ def test_what_a_row_names_exists(row):
     for path, name, line in LINED.findall(where):
         if name and (line or paper == "GOTLoc"):
             first, last = names(path)[name]
-            assert first <= int(line or 0) <= last, "run python3 tests/test_faithful.py"
+            assert first <= int(line or 0) <= last, "run python3 -m tests.test_faithful"
     assert test == NONE or "tests" in Path(PLACE.findall(test)[0][0]).parts
     if item.startswith(("Eq.", "Sec.")):
         assert NONE not in (where, test), "say where it stands, and which test holds it"
