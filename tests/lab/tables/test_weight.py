@@ -1,3 +1,6 @@
+from typer.testing import CliRunner
+
+from placegraph_lab.cli.lab import app
 from placegraph_lab.tables.named.weight import count_lines, functions, shape
 from placegraph_lab.tables.runner import LAB
 
@@ -24,6 +27,12 @@ def test_lines_and_functions_are_counted(tmp_path):
     kinds = (found.code, found.imports, found.docstrings, found.comments, found.blank)
     assert kinds == (6, 1, 3, 1, 2)
     assert sorted(functions(file)) == [("enter", 3, 2), ("inner", 1, 0)]
+
+
+def test_the_comment_repeats_the_command(tmp_path):
+    options = ["--no-starts", "--no-install", "--out", str(tmp_path / "rows.json")]
+    done = CliRunner().invoke(app, ["table", "weight", *options])
+    assert done.stdout.startswith("<!-- placegraph-lab table weight --no-starts --no-install (")
 
 
 def test_the_house_keeps_its_rules():

@@ -376,7 +376,7 @@ def provenance(name: str, context: typer.Context) -> str:
         if value in (None, parameter.default) or parameter.name in ("data", "cache", "out"):
             continue
         if parameter.param_type_name == "option":
-            words.append(parameter.opts[0])
+            words.append((parameter.secondary_opts if value is False else parameter.opts)[0])
         if not isinstance(value, bool):
             words.append(str(value))
     today = datetime.now(tz=UTC).date()
