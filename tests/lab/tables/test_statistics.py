@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph_lab.tables.statistics import paired_interval, reliability
+from placegraph_lab.tables.statistics import paired_interval, reliability, wilson_interval
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
@@ -21,6 +21,14 @@ def test_other_queries_are_refused():
     for bad in ([], [(np.ones(3), np.ones(4))], [(np.ones(0), np.ones(0))]):
         with pytest.raises(OptionError):
             paired_interval(bad, rng)
+
+
+@pytest.mark.parametrize(
+    ("share", "count", "low", "high"),
+    [(1.0, 4, 0.510, 1.0), (0.75, 4, 0.301, 0.954), (0.5, 100, 0.404, 0.596), (0.0, 20, 0.0, 0.161)],
+)
+def test_wilsons_interval(share, count, low, high):
+    assert wilson_interval(share, count)[1:] == pytest.approx((low, high), abs=5e-4)
 
 
 def test_calibrated_answers_reach_the_floor(rng):

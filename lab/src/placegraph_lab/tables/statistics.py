@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from math import sqrt
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -74,6 +75,16 @@ def recall_interval(
     tail = 0.5 * (1.0 - level)
     low, high = np.quantile(np.mean(drawn, axis=0), (tail, 1.0 - tail))
     return Interval(float(np.mean([group.mean() for group in hits])), float(low), float(high))
+
+
+def wilson_interval(share: float, count: int) -> Interval:
+    """Wilson's 95 % interval of a share among `count` independent trials."""
+    z = 1.959964
+    centre = (share + 0.5 * z * z / count) / (1.0 + z * z / count)
+    spread = (
+        z / (1.0 + z * z / count) * sqrt(share * (1.0 - share) / count + (0.5 * z / count) ** 2)
+    )
+    return Interval(share, max(0.0, centre - spread), min(1.0, centre + spread))
 
 
 ROUNDING = 1e-6  # how far a sum of probabilities may stray from 0 to 1

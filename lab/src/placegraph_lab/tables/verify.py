@@ -182,7 +182,7 @@ def agrees(cell: str, new: str, beside: str = "") -> bool:
     """
     bounds = _INTERVAL.fullmatch(beside) or _INTERVAL.search(cell)
     numbers = [_NUMBER.findall(_INTERVAL.sub("", text)) for text in (cell, new)]
-    if bounds:
+    if bounds and len(numbers[0]) == 1:  # of several shares, the interval is that of the last one
         low, high = (_value(bound) for bound in bounds.groups())
         slack = _half_digit(bounds[1])
         return len(numbers[1]) == 1 and low - slack <= _value(numbers[1][0]) <= high + slack

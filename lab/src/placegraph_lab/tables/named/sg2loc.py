@@ -46,6 +46,7 @@ from placegraph_lab.tables.scene.places import (
     homes,
 )
 from placegraph_lab.tables.scene.search import Cosines, Scenes, Study
+from placegraph_lab.tables.statistics import wilson_interval
 
 
 def read_published(table: int) -> list[tuple[str, list[list[float | None]]]]:
@@ -264,17 +265,27 @@ def summarize_set(
 
 
 def report(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+    """Table of rows; recalls are followed by the 95 % interval of the last one."""
     lines = []
+    recalls = [c for c in columns if c not in {"mean", "median"}]
     for row in rows:
         title = ": ".join(filter(None, [row["set"], row.get("state"), row["row"]]))
-        cells = [
-            errors(row.get(c, [None] * 2)) if c in {"mean", "median"} else lab.shares(row.get(c, [None]))
-            for c in columns
-        ]  # fmt: skip
+        windows = row.get("windows")
+        cells = []
+        for c in columns:
+            values = row.get(c, [None] * COLUMNS[c])
+            cells.append(lab.shares(values) if c in recalls else errors(values))
+            if c in recalls[-1:]:
+                between = (
+                    None if None in (windows, values[-1]) else wilson_interval(values[-1], windows)
+                )
+                cells.append(
+                    f"{lab.share(between.low)} to {lab.share(between.high)}" if between else "–"
+                )
         known = [lab.number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
-        windows = lab.number(row.get("windows"))
-        lines.append([title, lab.number(row.get("frames")), windows, *cells, *known])
-    return lab.markdown(["", "frames", "windows", *columns, "s/frame", "particles"], lines)
+        lines.append([title, lab.number(row.get("frames")), lab.number(windows), *cells, *known])
+    heads = [h for c in columns for h in ([c, "95 %"] if c in recalls[-1:] else [c])]
+    return lab.markdown(["", "frames", "windows", *heads, "s/frame", "particles"], lines)
 
 
 DRIFTS = {
