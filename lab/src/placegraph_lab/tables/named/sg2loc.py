@@ -270,20 +270,17 @@ def report(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
     recalls = [c for c in columns if c not in {"mean", "median"}]
     for row in rows:
         title = ": ".join(filter(None, [row["set"], row.get("state"), row["row"]]))
-        windows = row.get("windows")
+        windows: Any = row.get("windows")
         cells = []
         for c in columns:
             values = row.get(c, [None] * COLUMNS[c])
             cells.append(lab.shares(values) if c in recalls else errors(values))
             if c in recalls[-1:]:
-                between = (
-                    None if None in (windows, values[-1]) else wilson_interval(values[-1], windows)
-                )
-                cells.append(
-                    f"{lab.share(between.low)} to {lab.share(between.high)}" if between else "–"
-                )
-        known = [lab.number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
-        lines.append([title, lab.number(row.get("frames")), lab.number(windows), *cells, *known])
+                known = None not in (windows, values[-1])
+                bounds = wilson_interval(values[-1], windows)[1:] if known else ()
+                cells.append(" to ".join(map(lab.share, bounds)) or "–")
+        costs = [lab.number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
+        lines.append([title, lab.number(row.get("frames")), lab.number(windows), *cells, *costs])
     heads = [h for c in columns for h in ([c, "95 %"] if c in recalls[-1:] else [c])]
     return lab.markdown(["", "frames", "windows", *heads, "s/frame", "particles"], lines)
 
