@@ -25,7 +25,12 @@ def test_other_queries_are_refused():
 
 @pytest.mark.parametrize(
     ("share", "count", "low", "high"),
-    [(1.0, 4, 0.510, 1.0), (0.75, 4, 0.301, 0.954), (0.5, 100, 0.404, 0.596), (0.0, 20, 0.0, 0.161)],
+    [
+        (1.0, 4, 0.510, 1.0),
+        (0.75, 4, 0.301, 0.954),
+        (0.5, 100, 0.404, 0.596),
+        (0.0, 20, 0.0, 0.161),
+    ],
 )
 def test_wilsons_interval(share, count, low, high):
     assert wilson_interval(share, count)[1:] == pytest.approx((low, high), abs=5e-4)

@@ -111,7 +111,8 @@ def test_the_fastest_rows_of_the_real_page(shared, tmp_path):
         (".45 (.40 to .50)", ".41 (.36 to .47)", "", True),
         (".45 (.40 to .50)", ".52 (.47 to .57)", "", False),
         ("-.337", "\u2212.337", "", True),
-        (".75/1.00", ".75/1.00", ".51 to 1.00", True), (".75/1.00", ".74/1.00", ".51 to 1.00", False),
+        (".75/1.00", ".75/1.00", ".51 to 1.00", True),
+        (".75/1.00", ".74/1.00", ".51 to 1.00", False),
     ],
 )
 def test_agreement(cell, new, interval, same):
