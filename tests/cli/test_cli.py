@@ -284,6 +284,13 @@ def test_ranks_are_printed_without_a_percentage(run, city, preset, candidates):
     assert run(*asked, "--json").json["modes"][0]["probability"] < 0.1
 
 
+def test_a_matcher_of_viewpoints_has_the_network_of_viewpoints_in_every_preset(run, city):
+    asked = ("city", "locate", city, CLEAR, "--matcher", "fused", "--json")
+    told = run(*asked, "--preset", "paper")
+    assert told.code == 0, told.err
+    assert told.json["modes"] == run(*asked).json["modes"]
+
+
 @pytest.mark.parametrize("options", [(), ("--preset", "paper", "--matcher", "relational")])
 def test_candidates_that_nothing_counts_are_refused(run, city, options):
     refused = run("city", "locate", city, CLEAR, *options, "--candidates", 5)

@@ -68,7 +68,11 @@ def matching(
 
     Raises `StoreError` where the store is of another map or of other weights.
     """
-    printed = weights is None and arguments.get("preset", "default") != "default"
+    from placegraph.outdoor.search.request import Matching
+
+    named = {"matcher": arguments["matcher"]} if "matcher" in arguments else {}
+    preset = arguments.get("preset", "default")
+    printed = weights is None and Matching.preset(preset, **named).printed
     encoded = encode(city, Path(PRINTED) if printed else weights)
     if encoded is not None:
         arguments["encoded"] = encoded

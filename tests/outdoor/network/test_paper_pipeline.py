@@ -11,7 +11,9 @@ from tests.outdoor.network import paper_pipeline as theirs
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.outdoor.language import describe
+from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.directions_kernels import WINDS, relate_pairs
+from placegraph.outdoor.network import network
 from placegraph.outdoor.network.label_graphs import LabelGraphs, name_label
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.search.cells import retrieve
@@ -197,6 +199,18 @@ def test_losses(learned, paper, places):
     assert found["eq18"].item() == pytest.approx(similarity, abs=1e-4)
 
 
+def test_many_cells_are_matched_some_at_a_time(harbour, encoded, monkeypatch):
+    text = encoded.text(compile_query(parse(harbour, TEXTS[0]), harbour))
+    rows = np.arange(len(harbour.cells))
+    whole = encoded.match(text, encoded.cells, rows)
+    monkeypatch.setattr(network, "BATCH_SIZE", len(rows) // 3)
+    for one, other in zip(whole, encoded.match(text, encoded.cells, rows), strict=True):
+        assert one.shape == rows.shape
+        assert other == pytest.approx(one, abs=1e-4)
+
+
 def test_a_network_of_cells_does_not_rank_viewpoints(harbour, encoded):
     with pytest.raises(OptionError, match="fused matching ranks viewpoints"):
         Matching("fused", encoded=encoded).check(harbour)
+    with pytest.raises(OptionError, match="fused matching ranks viewpoints"):
+        Matching("fused", printed=True).check(harbour)

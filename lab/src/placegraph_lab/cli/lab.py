@@ -190,9 +190,8 @@ def train_kitti360pose(  # options of a command
 
     Example: placegraph-lab train-kitti360pose kitti.k360 -o kitti.weights --work training
     """
-    from placegraph.outdoor.network.network import Shape
     from placegraph_lab.tables.kitti.osm import Crop, on_osm
-    from placegraph_lab.tables.kitti.train import train_on_drives
+    from placegraph_lab.tables.kitti.train import PRINTED, train_on_drives
     from placegraph_lab.tables.named.outdoor_kitti360pose import open_dataset
     from placegraph_lab.tables.runner import Run, check_names, parts
     from placegraph_learn.city.train import TrainOptions
@@ -200,7 +199,7 @@ def train_kitti360pose(  # options of a command
 
     chosen = check_names(parts(readings), ("honest", "paper"), "reading")
     options = TrainOptions(
-        epochs=epochs, steps=steps, batch=batch, rate=rate, seed=seed, shape=Shape(printed=True),
+        epochs=epochs, steps=steps, batch=batch, rate=rate, seed=seed, shape=PRINTED,
         losses=tuple(parts(losses)),  # type: ignore[arg-type]
     )  # fmt: skip
     data = open_dataset(dataset, Run("train-kitti360pose", work, work))

@@ -319,7 +319,7 @@ def round_weights(
 NEVER = np.float32(-1e30)
 """Logit of what is never attended to."""
 BATCH_SIZE = 1024
-"""Number of places that are embedded at once."""
+"""Number of places that are embedded, or matched in a city, at once."""
 
 
 class EncodedGraphs(NamedTuple):
@@ -681,8 +681,14 @@ class EncodedCity:
     def match(
         self, text: EncodedText, places: PlaceGraphs | LabelGraphs, rows: NDArray[np.int64]
     ) -> MatchScores:
-        """Match a text with places of this city (Eq. 14-17)."""
-        return self.network.match(text.graphs, 0, places, rows, text.words, self.words)
+        """Match a text with places of this city (Eq. 14-17), some at a time: large cells take memory."""
+        found = [
+            self.network.match(
+                text.graphs, 0, places, rows[at : at + BATCH_SIZE], text.words, self.words
+            )
+            for at in range(0, max(1, len(rows)), BATCH_SIZE)
+        ]
+        return MatchScores(*map(np.concatenate, zip(*found, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -338,7 +338,8 @@ class Matching(RankingOptions):
             raise OptionError(
                 f"encoded is not an encoding of {city!r}; give an `EncodedCity` of this map."
             )
-        if encoded is not None and encoded.printed and self.matcher == "fused":
+        printed = self.printed if encoded is None else encoded.printed
+        if printed and self.matcher == "fused":
             raise OptionError(
                 "The network as printed ranks cells, but fused matching ranks viewpoints; choose the "
                 "matcher transformer or embedding, or other weights."

@@ -201,6 +201,11 @@ def test_what_cannot_be_trained_or_used(data, kitti360pose_world, tmp_path):
         )
 
 
+def test_the_network_trained_is_as_deep_as_the_shipped_one():
+    pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    assert table.train_options(1, 0).shape == GraphTransformer.default(printed=True).shape
+
+
 def test_the_table_trains_both_halves(measure, folder, kitti360pose_world, tmp_path, monkeypatch):
     """One command: from the folder and an extract to Table II."""
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LOSSES: tuple[Loss, ...] = ("eq17", "eq18")
 """Losses of GOTLoc as printed."""
+PRINTED = Shape(printed=True, layers=1, crossings=1, heads=2)
+"""Its network, as deep as the published one and the one that ships."""
 
 
 def lessons_of(split: Split) -> Any:  # `CellLessons`, which needs PyTorch
@@ -62,7 +64,7 @@ def train_on_drives(
     from placegraph_learn.torch_files import select_device
     from placegraph_learn.training import Progress, open_folder, rows_of, run_epochs
 
-    options = options or TrainOptions(losses=LOSSES, shape=Shape(printed=True))
+    options = options or TrainOptions(losses=LOSSES, shape=PRINTED)
     progress = progress or Progress()
     if not set(data.scenes) & set(SPLITS["train"]):
         raise OptionError(

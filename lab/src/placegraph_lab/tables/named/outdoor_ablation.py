@@ -24,7 +24,7 @@ from placegraph_lab.tables.outdoor.extracts import (
     open_city,
     unseen_queries,
 )
-from placegraph_lab.tables.outdoor.matchers import BagMatcher, match_cells
+from placegraph_lab.tables.outdoor.matchers import BagMatcher
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, load
@@ -90,7 +90,7 @@ def _hits(
     given = np.append(
         distractors[: max(GIVEN) - 1], truth
     )  # last: where all are equal, it is not found
-    match, own = (match_cells(encoded, asked.text, rows) for rows in (given, dense))
+    match, own = (encoded.match(asked.text, encoded.cells, rows) for rows in (given, dense))
     logit, cosine = match.logit, match.cosine
     table = {}
     for n in GIVEN:

@@ -18,7 +18,7 @@ import numpy as np
 import typer
 
 from placegraph.errors import PlacegraphError
-from placegraph.outdoor.network.network import GraphTransformer, Shape
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.kitti360pose import (
     MATCHERS,
@@ -33,7 +33,7 @@ from placegraph_lab.tables.kitti.kitti360pose import (
 )
 from placegraph_lab.tables.kitti.matchers import Relational
 from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
-from placegraph_lab.tables.kitti.train import LOSSES, train_on_drives
+from placegraph_lab.tables.kitti.train import LOSSES, PRINTED, train_on_drives
 from placegraph_lab.tables.runner import Quick, Run, Seed, check_names, option, parts, table
 
 
@@ -98,7 +98,7 @@ def train_options(epochs: int, seed: int) -> Any:  # `TrainOptions` needs PyTorc
     """Options of the training that the table does itself."""
     from placegraph_learn.city.train import TrainOptions
 
-    return TrainOptions(epochs=epochs, seed=seed, losses=LOSSES, shape=Shape(printed=True))
+    return TrainOptions(epochs=epochs, seed=seed, losses=LOSSES, shape=PRINTED)
 
 
 def train_network(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.network import EncodedCity, EncodedText, MatchScores
+from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
 from placegraph.outdoor.search.request import Matching, MatchingOptions, parse
@@ -23,7 +23,6 @@ from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, Setting
 
 STAGES = ("read", "embed", "search", "match")
-AT_ONCE = 2000  # pairs matched in one call where all cells are: memory stays small
 
 
 class Run(NamedTuple):
@@ -52,19 +51,10 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
         points = encoded.store.search(embedding, candidates).ids[0]
         rows = np.searchsorted(city.cells.points, points[points >= 0])
     clock.append(time.perf_counter())
-    found = match_cells(encoded, said, rows)
+    found = encoded.match(said, encoded.cells, rows)
     ranked = rows[np.argsort(-found.cosine, kind="stable")]
     clock.append(time.perf_counter())
     return Run(dict(zip(STAGES, np.diff(clock).tolist(), strict=True)), ranked)
-
-
-def match_cells(encoded: EncodedCity, text: EncodedText, rows: NDArray[np.int64]) -> MatchScores:
-    """Match a text with cells `rows` (K,) (Eq. 14-17), some thousands at once."""
-    found = [
-        encoded.match(text, encoded.cells, rows[i : i + AT_ONCE])
-        for i in range(0, len(rows), AT_ONCE)
-    ]
-    return MatchScores(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def medians(runs: Sequence[Run]) -> dict[str, float]:
