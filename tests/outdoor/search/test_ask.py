@@ -140,6 +140,12 @@ def test_questions_are_about_what_is_on_the_map(real_city):
             assert (thing.label or thing.words) in known
 
 
+def test_nothing_is_around_a_place_far_from_every_viewpoint(harbour):
+    with np.errstate(over="raise"):
+        around = _Surroundings.of_positions(harbour, np.array([[1e5, 1e5]]))
+    assert around.expected.max() < 1e-9
+
+
 def test_nothing_to_ask(harbour):
     for text in ("A lighthouse is north of me.", "asdf qwer"):
         estimate = harbour.locate(text)

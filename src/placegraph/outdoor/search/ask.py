@@ -179,7 +179,8 @@ class _Surroundings:
         place, rows = np.repeat(np.arange(len(positions)), np.diff(seen.starts)), seen.objects
         delta = (views.positions_of(nearest) - positions)[place] + seen.offsets
         distance = np.hypot(*delta.T)
-        sure = 1.0 / (1.0 + np.exp((distance - SIGHT) / 6.0))
+        # a cell's centre may be kilometres from the nearest viewpoint
+        sure = 1.0 / (1.0 + np.exp(np.minimum((distance - SIGHT) / 6.0, 80.0)))
         shares = [sure]
         for angle in COMPASS.values():
             cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
