@@ -339,7 +339,7 @@ def _relations(
     source: int,
     target: int,
 ) -> Iterator[str]:
-    """Yield the relations of a source to a target that the paper has not."""
+    """Yield the relations of a source to a target that the paper lacks: near, inside, along."""
     if np.hypot(*(at[source] - at[target])) <= NEAR:
         yield "near"
     kind = objects.kind[rows[target]]

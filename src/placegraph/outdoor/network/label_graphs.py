@@ -74,8 +74,8 @@ class LabelGraphs:
     def of_texts(cls, descriptions: Sequence[Description]) -> Self:
         """Make the graphs of parsed descriptions (Eq. 3-4).
 
-        Things that are said to be there are nodes, and directions between two of them edges, each with
-        its inverse, as on the map. The observer is no node (Sec. IV-D), so directions from there are lost.
+        Objects of statements that are not negated are nodes. Directions between two of them are edges, each
+        with its inverse, as on the map. The observer is not a node (Sec. IV-D); its directions are lost.
         """
         return cls._of(map(_read_text, descriptions))
 

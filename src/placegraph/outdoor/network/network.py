@@ -317,9 +317,9 @@ def round_weights(
 
 
 NEVER = np.float32(-1e30)
-"""Logit of what is never attended to."""
+"""Attention logit of a node that the printed network does not have."""
 BATCH_SIZE = 1024
-"""Number of places that are embedded, or matched in a city, at once."""
+"""Number of places that are embedded or matched at once."""
 
 
 class EncodedGraphs(NamedTuple):
@@ -520,17 +520,17 @@ class GraphTransformer:
         self, name: str, t: Floats, m: Floats, pairs: _Pairs
     ) -> tuple[Floats, Floats, Floats | float]:
         """Apply cross attention both ways; also return the scores (K, 2) of the statements."""
-        printed = self.shape.printed
-        word = np.zeros((2, self.shape.heads), np.float32)
-        word, nothing = (
-            (word, word + NEVER) if printed
-            else (self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"])
-        )  # fmt: skip
+        if self.shape.printed:  # neither word fits nor a node for "nothing"
+            word = np.zeros((2, self.shape.heads), np.float32)
+            nothing = word + NEVER
+        else:
+            word, nothing = self.arrays[f"{name}.word"], self.arrays[f"{name}.nothing"]
         seen, meant, weights = kernels.cross_attention(
             (self._linear(f"{name}.query", t), self._linear(f"{name}.key", m)),
             (self._linear(f"{name}.of_place", m), self._linear(f"{name}.of_text", t)),
             pairs.t_starts, pairs.m_starts, pairs.agreement, word, nothing, self.shape.heads,
         )  # fmt: skip
+        printed = self.shape.printed
         messages, verdict = (0.0, 0.0) if printed else self._score_statements(name, weights, pairs)
         t = self._norm(f"{name}.norm_text", t + self._linear(f"{name}.out_text", seen) + messages)
         m = self._norm(f"{name}.norm_place", m + self._linear(f"{name}.out_place", meant))

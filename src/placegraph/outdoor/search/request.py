@@ -259,7 +259,7 @@ class Matching(RankingOptions):
     region: Region | None = None
     """The place is known to lie in it."""
     printed: bool = False
-    """Whether the shipped network is the one that the paper prints, on its graphs of cells, or ours."""
+    """Whether to use the shipped network that the paper prints, on its graphs of cells, instead of ours."""
     encoded: EncodedCity | None = None
     """The map, encoded by a network; by the shipped one if not given."""
 

@@ -1,4 +1,4 @@
-"""Examples for the network as GOTLoc prints it: texts about a cell, told from the other cells of a batch."""
+"""Examples for the network as GOTLoc prints it: texts, each with its cell and the other cells of a batch."""
 
 from __future__ import annotations
 

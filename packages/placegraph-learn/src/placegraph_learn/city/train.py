@@ -99,7 +99,8 @@ class TrainOptions:
             raise OptionError("losses is empty; name at least one.")
         if self.shape.printed and "fusion" in self.losses:
             raise OptionError(
-                "losses holds 'fusion', which the network as printed has not; give eq17,eq18."
+                "losses contains 'fusion', which needs statements that the printed network does not "
+                "read; give eq17,eq18."
             )
 
 
