@@ -104,7 +104,7 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
         ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "choose 'cpu', 'cuda' or 'auto'"),
         ((*here, *TINY, "--rate", 50), 7, "rate is 50"),
         ((*here, *TINY, "--heads", 5), 7, "width 48 does not fit 5 heads"),
-        ((*here, *TINY, "--printed"), 7, "the network as printed has not"),
+        ((*here, *TINY, "--printed"), 7, "the printed network does not read"),
     ):
         result = run("city", "train", *arguments)
         assert (result.code, words in result.err) == (code, True), result.err
