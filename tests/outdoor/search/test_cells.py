@@ -434,10 +434,15 @@ def test_matching_log_odds_are_shared_with_what_was_not_looked_at(harbour, encod
     assert every.support[:, 2].sum() == pytest.approx(0.97, abs=1e-3)
 
 
-def test_dense_candidates_hold_no_more_than_their_recall(harbour, encoded, text, monkeypatch):
+@pytest.mark.parametrize("printed", [False, True])
+def test_dense_candidates_hold_no_more_than_their_recall(
+    harbour, encoded, text, monkeypatch, printed
+):
     query = compile_query(parse(harbour, text), harbour)
-    asked = Request(harbour, query, matching=Matching(by="dense", encoded=encoded))
+    network = EncodedCity.of_city(harbour, printed=True) if printed else encoded
+    asked = Request(harbour, query, matching=Matching(by="dense", encoded=network))
     for reach in (0.5, 0.1):
-        monkeypatch.setattr(posterior, "DENSE_RECALL", reach)
+        name = "PRINTED_DENSE_RECALL" if printed else "DENSE_RECALL"
+        monkeypatch.setattr(posterior, name, reach)
         found = compute_posterior(asked, score_candidates(asked, find_candidates(asked)))
         assert found.probabilities.sum() <= reach + 1e-9

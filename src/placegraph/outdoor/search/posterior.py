@@ -238,9 +238,10 @@ FINE_OFFSETS = np.array(
 """... around them, east and north [m]."""
 NUM_RERANKED = 24
 """Number of the best viewpoints by relational matching that the network re-ranks."""
-DENSE_RECALL = 0.4
-"""Probability that the place is near one of 50 cells that embeddings propose, in a large city (60 texts
-each: Vancouver .40, Ankara .45, Liechtenstein .48): an estimate by these alone cannot be surer."""
+DENSE_RECALL, PRINTED_DENSE_RECALL = 0.4, 0.28
+"""Probability that the place is near one of 50 cells that embeddings propose, in a large city (120 texts
+each: Vancouver .33, Ankara .43, Liechtenstein .43; by the network as printed .24, .31, .30): an estimate
+by these alone cannot be surer."""
 
 
 class ScoredViews(NamedTuple):
@@ -360,8 +361,8 @@ class Posterior:
 def compute_posterior(request: Request, scored: ScoredViews) -> Posterior:
     """Score the best viewpoints again at finer positions, and apply Bayes' rule to all.
 
-    Candidates by embeddings alone hold the right one with probability `DENSE_RECALL`, and together
-    weigh no more than that.
+    Candidates by embeddings alone hold the right one with probability `DENSE_RECALL` (by the network as
+    printed `PRINTED_DENSE_RECALL`), and together weigh no more than that.
     """
     order = np.argsort(-(scored.scores + scored.log_prior), kind="stable")
     best, others = order[:NUM_REFINED], np.sort(order[NUM_REFINED:])
@@ -374,7 +375,8 @@ def compute_posterior(request: Request, scored: ScoredViews) -> Posterior:
     rest = scored.log_rest
     if request.matching.source == "dense" and len(scores):
         here = np.logaddexp.reduce(scores + log_prior)
-        rest = max(rest, float(here + np.log(1.0 / DENSE_RECALL - 1.0)))
+        recall = PRINTED_DENSE_RECALL if request.encoded.printed else DENSE_RECALL
+        rest = max(rest, float(here + np.log(1.0 / recall - 1.0)))
     return apply_bayes(positions, scores, log_prior, rest)
 
 
