@@ -156,7 +156,9 @@ def _find_sentences(
         return
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
     inflected = InflectedChunker(text, part.language, known.of(part.language), names)
-    for sentence in scan_any(text, part.language, inflected.is_word, (part.start, part.end)):
+    span = (part.start, part.end)
+    named = inflected.find_names(span)
+    for sentence in scan_any(text, part.language, inflected.is_word, span, named):
         yield inflected.chunks(sentence)
 
 

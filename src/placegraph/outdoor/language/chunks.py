@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 from placegraph.language.grammar import Chunk
-from placegraph.language.text import Terminal, Word, parse_count
+from placegraph.language.text import Terminal, Word, fold_case, parse_count
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
@@ -41,6 +41,13 @@ _LONGEST_SENTENCE = 120
 """Chunks that are brought into order together; nobody speaks in longer sentences."""
 _LONGEST_NAME = 4
 """Words of the longest name that is looked for in other forms than it has on the map."""
+_RAW_WORD = re.compile(r"[^\W_]+(?:['’`´״׳\"]{1,2}[^\W_]+)*")
+_STOP = re.compile(r"[^\s\"'׳״-]")
+"""What stands between no two words of a name."""
+LONGEST = 8
+"""Words of the longest name that is looked for in a raw text."""
+_HIDING = frozenset("בלכ")
+"""Prefixes of Hebrew that an article melts into."""
 _FURTHER = 3
 """Words that follow the kind of a street in a script without capitals, at most."""
 
@@ -381,6 +388,62 @@ class InflectedChunker(Chunker):
                 return False  # "المكتبة" is the library, whatever begins with it
         # of several words only the first may have a prefix
         return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
+
+    def find_names(self, span: tuple[int, int]) -> dict[int, int]:
+        """Find names of the map in a stretch of a text, before prefixes are cut off its words.
+
+        Returns the end of each by its start; the longest name counts. Words of things or of the
+        grammar are no names. A word for a street that stands before a name belongs to it.
+        """
+        names, prefixes = self.proper.names, self.lexicon.prefixes
+        if names is None or not prefixes or prefixes[-1].endswith("'"):
+            return {}
+        words = list(_RAW_WORD.finditer(self.text, *span))
+        found: dict[int, int] = {}
+        i = 0
+        while i < len(words):
+            end = i + 1
+            while end < min(len(words), i + LONGEST) and not _STOP.search(
+                self.text, words[end - 1].end(), words[end].start()
+            ):
+                end += 1
+            said = [word.group() for word in words[i:end]]
+            n, prefix = max(self._name_behind(said, prefix) for prefix in ("", *prefixes))
+            if not n:
+                i += 1
+                continue
+            start = words[i].start() - prefix  # the length of a prefix counts against it
+            before = words[i - 1].group() if i and not prefix else ""
+            kinds = [kind for kind in self.lists["street_prefixes"] if before.endswith(kind)]
+            kind = max(kinds, key=len, default="")
+            if kind and before.removesuffix(kind) in ("", *prefixes):
+                start = words[i - 1].end() - len(kind)
+            i += n
+            found[start] = words[i - 1].end()
+        return found
+
+    def _name_behind(self, said: list[str], prefix: str) -> tuple[int, int]:
+        """Return the words of the longest name behind a prefix, and minus the letters of the prefix."""
+        names, first = self.proper.names, said[0].removeprefix(prefix)
+        if names is None or not said[0].startswith(prefix) or len(first) < 2:
+            return 0, 0
+        # "ל|ספרייה הלאומית" is to "הספרייה הלאומית"
+        hidden = self.lists["articles"] if prefix[-1:] in _HIDING else ()
+        rest = [fold(word) for word in said[1:]]
+        for word in (first, *[article + first for article in hidden]):
+            n = names.longest_name([fold(word), *rest], 0)
+            if n and not self._is_common([first, *said[1:n]]):
+                return n, -len(prefix)
+        return 0, 0
+
+    def _is_common(self, words: list[str]) -> bool:
+        """Tell whether words are of things or the grammar, with or without prefixes."""
+        said = [fold_case(word) for word in words]
+        known = self.lexicon.longest(said, 0)
+        if (known and known[0] == len(said)) or self.dictionary.contains(" ".join(said)):
+            return True
+        rests = [said[0].removeprefix(p) for p in self.lexicon.prefixes if said[0].startswith(p)]
+        return any(self._is_common([rest, *said[1:]]) for rest in rests if rest)
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Return the chunks of a sentence, in the order of the grammar."""

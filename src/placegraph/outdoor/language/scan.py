@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from placegraph.core.cache import load_or_make
@@ -316,15 +317,33 @@ def _pattern(language: Language) -> re.Pattern[str]:
 
 
 def scan_any(
-    text: str, language: Language, is_word: Callable[[str], bool], span: tuple[int, int]
+    text: str,
+    language: Language,
+    is_word: Callable[[str], bool],
+    span: tuple[int, int],
+    named: Mapping[int, int] = MappingProxyType({}),
 ) -> list[list[Word]]:
     """Cut a stretch (start, end) of a text into sentences of words, distances and marks.
 
-    `is_word` tells whether something is a word: of the grammar, of things, or of names.
+    `is_word` tells whether something is a word: of the grammar, of things, or of names. `named`
+    holds the names of the map in the text: the end of each, by its start.
     """
     sentences: list[list[Word]] = [[]]
+    ends = 0
     for match in _pattern(language).finditer(text, *span):
         kind, written = match.lastgroup or "", match.group()
+        if match.start() < ends:
+            continue  # within a name
+        opens = next((at for at in range(*match.span()) if at in named), None)
+        if opens is not None:
+            if opens > match.start():
+                sentences[-1] += _words(
+                    text[match.start() : opens], match.start(), language, is_word
+                )
+            ends = named[opens]
+            name = text[opens:ends]
+            sentences[-1].append(Word("quoted", name, True, opens, ends))
+            continue
         kind = "measure" if match["measure"] else kind
         start, end = match.span()
         if kind == "stop":

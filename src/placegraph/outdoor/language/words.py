@@ -219,7 +219,7 @@ SMALL = _read_words("""
 """)
 """Words of names that tell no two names apart."""
 _ORDINAL = re.compile(r"(\d{1,9})(?:st|nd|rd|th|d)")
-_NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
+_NAME_WORD = re.compile(r"[^\W_]+(?:(?:['’`´׳״]|(?<=[\u05d0-\u05ea])(?:\"|''))[^\W_]+)*|&")
 
 
 def fold(word: str) -> str:
