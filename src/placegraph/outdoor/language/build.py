@@ -80,6 +80,7 @@ def describe(
     heading: float | None = None,
     language: str | None = None,
     block_length: BlockLength | None = None,
+    grammar: bool = True,
 ) -> Description:
     """Read a text: what stands where, as seen from whom.
 
@@ -99,6 +100,9 @@ def describe(
         hand; 100 m if not given.
     language
         Code of the language of the text ("de"); if None, it is recognised, sentence by sentence.
+    grammar
+        False to read names and kinds of things alone, in any order; so are languages whose table
+        says ``grammar = false``.
 
     Raises
     ------
@@ -125,7 +129,10 @@ def describe(
     places = PlaceReader(references, heading, directive=directive, block_length=block_length)
     builder = GraphBuilder(places)
     for sentence, spoken in sentences:
-        _read_sentence(sentence, spoken, builder)
+        if grammar and spoken.grammar:
+            _read_sentence(sentence, spoken, builder)
+        if spoken.code != "en" or not grammar:
+            builder.note(sentence, grammar=grammar and spoken.grammar)
     builder.finish()
     statements, ignored = places.statements, [*places.ignored, *references.list_unknown()]
     if not (statements or ignored):
@@ -217,6 +224,36 @@ class GraphBuilder:
             self.ignored.append(IgnoredText(words, self.places.reason))
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._choose_topic()
+
+    def note(self, sentence: list[Chunk], *, grammar: bool) -> None:
+        """Let the place be near names of the map that no statement speaks of.
+
+        Without grammar these are all names, and kinds of things are in sight.
+        """
+        for chunk in sentence:
+            named = chunk.type == "NAME" and chunk.value.exact
+            if not named and (grammar or chunk.type not in ("NAME", "NOUN")):
+                continue
+            noun = NounPhrase(
+                "thing", chunk.start, chunk.end, "DET", senses=chunk.value.senses,
+                head=chunk.words, name=chunk.value.name,
+            )  # fmt: skip
+            node = self.references.resolve(noun)
+            known = self.places.statements
+            linked = {
+                n
+                for s in known
+                if s.relation is not Relation.BETWEEN
+                if SPEAKER in (s.source, s.target)
+                for n in (s.source, s.target, s.target2)
+            }
+            if node is None or node in linked:
+                continue
+            context = ClauseContext(self.references.text[chunk.start : chunk.end])
+            if noun.name:
+                self.places.add(context, Relation.NEAR, SPEAKER, node, certainty=LED)
+            else:
+                self.places.add(context, Relation.VISIBLE, node, SPEAKER, certainty=MENTIONED)
 
     def _count(self) -> tuple[int, int, int]:
         """Count what has been said, understood or not; every telling clause raises it."""

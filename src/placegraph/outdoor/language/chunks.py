@@ -42,12 +42,11 @@ _LONGEST_SENTENCE = 120
 _LONGEST_NAME = 4
 """Words of the longest name that is looked for in other forms than it has on the map."""
 _RAW_WORD = re.compile(r"[^\W_]+(?:['’`´״׳\"]{1,2}[^\W_]+)*")
+_QUOTES = tuple('「『“„«"')
 _STOP = re.compile(r"[^\s\"'׳״-]")
 """What stands between no two words of a name."""
 LONGEST = 8
 """Words of the longest name that is looked for in a raw text."""
-_HIDING = frozenset("בלכ")
-"""Prefixes of Hebrew that an article melts into."""
 _FURTHER = 3
 """Words that follow the kind of a street in a script without capitals, at most."""
 
@@ -381,11 +380,13 @@ class InflectedChunker(Chunker):
             return True
         if len(word) == 1 and "\u3041" <= word <= "\u30ff":
             return False  # a letter of Japanese, not a word
-        if self.dictionary.contains(word) or (len(word) > 1 and self.proper.is_one(word)):
+        if self.dictionary.contains(word):
             return True
         for article in self.lists["articles"].intersection(self.lexicon.prefixes):
             if word.startswith(article) and self.dictionary.contains(word.removeprefix(article)):
                 return False  # "المكتبة" is the library, whatever begins with it
+        if len(word) > 1 and self.proper.is_one(word):
+            return True
         # of several words only the first may have a prefix
         return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
 
@@ -427,20 +428,17 @@ class InflectedChunker(Chunker):
         names, first = self.proper.names, said[0].removeprefix(prefix)
         if names is None or not said[0].startswith(prefix) or len(first) < 2:
             return 0, 0
-        # "ל|ספרייה הלאומית" is to "הספרייה הלאומית"
-        hidden = self.lists["articles"] if prefix[-1:] in _HIDING else ()
-        rest = [fold(word) for word in said[1:]]
-        for word in (first, *[article + first for article in hidden]):
-            n = names.longest_name([fold(word), *rest], 0)
-            if n and not self._is_common([first, *said[1:n]]):
-                return n, -len(prefix)
-        return 0, 0
+        n = names.longest_name([fold(word) for word in (first, *said[1:])], 0)
+        return (0, 0) if n == 0 or self._is_common([first, *said[1:n]]) else (n, -len(prefix))
 
     def _is_common(self, words: list[str]) -> bool:
         """Tell whether words are of things or the grammar, with or without prefixes."""
         said = [fold_case(word) for word in words]
         known = self.lexicon.longest(said, 0)
-        if (known and known[0] == len(said)) or self.dictionary.contains(" ".join(said)):
+        kinds = self.lists["place_prefixes"] | self.lists["street_prefixes"]
+        if (known and known[0] == len(said)) or " ".join(said) in kinds:
+            return True
+        if self.dictionary.contains(" ".join(said)):
             return True
         rests = [said[0].removeprefix(p) for p in self.lexicon.prefixes if said[0].startswith(p)]
         return any(self._is_common([rest, *said[1:]]) for rest in rests if rest)
@@ -456,7 +454,10 @@ class InflectedChunker(Chunker):
         if word.kind != "quoted":
             return super()._take_mark(i, word)
         written = self.text[word.start : word.end].strip()
-        return self._chunk("NAME", i, 1, NounMeaning(self.proper.kind(written), written))
+        exact = self.text[word.start - 1 : word.start] not in _QUOTES
+        return self._chunk(
+            "NAME", i, 1, NounMeaning(self.proper.kind(written), written, exact=exact)
+        )
 
     def _mark_cases(self, chunks: list[Chunk]) -> list[Chunk]:
         """Put what endings and particles stand for behind their things."""
@@ -585,7 +586,8 @@ class InflectedNames(ProperNames):
             return 0
         end = at + 1
         while end < len(self.words) and self.words[end].kind == "word":
-            further = bare and end < at + _FURTHER  # "شارع الملك | فهد"
+            further = bare and end < at + _FURTHER and not self._is_onto_next(end)
+            # "شارع الملك | فهد"
             further = further and self.lexicon.longest(self.lower, end) is None
             further = further and self.vocabulary.longest_match(self.lower, end) is None
             if not (self.words[end].capital or further):

@@ -202,7 +202,8 @@ _NAME_SPELLING = _read_pairs("""
     first>1st second>2nd third>3rd fourth>4th fifth>5th sixth>6th seventh>7th eighth>8th
     ninth>9th tenth>10th eleventh>11th twelfth>12th thirteenth>13th fourteenth>14th
     fifteenth>15th sixteenth>16th seventeenth>17th eighteenth>18th nineteenth>19th
-    twentieth>20th
+    twentieth>20th ביס>בית_ספר ביהס>בית_ספר ביכ>בית_כנסת ביהכ>בית_כנסת ביח>בית_חולים
+    ביהח>בית_חולים קופח>קופת_חולים תת>תלמוד_תורה שד>שדרות רח>רחוב בינל>בינלאומי
 """)
 """Short forms in names; "St" is a saint as often as a street: both sides of a comparison read it alike."""
 COMPASS = frozenset(
@@ -215,10 +216,14 @@ ROADS = frozenset(
 """Last words of names of roads, as `tokens` writes them."""
 SMALL = _read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
-    e der die das dem den von vom zu zum zur am im van het
+    e der die das dem den von vom zu zum zur am im van het רחוב شارع
 """)
 """Words of names that tell no two names apart."""
 _ORDINAL = re.compile(r"(\d{1,9})(?:st|nd|rd|th|d)")
+_ARTICLE = re.compile(r"ה[א-ת]{3}|ال\w{2}")
+"""Article that is written onto a word; behind a prefix a text lacks it."""
+_DOUBLED = re.compile(r"([יו])\1")
+"""Hebrew letters that are written once or twice: "ספריית", "ספרית"."""
 _NAME_WORD = re.compile(r"[^\W_]+(?:(?:['’`´׳״]|(?<=[\u05d0-\u05ea])(?:\"|''))[^\W_]+)*|&")
 
 
@@ -230,6 +235,9 @@ def fold(word: str) -> str:
     if not word.isalnum() or not word.isascii():
         parts = unicodedata.normalize("NFKD", fold_case(word)).casefold()
         word = "".join([c for c in parts if c.isalnum()])
+        if _ARTICLE.match(word):
+            word = word[1:] if word[0] == "ה" else word[2:]
+        word = _DOUBLED.sub(r"\1", word)
     if word[0:1].isdigit() and (number := _ORDINAL.fullmatch(word)):
         return ordinal(int(number[1]))  # "43th"
     if word.endswith("strasse") and len(word) > 7:
@@ -251,7 +259,7 @@ def tokens(text: str) -> list[str]:
     spelling for what is often shortened: ``"Ripley's_Aquarium"`` -> ``["ripleys", "aquarium"]``,
     ``"E Carson Street"`` -> ``["east", "carson", "st"]``.
     """
-    found = [word for written in _NAME_WORD.findall(text) if (word := fold(written))]
+    found = [w for written in _NAME_WORD.findall(text) for w in fold(written).split(" ") if w]
     for i, word in enumerate(found[1:]):
         if word in ("st", "ave") and len(found[i]) < 4 and found[i].isdecimal():
             found[i] = ordinal(int(found[i]))  # "East 40 Street"

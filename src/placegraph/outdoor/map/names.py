@@ -216,13 +216,16 @@ class NameIndex:
 
 
 def list_spoken_forms(name: str) -> list[list[str]]:
-    """List the words by which a name is called, one way or two.
+    """List the words by which a name is called.
 
-    "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub".
+    "The Rex Theatre" is also called "Rex Theatre", but not every pub is "The Pub"; "Rex (closed)"
+    is called "Rex".
     """
     words = tokens(name)
-    article = words[:1] == ["the"] and len(words) > 2
-    return [said for said in (words, words[1:])[: 1 + article] if said]
+    found = [words, words[1:]] if words[:1] == ["the"] and len(words) > 2 else [words]
+    if name.endswith(")"):
+        found.append(tokens(name.rpartition("(")[0]))
+    return [said for said in found if said]
 
 
 def stems(name: str) -> list[str]:

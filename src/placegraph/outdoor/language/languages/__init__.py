@@ -165,6 +165,8 @@ class Language(Phrases):
         self.code, self.name = code, str(table["name"])
         self.spaces: bool = table.get("spaces", True)
         """Whether spaces stand between words."""
+        self.grammar: bool = table.get("grammar", True)
+        """Whether its sentences are read better than by names and kinds of things alone."""
         self.capitals: bool = table.get("capitals", code == "en")
         """Whether a capital marks a name, and no common noun."""
         self.order = Order(**table.get("order", {}))
@@ -366,7 +368,7 @@ _FLAG: _Requirement = ("true or false", lambda value: isinstance(value, bool))
 _FIELDS: dict[str, _Requirement] = {
     "name": ("a text", lambda value: isinstance(value, str) and bool(value)),
     "examples": ("a list of tables", lambda value: isinstance(value, list)),
-    "spaces": _FLAG, "capitals": _FLAG, "prefixes": _WORDS, "scripts": _WORDS,
+    "spaces": _FLAG, "capitals": _FLAG, "grammar": _FLAG, "prefixes": _WORDS, "scripts": _WORDS,
     "measures.before": _WORDS, "forms.nominative": _WORDS,
     "forms.changes": _CHANGES, "forms.irregular": _CHANGES,
 }  # fmt: skip
