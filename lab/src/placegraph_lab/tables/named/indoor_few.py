@@ -1,8 +1,8 @@
 """Poses of one to ten frames: right and certain answers in real places, and none where no map is.
 
 Even frames of a recording make the map, and windows of its odd frames are asked. Odometry begins
-elsewhere and drifts, unless the recording has its own. Absent places are parts of a corridor that its
-map leaves out, and windows of other recordings.
+elsewhere and drifts, unless the recording has its own. Absent places are parts that a map leaves out,
+and windows of other recordings. `doors` and `carrels` are drawn worlds that repeat themselves.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error
 from placegraph_lab.tables.indoor.windows import Odometry, Window, true_poses, without_depth
 from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.worlds.flat.repeating import WORLDS, record_world
 
 RIGHT = (0.10, 5.0)
 """Position [m] and rotation [deg] of a right pose."""
 LENGTHS = (1, 2, 3, 5, 10)
 REAL = ("office", "freiburg1_rpy", "corridor", "patio")
+SETS = (*REAL, *WORLDS)
 LEFT_OUT = {
     "corridor": ((slice(0, 21, 2), slice(35, 51)), (slice(31, 51, 2), slice(0, 22))),
+    "doors": ((slice(0, 20, 2), slice(40, 64)), (slice(44, 64, 2), slice(0, 20))),
+    "carrels": ((slice(0, 14, 2), slice(44, 64)), (slice(36, 64, 2), slice(0, 16))),
 }
-"""Frames that make a map, and frames that show a part 1 m or more beyond what is mapped."""
+"""Frames that make a map, and frames that show other parts of the place."""
 FOREIGN = 4  # windows of each other recording that a map is asked
 SENSES = {
     "depth": {"depth": True},
@@ -178,7 +182,13 @@ class Maps:
         self.scene = cache(self._scene)
 
     def _source(self, name: str) -> Source:
-        return Source.open(name, self.run.data / name)
+        if name in REAL:
+            return Source.open(name, self.run.data / name)
+        folder = self.run.cache / f"few_{name}_{lab.code_key(lab.WORLDS)}"
+        if not (folder / "gravity.txt").exists():
+            self.run.log(f"drawing {name}")
+            record_world(name, folder)
+        return Source.open(name, folder)
 
     def _scene(self, name: str, start: int, stop: int | None, step: int) -> SceneMap:
         """Open the map of some frames of a recording, with landmarks."""
@@ -204,7 +214,7 @@ def make_cases(names: Sequence[str], parts: Sequence[str], count: int) -> list[C
                 maps = tuple((name, mapped) for mapped, _ in LEFT_OUT[name])
                 queries = tuple(((name, beyond, count),) for _, beyond in LEFT_OUT[name])
                 found.append(Case(f"{name}, a part not in its map", "absent", maps, queries))
-        for name in names:
+        for name in (n for n in names if n in REAL):
             others = tuple((o, odd, FOREIGN) for o in REAL if o != name)
             found.append(Case(f"others in {name}", "absent", ((name, made),), (others,)))
     return found
@@ -273,7 +283,7 @@ def pool_rows(rows: Sequence[Row], part: str) -> list[Row]:
 @lab.table()
 def indoor_few(
     run: lab.Run,
-    sets: Annotated[str, lab.option(f"Recordings with commas: {', '.join(REAL)}.")] = "",
+    sets: Annotated[str, lab.option(f"Recordings with commas: {', '.join(SETS)}.")] = "",
     frames: Annotated[str, lab.option("Frames of a window, with commas.")] = "1,2,3,5,10",
     senses: Annotated[str, lab.option(f"With commas: {', '.join(SENSES)}.")] = "depth,images,both",
     half: Annotated[str, lab.option("Windows asked: odd (for tuning), even, or all.")] = "even",
@@ -285,7 +295,7 @@ def indoor_few(
     fresh: Annotated[bool, lab.option("Make all maps anew.")] = False,
 ) -> None:
     """Poses of one to ten frames: right, OK and false OK, in places on the map and absent ones."""
-    names = lab.check_names(lab.parts(sets), REAL, "recording")
+    names = lab.check_names(lab.parts(sets), SETS, "recording")
     wanted = lab.check_names(lab.parts(parts), PARTS, "part")
     kinds = lab.check_names(lab.parts(senses), SENSES, "sense")
     half = lab.check_names([half], HALVES, "half")[0]
