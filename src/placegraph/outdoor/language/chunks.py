@@ -474,6 +474,8 @@ class InflectedChunker(Chunker):
             elif chunk.type == "NAME" and not self.proper.is_one(chunk.words):
                 forms = self.lexicon.forms.of(fold(chunk.words.rpartition(" ")[2]))
                 case = next((form.case for form in reversed(forms) if form.case), ())
+            if chunk.type == "NAME":
+                chunk.value.exact = chunk.value.exact or self.proper.is_one(chunk.value.name)
             found.append(chunk)
             found += [Chunk(kind, chunk.end, chunk.end) for kind in case]
         return found
