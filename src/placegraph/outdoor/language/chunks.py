@@ -47,6 +47,8 @@ _STOP = re.compile(r"[^\s\"'׳״-]")
 """What stands between no two words of a name."""
 LONGEST = 8
 """Words of the longest name that is looked for in a raw text."""
+_SHORTEST = 4
+"""Letters of the shortest word that is held for a misspelt one."""
 _FURTHER = 3
 """Words that follow the kind of a street in a script without capitals, at most."""
 
@@ -446,9 +448,17 @@ class InflectedChunker(Chunker):
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Return the chunks of a sentence, in the order of the grammar."""
         self.proper.inflected = {}
+        sentence = [self._mend(word) for word in sentence]
         found = self._mark_cases(super().chunks(sentence))
         parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
         return [chunk for part in parts for chunk in order_chunks(part, self.lexicon)]
+
+    def _mend(self, word: Word) -> Word:
+        """Return a word as it should be spelt."""
+        spelt = word.kind == "word" and not word.capital and len(word.lower) >= _SHORTEST
+        if not spelt or self.is_word(word.lower):
+            return word
+        return word._replace(lower=self.lexicon.mend(word.lower))
 
     def _take_mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":

@@ -15,9 +15,9 @@ from typing import NamedTuple
 from placegraph.core.cache import load_or_make
 from placegraph.language.text import Word, fold_case, scan_text
 from placegraph.outdoor.language.languages import Language, english, language, tables
-from placegraph.outdoor.language.words import NameFinder, Words, singular, tokens
+from placegraph.outdoor.language.words import NameFinder, Words, singular, spell_sounds, tokens
 
-VERSION = "1"
+VERSION = "2"
 """Version of the cached data."""
 NO_CODE = ""
 """Code of a text of which no language is recognised; it is read as English."""
@@ -51,6 +51,8 @@ _PLAIN = frozenset(
 """English words of which nearly every English sentence has one, and hardly another's."""
 _LEAST = 0.2
 """Share of a sentence's words that a language must know ..."""
+_LONG = 4
+"""Letters of a word in Latin script that may be a misspelt one of a language."""
 _THING = 0.5
 """Evidence of a noun for its language, where a word of the grammar counts 1."""
 _FEW = 0.75
@@ -80,6 +82,8 @@ class _Signs(NamedTuple):
     """Languages of a word for a thing."""
     letters: dict[str, frozenset[str]]
     """Letters of the words of a language."""
+    sounds: dict[str, frozenset[str]]
+    """Words of a language, of its grammar and for things, as they sound (`spell_sounds`)."""
 
     def count_scripts(self, code: str) -> int:
         """Count the scripts that a language is written in."""
@@ -92,10 +96,11 @@ def _signs(folder: Path | None) -> _Signs:
     texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
     digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
     listed = load_or_make(f"languages-{digest}.json", lambda: _list_signs(texts), json.loads)
-    words, scripts, nouns, letters = (
+    words, scripts, nouns, letters, sounds = (
         {word: tuple(codes) for word, codes in part.items()} for part in listed
     )
-    return _Signs(words, scripts, nouns, {code: frozenset(own) for code, own in letters.items()})
+    own, heard = ({code: frozenset(of) for code, of in part.items()} for part in (letters, sounds))
+    return _Signs(words, scripts, nouns, own, heard)
 
 
 def _list_signs(texts: Mapping[str, str]) -> bytes:
@@ -104,6 +109,7 @@ def _list_signs(texts: Mapping[str, str]) -> bytes:
     scripts: dict[str, set[str]] = {}
     things: dict[str, set[str]] = {}
     letters: dict[str, set[str]] = {}
+    sounds: dict[str, set[str]] = {}
     for code, text in texts.items():
         head = text.partition("\n[")[0]
         listed = re.search(r"^scripts\s*=\s*\[(.*)\]", head, re.MULTILINE)
@@ -114,8 +120,9 @@ def _list_signs(texts: Mapping[str, str]) -> bytes:
             phrases = [p for line in lines for p in _PHRASE.findall(line.partition("=")[2])]
             for word in [word for phrase in phrases for word in phrase.lower().split()]:
                 letters.setdefault(code, set()).update(word)
+                sounds.setdefault(code, set()).add(spell_sounds(word, code))
                 found.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
-    parts = (words, scripts, things, letters)
+    parts = (words, scripts, things, letters, sounds)
     return json.dumps([{key: sorted(of) for key, of in part.items()} for part in parts]).encode()
 
 
@@ -171,7 +178,7 @@ class _Evidence(NamedTuple):
     scores: dict[str, float]
     """Evidence for each language."""
     words: int
-    """Number of words."""
+    """Number of words, without unknown ones with a capital."""
     english: int
     """Number of words that are English, even if they belong to other languages, too."""
 
@@ -179,7 +186,8 @@ class _Evidence(NamedTuple):
 def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | None) -> _Evidence:
     """Return the evidence of a text's words for each language."""
     scores: dict[str, float] = {}
-    count = known = 0
+    count = known = named = 0
+    names = {w.lower() for w in _WORD.findall(text) if w[0].isupper()}
     words = list(_split_words(text, signs))
     for word in words:
         script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
@@ -197,17 +205,25 @@ def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | N
             codes, weight = signs.nouns.get(word, ()), _THING
             codes = (*codes, "en") if word in nouns or singular(word) in nouns else codes
         known += "en" in codes
+        named += not codes and word in names
         for code in codes:
             scores[code] = scores.get(code, 0.0) + weight / len(codes)
-        own = () if script == "Latin" or codes else signs.scripts.get(script, ())
+        if script != "Latin":
+            own, weight = () if codes else signs.scripts.get(script, ()), 0.7
+        elif codes or (word.isascii() and (len(word) < _LONG or word in names)):
+            own = ()
+        else:  # misspelt, or without diacritics: "estoi serca de la farmasia"
+            own = tuple(c for c in signs.sounds if spell_sounds(word, c) in signs.sounds[c])
+            weight = 1.0 if own else 0.5
+            own = own or (() if word.isascii() else tuple(signs.letters))
         own = tuple(code for code in own if signs.letters[code].issuperset(word)) or own
         for code in own:
-            scores[code] = scores.get(code, 0.0) + 0.7 / len(own)
+            scores[code] = scores.get(code, 0.0) + weight / len(own)
     odd = [word for word in words if not word.isascii()]
     for code in scores.keys() & signs.letters.keys() - {"en"}:
         scores[code] -= _FOREIGN * sum(not signs.letters[code].issuperset(word) for word in odd)
     _untie(scores, [word for word in words if word not in signs.words], folder)
-    return _Evidence(scores, count, known)
+    return _Evidence(scores, max(1, count - named) if count else 0, known)
 
 
 def _split_words(text: str, signs: _Signs) -> Iterator[str]:

@@ -100,6 +100,26 @@ def fold_diacritics(phrase: str) -> str:
     return unicodedata.normalize("NFC", bare)
 
 
+_SOUNDS = {
+    "es": "v>b z>s ce>se ci>si ll>i y>i h> qu>k x>s", "pt": "z>s ce>se ci>si ss>s h> qu>k",
+    "fr": "ph>f qu>k ss>s", "it": "ch>k h>", "de": "th>t ie>i dt>t ck>k", "nl": "ij>ei dt>t ck>k",
+    "pl": "rz>z ch>h w>v", "tr": "v>f",
+}  # fmt: skip
+"""Letters that sound alike in a language and are often mixed up."""
+
+
+def spell_sounds(word: str, code: str) -> str:
+    """Return a word of a language without diacritics and with one letter for each of its sounds.
+
+    Words that sound alike are the same: in Spanish "serca" and "cerca".
+    """
+    word = fold_diacritics(word)
+    for pair in _SOUNDS.get(code, "").split():
+        letters, _, sound = pair.partition(">")
+        word = word.replace(letters, sound)
+    return word
+
+
 _ENDINGS = ("ed", "ing", "ly", "er", "est", "es", "s", "al", "ive")
 ALIKE = 0.85
 """Similarity (Jaro-Winkler) from which a known word is worth suggesting."""

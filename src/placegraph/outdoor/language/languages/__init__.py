@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from placegraph.errors import InputError, OptionError
 from placegraph.language.text import COUNTS, Phrases, Terminal, fold_case
 from placegraph.outdoor.language.description import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
-from placegraph.outdoor.language.words import fold_diacritics
+from placegraph.outdoor.language.words import correct_word, fold_diacritics, spell_sounds
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -36,6 +36,8 @@ _ANGLES = frozenset(str(angle) for angle in range(0, 360, 45))
 _ANGLED = ("compass", "compass_short", "facing")
 _SEE = "see docs/howto-language.md"
 _MEMORY = 1 << 14
+_SURELY = 5
+"""Letters of a word that is longer than most that differ in one letter."""
 
 
 @dataclass(frozen=True)
@@ -217,6 +219,35 @@ class Language(Phrases):
     def _thing_stems(self) -> frozenset[str]:
         words = {fold_diacritics(word) for listed in self.things.values() for word in listed}
         return frozenset(stem for word in words for stem in self.forms.stems(word))
+
+    def mend(self, word: str) -> str:
+        """Return the word of the grammar or of a thing that an unknown word is a misspelling of.
+
+        The word itself is returned if there is none.
+        """
+        if word not in self._meant:
+            sound = spell_sounds(word, self.code)
+            near = None if sound in self._sounding else correct_word(word, self._long_words)
+            self._meant[word] = self._sounding.get(sound) or (near[0] if near else word)
+        return self._meant[word]
+
+    @cached_property
+    def _meant(self) -> dict[str, str]:
+        return {}
+
+    @cached_property
+    def _sounding(self) -> dict[str, str]:
+        """Words of its grammar and of things by how they sound."""
+        things = {
+            word for listed in self.things.values() for phrase in listed for word in phrase.split()
+        }
+        return {
+            spell_sounds(word, self.code): word for word in (*sorted(things), *sorted(self.words))
+        }
+
+    @cached_property
+    def _long_words(self) -> list[str]:
+        return [word for word in self._sounding.values() if len(word) > _SURELY]
 
     def is_road(self, name: Sequence[str]) -> bool:
         """Tell whether a name, as `words.tokens`, is that of a street."""
