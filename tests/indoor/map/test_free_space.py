@@ -135,6 +135,31 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     assert (table.is_common[mesh] == ((above > 1.05) & (above < 1.85))[mesh]).all()
 
 
+def test_a_place_where_a_camera_stood_is_kept(boxes):
+    seen = np.array([[0.4, -2.6, 1.2], [1.1, -2.4, 1.2], [2.0, 0.6, 0.5]])
+    board = {"board": ((0, 0, 0.6), (1.5, 0.1, 1.8)), "floor": ((0, -0.6, -0.1), (1.5, 0, 0))}
+    shut = {"crate": ((1.8, 0.4, 0.3), (2.2, 0.8, 0.7))}  # around the third
+    bare = scene_of_model(boxes(board | shut))
+    scene = replace(bare, viewpoints=seen)
+    table = scene.visibility(FilterOptions())
+    shares = (table.panoramas.ranges != 255).mean(axis=(1, 2))
+    away = np.linalg.norm(table.positions[:, None] - seen, axis=2)
+    for camera in range(3):
+        assert away[:, camera].min() < table.spacing, camera
+        assert table.is_common[away[:, camera].argmin()]
+    assert shares[away[:, :2].min(axis=1) < 0.5].min() < 0.1, "a narrow sweep"
+    assert shares.min() < 0.5 * shares[away[:, 0].argmin()] + 0.01, "elsewhere half of it will do"
+    assert len(bare.visibility(FilterOptions())) < len(table)
+
+
+def test_cameras_of_two_storeys_have_their_layers(stacked, room):
+    seen = np.array([[3.0, 3.0, 0.9], [3.0, 3.0, 0.8 + SHIFT[2]]])
+    seen[:, 2] += room.floors[0]
+    table = replace(stacked, viewpoints=seen).visibility(FilterOptions())
+    own = table.positions[table.is_common]
+    assert {round(z, 2) for z in own[:, 2] - room.floors[0]} == {0.9, round(0.8 + SHIFT[2], 2)}
+
+
 @pytest.mark.parametrize(
     ("forged", "says"),
     [

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from placegraph.indoor.map.free_space import (
     MAX_ELEVATION,
     decode_ranges,
     find_free_places,
+    find_least_mapped_share,
     find_nearest_scene,
     make_grid,
     probe_places,
@@ -151,28 +153,39 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
             f"supports at most {np.iinfo(np.uint16).max:,}; split the map."
         )
     grid = make_grid(scene, options.heights, options.spacing)
-    index = np.full(grid.height.shape, -1, np.int32)
-    positions, ground, parts = [np.zeros((0, 3))], [np.zeros(0)], []
+    least = find_least_mapped_share(scene)
+    render = partial(
+        render_panoramas, scene.caster.tracer, scene.surface,
+        directions=DIRECTIONS, objects=len(scene),
+    )  # fmt: skip
+    places = []  # layer, cells, points and panoramas
     for layer, height in enumerate(grid.height):
         cells = np.flatnonzero(np.isfinite(height))
         points = np.column_stack([grid.centres[cells], height[cells]])
         able = probe_places(scene, points)
         cells, points = cells[able], points[able]
-        panoramas = render_panoramas(
-            scene.caster.tracer, scene.surface, points, DIRECTIONS, len(scene)
-        )
-        rows = find_free_places(panoramas)
-        index[layer, cells[rows]] = sum(map(len, positions)) + np.arange(len(rows))
-        positions.append(points[rows])
-        ground.append(grid.floor[layer, cells[rows]])
-        parts.append(Panoramas(*(a[rows] for a in panoramas)))
-    panoramas = Panoramas(*(np.concatenate(a) for a in zip(*parts, strict=True)))
-    layer_of = np.repeat(
-        np.arange(len(grid.height), dtype=np.int32), [len(p.objects) for p in parts]
+        seen = render(points)
+        rows = find_free_places(seen, least)
+        places.append((layer, cells[rows], points[rows], Panoramas(*(a[rows] for a in seen))))
+        if layer < len(grid.camera):
+            # where a camera was one can be, whatever the map shows there
+            own = grid.camera[layer]
+            lost = np.setdiff1d(np.flatnonzero(own >= 0), cells[rows])
+            points = scene.viewpoints[own[lost]]
+            places.append((layer, lost, points, render(points)))
+    cells, positions = (np.concatenate([place[i] for place in places]) for i in (1, 2))
+    panoramas = Panoramas(
+        *(np.concatenate(a) for a in zip(*(place[3] for place in places), strict=True))
     )
+    layer_of = np.repeat(
+        np.array([place[0] for place in places], np.int32), [len(place[1]) for place in places]
+    )
+    index = np.full(grid.height.shape, -1, np.int32)
+    index[layer_of, cells] = np.arange(len(cells))
+    ground = grid.floor[layer_of, cells]
     return VisibilityTable(
-        positions=np.concatenate(positions),
-        ground=np.concatenate(ground),
+        positions=positions,
+        ground=ground,
         panoramas=panoramas,
         mapped=(panoramas.ranges != NOTHING).all(axis=(1, 2)),
         background=_background(panoramas, len(scene)),
@@ -180,25 +193,24 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
         spacing=grid.spacing,
         index=index.reshape(len(grid.height), *grid.shape),
         layer=layer_of,
-        is_common=_find_common_positions(
-            scene, layer_of, np.concatenate(positions), np.concatenate(ground)
-        ),
+        is_common=_find_common_positions(scene, layer_of < len(grid.camera), positions, ground),
     )
 
 
 def _find_common_positions(
-    scene: Scene, layer: NDArray[np.int32], positions: Floats, ground: Floats
+    scene: Scene, is_walked: NDArray[np.bool_], positions: Floats, ground: Floats
 ) -> NDArray[np.bool_]:
     """Return whether cameras are common (K,) at `positions` (K, 3) in layers above `ground` (K,) [m].
 
-    In each merged scene as high as its own cameras, or as people hold them if it has none.
+    In each merged scene as high as its own cameras (`is_walked` (K,)), or as people hold them if it
+    has none.
     """
     above, within = positions[:, 2] - ground, find_nearest_scene(scene, positions[:, :2])[0]
     walked = np.zeros(len(scene.scenes), np.bool_)
     if len(scene.viewpoints):
         walked[find_nearest_scene(scene, scene.viewpoints[:, :2])[0]] = True
     held = (above > _USUAL[0]) & (above < _USUAL[1])
-    is_common = np.where(walked[within], layer == 0, held)
+    is_common = np.where(walked[within], is_walked, held)
     return is_common if is_common.any() else np.ones(len(above), np.bool_)
 
 

@@ -52,7 +52,8 @@ SEARCH_MARGIN = 1.5
 _WALKED = 0.75  # around where a camera was, there may be one again [m]
 _CLEARANCE = 0.15  # a camera is no nearer to a surface [m]
 _ENCLOSED = 0.5  # nor in a place where half of what it sees is nearer than this [m]
-_MAPPED = 0.1  # nor where less than this share of its panorama is mapped
+_MAPPED = 0.04  # nor where less of its panorama is mapped: this share, or ...
+_OWN, _MOST_MAPPED = 0.5, 0.1  # ... half of the least at the map's own cameras, but at most a tenth
 _BACKS = 0.4  # nor beside the floor where so much of what is seen are backs of triangles
 _TARGETS, _SIGHTED = 12, 0.25  # places on the floor looked for from one that has none; share seen
 _PAIRS = 1 << 20  # of places compared at once: they take 32 MB
@@ -68,6 +69,7 @@ class Grid:
     shape: tuple[int, int]  # (nx, ny)
     floor: Floats  # (L, nx * ny) height of the floor that each place stands above [m, map]
     height: Floats  # (L, nx * ny) height of each place [m, map]; NaN: there is none
+    camera: NDArray[np.int64]  # (W, nx * ny) viewpoint in a cell of the first W layers; -1: none
 
     @property
     def centres(self) -> Floats:
@@ -90,21 +92,32 @@ def make_grid(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
     extent = box[1] - box[0]
     spacing = max(spacing, float(np.sqrt(np.prod(extent) * count * len(above) / MAX_PLACES)))
     nx, ny = np.maximum(1, np.ceil(extent / spacing).astype(int)).tolist()
-    bare = Grid(box[0], spacing, (nx, ny), np.zeros((0, nx * ny)), np.zeros((0, nx * ny)))
+    cells = nx * ny
+    none = np.zeros((0, cells))
+    bare = Grid(box[0], spacing, (nx, ny), none, none, none.astype(np.int64))
     within, away = find_nearest_scene(scene, bare.centres)
     # storeys (S, count) of each merged scene; NaN: it has fewer
-    floors = np.array([[*own, *[np.nan] * (count - len(own))] for own in levels])[within].T
+    storeys = np.array([[*own, *[np.nan] * (count - len(own))] for own in levels])
+    floors = storeys[within].T
     floor = np.repeat(floors, len(above), axis=0)
     height = np.where(away > SEARCH_MARGIN, np.nan, floor + np.tile(above, count)[:, None])
+    camera = bare.camera
     if len(scene.viewpoints):
-        # height (nx * ny,) at which a camera was nearest to each cell; NaN where none came near
-        apart = np.linalg.norm(bare.centres[:, None] - scene.viewpoints[None, :, :2], axis=2)
-        nearest = apart.argmin(axis=1)
-        near = apart.min(axis=1) < max(_WALKED, bare.spacing)
-        seen = np.where(near, scene.viewpoints[nearest, 2], np.nan)
-        under = np.nanmax(np.where(floors <= seen, floors, floors[0]), axis=0)
-        floor, height = np.vstack([under, floor]), np.vstack([seen, height])
-    return Grid(box[0], spacing, (nx, ny), floor, height)
+        # layers of each storey's cells that a camera came near, as high as the nearest camera
+        own = storeys[find_nearest_scene(scene, scene.viewpoints[:, :2])[0]]
+        storey = np.maximum((own <= scene.viewpoints[:, 2:]).sum(axis=1) - 1, 0)
+        away = np.abs(bare.centres[:, None] - scene.viewpoints[None, :, :2])
+        apart, within_cell = np.linalg.norm(away, axis=2), (away <= spacing / 2).all(axis=2)
+        seen, camera = np.full((count, cells), np.nan), np.full((count, cells), -1)
+        for level in np.unique(storey):
+            here = np.where(storey == level, apart, np.inf)
+            near = here.min(axis=1) < max(_WALKED, spacing)
+            seen[level, near] = scene.viewpoints[here[near].argmin(axis=1), 2]
+            here[~within_cell] = np.inf
+            stood = np.isfinite(here).any(axis=1)
+            camera[level, stood] = here[stood].argmin(axis=1)
+        floor, height = np.vstack([floors, floor]), np.vstack([seen, height])
+    return Grid(box[0], spacing, (nx, ny), floor, height, camera)
 
 
 def spread_heights(heights: Sequence[float]) -> list[float]:
@@ -199,10 +212,30 @@ def _sees_inside(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.boo
     return np.asarray((hits.distance > 1.0).reshape(rows.shape).mean(axis=1) >= _SIGHTED)
 
 
-def find_free_places(panoramas: kernels.Panoramas) -> NDArray[np.int64]:
-    """Return rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
+def find_least_mapped_share(scene: Scene) -> float:
+    """Return the share of its panorama that the map must hold at a place where no camera was.
+
+    A sweep with a narrow view holds little even where its cameras were.
+    """
+    if not len(scene.viewpoints):
+        return _MAPPED
+    panoramas = kernels.render_panoramas(
+        scene.caster.tracer, scene.surface, scene.viewpoints, DIRECTIONS, len(scene)
+    )
+    return float(min(_MOST_MAPPED, _OWN * _find_mapped_shares(panoramas).min()))
+
+
+def _find_mapped_shares(panoramas: kernels.Panoramas) -> Floats:
+    return np.asarray((panoramas.ranges != kernels.NOTHING).mean(axis=(1, 2)))
+
+
+def find_free_places(panoramas: kernels.Panoramas, least: float) -> NDArray[np.int64]:
+    """Return rows where a camera can be: not in a wall or a cupboard, and not where too little is mapped.
+
+    `least`: share of a panorama that must be mapped (`find_least_mapped_share`).
+    """
     ranges = decode_ranges(panoramas.ranges.reshape(-1, kernels.ELEVATIONS * kernels.AZIMUTHS))
-    mapped = (panoramas.ranges != kernels.NOTHING).mean(axis=(1, 2))
     nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]
     enclosed = (ranges < _ENCLOSED).mean(axis=1) > 0.5
-    return np.flatnonzero((nearest > _CLEARANCE) & ~enclosed & (mapped > _MAPPED))
+    mapped = _find_mapped_shares(panoramas) > least
+    return np.flatnonzero((nearest > _CLEARANCE) & ~enclosed & mapped)
