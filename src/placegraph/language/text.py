@@ -171,7 +171,7 @@ class Word(NamedTuple):
     """A word, a distance or a mark of a text."""
 
     kind: str
-    """``word``, ``label`` (``amenity=bench``, ``bicycle_parking``), ``measure`` or ``comma``."""
+    """``word``, ``label`` (``amenity=bench``), ``site`` (a crossing), ``measure`` or ``comma``."""
     lower: str
     """Lower-case, apostrophes straight."""
     capital: bool
@@ -215,6 +215,7 @@ def scan_text(
     text: str,
     labels: Iterable[tuple[int, int]] = (),
     *,
+    sites: Collection[tuple[int, int]] = (),
     shortened: Collection[str] = (),
     offset: int = 0,
 ) -> list[list[Word]]:
@@ -224,6 +225,8 @@ def scan_text(
     ----------
     labels
         (start, end) of stretches that are one label each, in order.
+    sites
+        Labels that name a crossing or a house.
     shortened
         Words that a full stop may shorten without ending the sentence: "St. Mary's".
     """
@@ -233,7 +236,8 @@ def scan_text(
         _scan_between(text, at, start, sentences, shortened)
         if end > start:
             label = text[start:end]
-            sentences[-1].append(Word("label", label.lower(), label[0].isupper(), start, end))
+            kind = "site" if (start, end) in sites else "label"
+            sentences[-1].append(Word(kind, label.lower(), label[0].isupper(), start, end))
         at = end
     return [sentence for sentence in sentences if sentence]
 

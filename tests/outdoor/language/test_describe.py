@@ -55,6 +55,9 @@ class Names:
         lengths = [len(n) for n in self.names if tuple(words[start : start + len(n)]) == n]
         return max(lengths, default=0)
 
+    def find_sites(self, text):
+        return []
+
     def closest_name(self, phrase):
         words = " ".join(tokens(phrase))
         found = [(" ".join(n), fuzz.ratio(words, " ".join(n)) / 100) for n in self.names]

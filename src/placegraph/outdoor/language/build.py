@@ -118,14 +118,17 @@ def describe(
     folder, things = (sources.folder, sources.words.english) if sources else (None, ())
     cleaned = clean(text)
     parts = find_stretches(cleaned, language, folder, things)
+    sites = names.find_sites(cleaned) if names else []
     sentences = [
         (sentence, part.language)
         for part in parts
-        for sentence in _find_sentences(cleaned, part, vocabulary, names)
+        for sentence in _find_sentences(cleaned, part, vocabulary, names, sites)
     ]
     main = max(parts, key=lambda part: part.end - part.start)
     directive = any(_is_directive(sentence) for sentence, _ in sentences)
-    references = References(cleaned, main.language, vocabulary)
+    references = References(
+        cleaned, main.language, vocabulary, {cleaned[start:end] for start, end in sites}
+    )
     places = PlaceReader(references, heading, directive=directive, block_length=block_length)
     builder = GraphBuilder(places)
     for sentence, spoken in sentences:
@@ -151,21 +154,30 @@ def describe(
 
 
 def _find_sentences(
-    text: str, part: Stretch, vocabulary: Words, names: NameFinder | None
+    text: str,
+    part: Stretch,
+    vocabulary: Words,
+    names: NameFinder | None,
+    sites: Sequence[tuple[int, int]],
 ) -> Iterator[list[Chunk]]:
-    """Yield the chunks of the sentences of a part of a text in one language."""
+    """Yield the chunks of the sentences of a part of a text in one language.
+
+    `sites` are stretches of the text that name a crossing or a house.
+    """
+    sites = [span for span in sites if part.start <= span[0] < span[1] <= part.end]
     if part.language.code == "en":
         chunker = Chunker(text, part.language, vocabulary, names)
         spans = find_labels(text, vocabulary, names)
         inside = [span for span in spans if part.start <= span[0] < part.end]
-        for sentence in scan_english(text[: part.end], part.language, inside, part.start):
+        sites = [s for s in sites if not any(a < s[1] and s[0] < b for a, b in inside)]
+        for sentence in scan_english(text[: part.end], part.language, inside, sites, part.start):
             yield chunker.chunks(sentence)
         return
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
     inflected = InflectedChunker(text, part.language, known.of(part.language), names)
     span = (part.start, part.end)
     named = inflected.find_names(span)
-    for sentence in scan_any(text, part.language, inflected.is_word, span, named):
+    for sentence in scan_any(text, part.language, inflected.is_word, span, named, sites):
         yield inflected.chunks(sentence)
 
 

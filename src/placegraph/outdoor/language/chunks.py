@@ -98,6 +98,8 @@ class Chunker:
         if word.kind == "comma":
             return self._chunk("AND", i, 1)
         written = self.text[word.start : word.end]
+        if word.kind == "site":
+            return self._chunk("NAME", i, 1, NounMeaning((), written))
         name, senses = written.replace("_", " "), self._senses(word.lower)
         if word.capital:
             common = bool(senses) and "_" not in written and not self.proper.is_one(name)

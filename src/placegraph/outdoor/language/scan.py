@@ -338,12 +338,15 @@ def scan_any(
     is_word: Callable[[str], bool],
     span: tuple[int, int],
     named: Mapping[int, int] = MappingProxyType({}),
+    sites: Collection[tuple[int, int]] = (),
 ) -> list[list[Word]]:
     """Cut a stretch (start, end) of a text into sentences of words, distances and marks.
 
     `is_word` tells whether something is a word: of the grammar, of things, or of names. `named`
-    holds the names of the map in the text: the end of each, by its start.
+    holds the names of the map in the text: the end of each, by its start; `sites` are stretches
+    (start, end) that name a crossing or a house.
     """
+    named = {**named, **dict(sites)}
     sentences: list[list[Word]] = [[]]
     ends = 0
     for match in _pattern(language).finditer(text, *span):
@@ -358,7 +361,8 @@ def scan_any(
                 )
             ends = named[opens]
             name = text[opens:ends]
-            sentences[-1].append(Word("quoted", name, True, opens, ends))
+            kind = "site" if (opens, ends) in sites else "quoted"
+            sentences[-1].append(Word(kind, name, True, opens, ends))
             continue
         kind = "measure" if match["measure"] else kind
         start, end = match.span()
@@ -375,7 +379,6 @@ def scan_any(
                 read_metres(match["number"], match["unit"], language) if kind == "measure" else 0.0
             )
             sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
-    return [sentence for sentence in sentences if sentence]
 
 
 def read_metres(number: str, unit: str, language: Language) -> float:
@@ -466,10 +469,15 @@ def _cut(written: str, is_known: Callable[[str], bool]) -> list[str]:
 
 
 def scan_english(
-    text: str, language: Language, labels: Iterable[tuple[int, int]] = (), offset: int = 0
+    text: str,
+    language: Language,
+    labels: Iterable[tuple[int, int]] = (),
+    sites: Collection[tuple[int, int]] = (),
+    offset: int = 0,
 ) -> list[list[Word]]:
     """Cut a text from `offset` on into sentences (`scan_text`); "St. Mary's" ends none."""
-    return scan_text(text, labels, shortened=language.lists["shortened"], offset=offset)
+    spans = sorted((*labels, *sites))
+    return scan_text(text, spans, sites=sites, shortened=language.lists["shortened"], offset=offset)
 
 
 _LABEL = r"(?:[^.!?\n]|[.!?](?!\s|$)){1,100}?"

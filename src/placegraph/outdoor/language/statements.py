@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING
@@ -39,10 +39,15 @@ class References:
     ----------
     vocabulary
         To mend misspelt words.
+    sites
+        Names of crossings and houses.
     """
 
-    def __init__(self, text: str, language: Language, vocabulary: Words) -> None:
+    def __init__(
+        self, text: str, language: Language, vocabulary: Words, sites: Collection[str] = ()
+    ) -> None:
         self.text, self.language, self.vocabulary = text, language, vocabulary
+        self.sites = sites
         self.lists = language.lists
         self.mentions: list[Mention] = [Mention(SPEAKER, "I"), Mention(LISTENER, "you")]
         self.heads: list[str] = ["", ""]
@@ -149,6 +154,8 @@ class References:
 
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
+        if self.mentions[node].name in self.sites:
+            return False
         name = tokens(self.mentions[node].name)
         if len(name) > 2 and name[0].isdecimal():
             return False  # a house: "125 Main Street"

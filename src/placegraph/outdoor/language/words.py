@@ -207,6 +207,9 @@ class NameFinder(Protocol):
         Words are in the normal form of `tokens`.
         """
 
+    def find_sites(self, text: str) -> list[tuple[int, int]]:
+        """Find stretches (start, end) of a text that name a crossing or a house by its streets."""
+
     def closest_name(self, phrase: str) -> tuple[str, float] | None:
         """Return the most similar name and its similarity in [0, 1], or None."""
 
@@ -234,6 +237,16 @@ ROADS = frozenset(
     ("st", "ave", "rd", "blvd", "ln", "dr", "hwy", "pl", "ter", "alley", "pkwy", "sokak", "caddesi")
 )
 """Last words of names of roads, as `tokens` writes them."""
+TYPES = ROADS | _read_words("""
+    way court crescent cres cir circle sq square mews quay walk row highway expressway rue calle via
+    viale corso piazza avenida rua ulica ul улица ул проспект вулиця plaza paseo strasse weg gasse
+    straat cad jalan alameda carrer rambla רחוב שדרות דרך شارع
+""")
+"""Words in names of streets that say that it is one."""
+JOINS = _read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con")
+"""Words between the names of two streets that cross."""
+BETWEEN = _read_words("between zwischen entre tra fra mellan tussen")
+CORNERS = _read_words("corner intersection crossing junction crossroads corners")
 SMALL = _read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
     e der die das dem den von vom zu zum zur am im van het רחוב شارع

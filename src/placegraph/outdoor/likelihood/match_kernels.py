@@ -581,19 +581,26 @@ def score_distant(statements, scene, far, positions):
             reach = max(reach, np.float32(4.0) * far.scale[s] if mention[s] == m else reach)
         for i in range(far.starts[m], far.starts[m + 1] if reach > 0.0 else 0):
             o = far.objects[i]
-            west, south, east, north = scene.box[o]
+            site = o - len(scene.kind)
+            if site >= 0:
+                west, south = far.sites[site]
+                east, north = west, south
+                middle = far.sites[site]
+            else:
+                west, south, east, north = scene.box[o]
+                middle = scene.center[o]
             for k in range(len(positions)):
                 x, y = positions[k]
                 aside = max(west - x, x - east, np.float32(0.0))
                 ahead = max(south - y, y - north, np.float32(0.0))
                 if aside * aside + ahead * ahead > reach * reach:
                     continue
-                dx, dy = scene.center[o, 0] - x, scene.center[o, 1] - y
+                dx, dy = middle[0] - x, middle[1] - y
                 # extents beyond 1 km are walked in sight, not from afar
                 if max(abs(dx), abs(dy)) > reach + np.float32(1000.0):
                     continue
                 d2 = dx * dx + dy * dy
-                if scene.kind[o] != POINT:
+                if site < 0 and scene.kind[o] != POINT:
                     dx, dy, d2 = nearest_on_parts(
                         scene.part_starts, scene.point_starts, scene.points, scene.kind[o], o, x, y
                     )

@@ -13,17 +13,19 @@ object in sight fits may be about one out of sight that is rare enough to be men
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import cos, sin
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
+    WITHIN,
     Description,
     Mention,
     Relation,
@@ -46,8 +48,15 @@ class LabelledObjects(Protocol):
     def kind(self) -> NDArray[np.uint8]:
         """(N,) POINT, LINE or AREA."""
 
+    @property
+    def center(self) -> NDArray[np.float32]:
+        """(N, 2) east, north [m]."""
+
     def label(self, i: int) -> str:
         """Return the most specific label of an object."""
+
+    def parts(self, i: int) -> list[NDArray[np.float32]]:
+        """Return the lines or rings of an object, each (n, 2) east, north [m]."""
 
 
 class Lexicon(Protocol):
@@ -160,7 +169,10 @@ class DistantObjects(NamedTuple):
     starts: NDArray[np.int64]
     """(M + 1,) objects of a mention; none where there are too many."""
     objects: NDArray[np.int64]
+    """Rows of the map's objects; beyond these, rows of `sites`."""
     weights: NDArray[np.float32]
+    sites: NDArray[np.float32]
+    """(V, 2) crossings and houses that are no objects, east and north [m]."""
     scale: NDArray[np.float32]
     """(S,) scale of the distance to the object of a statement [m]."""
     share: NDArray[np.float32]
@@ -175,7 +187,11 @@ def ends(statement: Statement) -> tuple[int, int]:
 
 
 def make_columns(
-    used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
+    used: list[Statement],
+    description: Description,
+    share: list[float],
+    by_kind: frozenset[int],
+    named: NamedPlaces | None = None,
 ) -> Statements:
     """Make the columns of statements; `share` (M,) tells how common mentions are, `by_kind` lacks names."""
     n = len(used)
@@ -200,6 +216,8 @@ def make_columns(
     counts = [description.mentions[s.source].count or 0 for s in used]
     known = [1.0 if by_kind.isdisjoint(ends(s)) else UNKNOWN_NAME_CERTAINTY for s in used]
     noise = [1.0 - (1.0 - NOISE) * s.certainty * k for s, k in zip(used, known, strict=True)]
+    if named is not None:
+        noise = [named.adjust(s, n) for s, n in zip(used, noise, strict=True)]
     distances = [(-1.0 if s.within else 1.0) * (s.distance or 0.0) for s in used]
     return Statements(
         op=np.array([OPERATION[s.relation] for s in used], np.int64),
@@ -229,9 +247,22 @@ MAX_DISTANT = 12
 """... and where it does not."""
 NEAR_SCALE, FAR_SCALE = 80.0, 350.0
 """Scale of distances to objects out of sight, and where the text tells a way or names a quarter [m]."""
+NAMED_NOISE = 0.04
+"""Share of wrong statements that the speaker is at a place that is named exactly."""
+MENTIONED = 0.7
+"""Largest certainty of a thing that is only named, and not said to be in sight."""
+MAPPED = 0.5
+"""Share of things of a kind that a map has where it has none of that kind near a named place."""
+NEAR_NAMED, MAX_KIND = 60.0, 20_000
+"""What stands nearer to a named place is there [m]; a kind with more objects is everywhere."""
+SITE_SCALE = 35.0
+"""Scale of distances to a crossing or a house [m]."""
 QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
 NUM_SALIENT = 20.0
 """Number of objects out of sight that come to a speaker's mind."""
+
+
+_NO_TOKENS = (np.zeros(0, np.int32), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True)
@@ -249,6 +280,12 @@ class Query:
     """None where all statements are about objects in sight."""
     by_kind: frozenset[int]
     """Mentions whose name is not on the map; they are matched by kind."""
+    sites: frozenset[int] = frozenset()
+    """Mentions of crossings and houses that are no objects of the map."""
+
+    def is_about_site(self, statement: Statement) -> bool:
+        """Tell whether a statement is about a crossing or a house that is no object."""
+        return not self.sites.isdisjoint(ends(statement))
 
     def token_weights(self, n_tokens: int) -> TokenWeights:
         """Return the weight of each token of a map for each mention."""
@@ -266,9 +303,19 @@ def compile_query(description: Description, city: Lexicon, *, tells_way: bool = 
 
     Where it tells the way to a place (`tells_way`), more objects are out of sight.
     """
-    mentions = [_find_tokens(mention, city) for mention in description.mentions[2:]]
+    sites = {
+        m.id: places
+        for m in description.mentions[2:]
+        if m.name and len(places := city.name_index.find_places(m.name))
+    }
+    mentions = [
+        _NO_TOKENS if mention.id in sites else _find_tokens(mention, city)
+        for mention in description.mentions[2:]
+    ]
     by_kind = frozenset(
-        m.id for m in description.mentions[2:] if m.name and not _find_names(m, city)
+        m.id
+        for m in description.mentions[2:]
+        if m.name and m.id not in sites and not _find_names(m, city)
     )
     share = [city.frequency(tokens, weights) for tokens, weights in mentions]
     for node in by_kind:  # how many of its kind are on the map says nothing of one that is not
@@ -281,12 +328,14 @@ def compile_query(description: Description, city: Lexicon, *, tells_way: bool = 
     used: list[Statement] = []
     unused: list[tuple[Statement, str]] = []
     known: set[tuple[object, ...]] = set()
-    for statement in description.statements:
+    named = _find_named(description, mentions, sites, city)
+    statements = description.statements
+    for statement in statements if named is None else named.stand_in(statements):
         key = _make_key(statement, description)
         if key in known:
             continue  # repetition makes it no surer
         known.add(key)
-        reason = _explain_unusable(statement, description, mentions)
+        reason = _explain_unusable(statement, description, mentions, sites)
         if reason:
             unused.append((statement, reason))
         else:
@@ -295,28 +344,120 @@ def compile_query(description: Description, city: Lexicon, *, tells_way: bool = 
         description,
         tuple(used),
         tuple(unused),
-        make_columns(used, description, share, by_kind),
+        make_columns(used, description, share, by_kind, named),
         MentionTokens(
             np.concatenate(([0], np.cumsum([len(t) for t, _ in mentions]))).astype(np.int64),
             np.concatenate([t for t, _ in mentions] or [np.zeros(0, np.int32)]),
             np.concatenate([w for _, w in mentions] or [np.zeros(0, np.float32)]),
         ),
-        _find_distant(used, mentions, city, tells_way=tells_way),
+        _find_distant(used, mentions, city, sites, tells_way=tells_way),
         by_kind,
+        frozenset(sites),
     )
+
+
+class NamedPlaces(NamedTuple):
+    """Places that a text names exactly as where the speaker is: "in Elm Park", "at Main & 5th"."""
+
+    nodes: frozenset[int]
+    """Mentions of them."""
+    lacking: frozenset[int]
+    """Mentions of nameless things of which the map has none there: it lacks most of them."""
+
+    def adjust(self, statement: Statement, noise: float) -> float:
+        """Return the share of wrong statements like this: of exact names few, of what is lacking most."""
+        if _is_binding(statement) and not self.nodes.isdisjoint(ends(statement)):
+            return min(noise, NAMED_NOISE)
+        if not self.lacking.isdisjoint(ends(statement)) and not statement.negated:
+            return 1.0 - (1.0 - noise) * MAPPED
+        return noise
+
+    def stand_in(self, statements: Sequence[Statement]) -> Iterator[Statement]:
+        """Yield statements with the speaker in place of what is lacking and the speaker stands at.
+
+        "I'm at the fountain in Elm Park. It is north of the pool": maps lack most fountains.
+        """
+        at = self.lacking & find_speaker_nodes(statements)
+        for s in statements:
+            source, target = (SPEAKER if node in at else node for node in ends(s))
+            if s.relation is Relation.SAME and SPEAKER in ends(s):
+                yield s
+            elif source != target:
+                target2 = SPEAKER if s.target2 in at else s.target2
+                yield replace(s, source=source, target=target, target2=target2)
+
+
+def _is_binding(s: Statement) -> bool:
+    """Tell whether a statement says that the speaker is where something is, or only names it."""
+    bare = s.relation is Relation.VISIBLE and s.certainty <= MENTIONED
+    return (s.relation in WITHIN or bare) and not (s.negated or s.far)
+
+
+def _is_beside(s: Statement) -> bool:
+    """Tell whether a statement says that something is near something else, as "the statue at ..."."""
+    return s.relation is Relation.NEAR and s.distance is None and not (s.negated or s.far)
+
+
+def _find_named(
+    description: Description,
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+    sites: Mapping[int, Floats],
+    city: Lexicon,
+) -> NamedPlaces | None:
+    """Find the places that a text names exactly as where the speaker is; None without any."""
+    here = find_speaker_nodes(description.statements)
+    nodes = {
+        node
+        for s in description.statements
+        if (_is_binding(s) or _is_beside(s)) and not here.isdisjoint(ends(s))
+        for node in ends(s)
+        if node > LISTENER and description.mentions[node].name
+    }
+    boxes: dict[int, Floats] = {}
+    for node in nodes:
+        tokens, weights = mentions[node - 2]
+        exact = tokens[(weights >= 1.0) & (tokens >= len(city.objects.labels))]
+        if node in sites:
+            boxes[node] = np.tile(sites[node], 2)
+        elif len(exact) and city.count_bearers(exact).sum() <= MAX_DISTANT:
+            rows = np.concatenate(city.bearers(exact)).tolist()
+            points = [np.concatenate(city.objects.parts(row)) for row in rows]
+            boxes[node] = np.array([[*p.min(axis=0), *p.max(axis=0)] for p in points])
+    if not boxes:
+        return None
+    around = np.concatenate(list(boxes.values()))
+    lacking = {
+        m.id
+        for m, tokens in zip(description.mentions[2:], mentions, strict=True)
+        if not m.name and not _has_near(tokens, around, city)
+    }
+    return NamedPlaces(frozenset(boxes), frozenset(lacking))
+
+
+def _has_near(
+    mention: tuple[NDArray[np.int32], NDArray[np.float32]], boxes: Floats, city: Lexicon
+) -> bool:
+    """Tell whether an object that a mention means lies in or near one of some boxes (K, 4) [m]."""
+    count = city.count_bearers(mention[0]).sum()
+    if not 0 < count < MAX_KIND:
+        return bool(count)
+    at = city.objects.center[np.concatenate(city.bearers(mention[0]))]
+    low, high = boxes[:, :2] - NEAR_NAMED, boxes[:, 2:] + NEAR_NAMED
+    return bool(((at[:, None] >= low) & (at[:, None] <= high)).all(axis=2).any())
 
 
 def _find_distant(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
     city: Lexicon,
+    sites: Mapping[int, Floats],
     *,
     tells_way: bool,
 ) -> DistantObjects | None:
-    """Find the objects of rare mentions, where a statement may be about objects out of sight."""
+    """Find objects of rare mentions, and `sites`, where a statement may be about what is out of sight."""
     here = find_speaker_nodes(used)
     tells_way = any(s.far for s in used) or tells_way
-    few = set()
+    few = set(sites)
     for m, (tokens, weights) in enumerate(mentions):
         certain = tokens[weights > KIND_WEIGHT]
         if len(certain) and city.count_bearers(certain).sum() <= MAX_DISTANT:
@@ -342,24 +483,39 @@ def _find_distant(
     ]
     if not tells_way:  # of many, no particular one comes to mind
         members = [(o, f * min(1.0, MAX_DISTANT / max(1, len(o)))) for o, f in members]
+    rows = len(city.objects.kind)
+    for node, places in sites.items():
+        if node - 2 in spoken:
+            at = np.arange(rows, rows + len(places), dtype=np.int64)
+            members[node - 2] = (at, np.full(len(at), 1.0 / len(at) ** 0.5, np.float32))
+            rows += len(at)
     if not any(len(o) for o, _ in members):
         return None
     o = city.objects  # a map draws quarters as points, and people are "in" them
     quarters = {
         m + 2
         for m, (rows, _) in enumerate(members)
-        if len(rows) and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
+        if len(rows)
+        and m + 2 not in sites
+        and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
     }
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
+        if not s.far and not sites.keys().isdisjoint(ends(s)):
+            return SITE_SCALE
         return FAR_SCALE if s.far or inside else NEAR_SCALE
 
-    rarest = sorted((o for o, _ in members if 0 < len(o) <= MAX_DISTANT), key=len)
+    rarest: list[NDArray[np.int64]] = sorted(
+        (o for o, _ in members if 0 < len(o) <= MAX_DISTANT), key=len
+    )
     return DistantObjects(
         starts=np.concatenate(([0], np.cumsum([len(o) for o, _ in members]))).astype(np.int64),
         objects=np.concatenate([o for o, _ in members]),
         weights=np.concatenate([f for _, f in members]).astype(np.float32),
+        sites=np.concatenate(
+            [np.zeros((0, 2)), *(at for node, at in sites.items() if node - 2 in spoken)]
+        ).astype(np.float32),
         scale=np.array([max(scale(s), s.distance or 0.0) for s in used], np.float32),
         share=np.array(
             [
@@ -447,6 +603,7 @@ def _explain_unusable(
     statement: Statement,
     description: Description,
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+    sites: Mapping[int, Floats],
 ) -> str:
     """Explain why a statement cannot be scored; empty where it can."""
     ends = [n for n in (statement.source, statement.target, statement.target2) if n is not None]
@@ -457,7 +614,7 @@ def _explain_unusable(
     if all(node == SPEAKER for node in ends):
         return "it says nothing about the place"
     for node in ends:
-        if node != SPEAKER and not len(mentions[node - 2][0]):
+        if node != SPEAKER and node not in sites and not len(mentions[node - 2][0]):
             words = description.mentions[node].name or description.mentions[node].words
             return f"{words!r} is not on the map"
     return ""

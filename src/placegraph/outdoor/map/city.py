@@ -49,6 +49,7 @@ from placegraph.outdoor.map.objects import (
     index_of,
     of_name,
 )
+from placegraph.outdoor.map.streets import Streets
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -220,7 +221,7 @@ class City(PickleFields):
     @cached_property
     def name_index(self) -> NameIndex:
         """Proper names of the map; derived on first use."""
-        return NameIndex.build(self.objects)
+        return replace(NameIndex.build(self.objects), streets=Streets(self.objects))
 
     @cached_property
     def blocks(self) -> Blocks:

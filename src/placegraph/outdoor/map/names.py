@@ -10,7 +10,11 @@ from functools import cached_property
 from math import log
 from typing import Protocol
 
+import numpy as np
+
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
+from placegraph.outdoor.map.streets import Streets
 
 LONGEST = 8
 """Names are found in running text up to this many words."""
@@ -48,6 +52,8 @@ class NameIndex:
     """First word of a name to the number of words of the longest name that begins so."""
     close: dict[str, tuple[str, float] | None] = field(default_factory=dict)
     meant: dict[str, dict[int, float]] = field(default_factory=dict)
+    streets: Streets | None = None
+    """Streets of the map, where it has geometry."""
 
     @classmethod
     def build(cls, objects: NameTable) -> NameIndex:
@@ -59,6 +65,17 @@ class NameIndex:
                 by_words.setdefault(" ".join(said), []).append(row)
                 first[said[0]] = max(first.get(said[0], 0), min(len(said), LONGEST))
         return cls(by_words, first)
+
+    def find_sites(self, text: str) -> list[tuple[int, int]]:
+        """Find stretches (start, end) of a text that name a place by its streets."""
+        if self.streets is None:
+            return []
+        return [(site.start, site.end) for site in self.streets.find_sites(text)]
+
+    def find_places(self, phrase: str) -> Floats:
+        """Return the places (K, 2) [m] of a crossing or a house that is no object of the map."""
+        exact = self.streets is None or " ".join(tokens(phrase)) in self.by_words
+        return np.zeros((0, 2)) if exact or not self.streets else self.streets.resolve(phrase)
 
     def longest_name(self, words: Sequence[str], start: int) -> int:
         """Return the number of words of the longest name that begins at `start`, 0 for none."""

@@ -213,7 +213,7 @@ def _make_evidence(
             note, rows = "it fits, but no better than elsewhere", []
         else:
             note = f"from here it lies to the {name_bearing(float(bearing(delta)))}"
-    elif verdict == "against" or not (rows or statement.negated):
+    elif verdict == "against" or not (rows or statement.negated or query.is_about_site(statement)):
         note, rows = "nothing in sight fits it", []
     elif unknown := query.by_kind.intersection(ends(statement)):
         names = " and ".join(query.description.mentions[n].name for n in sorted(unknown))
@@ -232,7 +232,7 @@ def _find_distant_object(
     mentions = [n - 2 for n in ends(statement) if n > 1]
     lists = [far.objects[far.starts[m] : far.starts[m + 1]] for m in mentions]
     rows = min((rows for rows in lists if len(rows)), key=len, default=None)
-    if rows is None:
+    if rows is None or rows[0] >= len(city.objects):  # a crossing or a house is no object
         return []
     distance = np.hypot(*(city.objects.center[rows] - position).T)
     return [int(rows[np.argmin(distance)])]

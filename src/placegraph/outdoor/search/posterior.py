@@ -138,9 +138,18 @@ def find_views_near_distant(
     city: City, far: DistantObjects, chosen: NDArray[np.int32]
 ) -> NDArray[np.int32]:
     """Find viewpoints (K,) around rare objects that are not among the chosen, ascending."""
-    anchors = city.objects.center[far.anchors[:MAX_ANCHORS]]
+    anchors = locate_distant(city, far, far.anchors[:MAX_ANCHORS])
     around = [city.views.near(anchor, DISTANT_REACH) for anchor in anchors]
     return np.setdiff1d(np.concatenate([np.zeros(0, np.int64), *around]), chosen).astype(np.int32)
+
+
+def locate_distant(city: City, far: DistantObjects, rows: NDArray[np.int64]) -> Floats:
+    """Return the centres (K, 2) [m] of distant objects, and of sites beyond the map's own rows."""
+    n = len(city.objects)
+    own = city.objects.center[np.minimum(rows, n - 1)].astype(np.float64)
+    if not len(far.sites):
+        return own
+    return np.where((rows < n)[:, None], own, far.sites[np.maximum(rows - n, 0)])
 
 
 def _find_sparse_views(request: Request, most: int) -> NDArray[np.int32]:

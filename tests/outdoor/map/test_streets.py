@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+
+MAIN, BROADWAY, OAK, TENTH, ELEVENTH = (
+    "Main Street", "West Broadway", "Oak Street", "West 10th Avenue", "West 11th Avenue",
+)  # fmt: skip
+
+
+def house(number, street, east, north):
+    return (east, north, {"building": "yes", "addr:housenumber": number, "addr:street": street})
+
+
+@pytest.fixture
+def city(build_world):
+    """Three streets to the north cross three to the east, 200 m apart; a few houses have numbers."""
+    ends = [(MAIN, 0, -50, 0, 450), (OAK, 200, -50, 200, 450)]
+    ends += [
+        (name, -50, north, 450, north)
+        for name, north in ((BROADWAY, 0), (TENTH, 200), (ELEVENTH, 400))
+    ]
+    nodes = [(float(e), float(n), {}) for _, a, b, c, d in ends for e, n in ((a, b), (c, d))]
+    ways = [
+        ((2 * i, 2 * i + 1), {"highway": "residential", "name": name})
+        for i, (name, *_) in enumerate(ends)
+    ]
+    houses = [
+        house("100", TENTH, 0.0, 210.0), house("200", TENTH, 200.0, 210.0),
+        house("100", BROADWAY, 0.0, 10.0), house("300", BROADWAY, 400.0, 10.0),
+    ]  # fmt: skip
+    return build_world([*nodes, *houses], ways)
+
+
+@pytest.fixture
+def place(city):
+    """Find the sites of a text: words and first place, against the crossing of Main and Broadway."""
+    streets = city.name_index.streets
+    (origin,) = streets.resolve("Main Street & West Broadway")
+
+    def find(text):
+        return [
+            (text[s.start : s.end], *np.round(s.positions.mean(axis=0) - origin, -1))
+            for s in streets.find_sites(text)
+        ]
+
+    return find
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "east", "north"),
+    [
+        ("NE corner of Main St & W 10th Ave", "NE corner of Main St & W 10th Ave", 0, 200),
+        ("I'm at the corner of Oak and Broadway.", "the corner of Oak and Broadway", 200, 0),
+        ("10th & Oak", "10th & Oak", 200, 200),
+        ("OAK ST @ WEST BROADWAY", "OAK ST @ WEST BROADWAY", 200, 0),
+        ("a bench at oak street and west 10th", "oak street and west 10th", 200, 200),
+        ("On Oak between Broadway and 10th.", "Oak between Broadway and 10th", 200, 100),
+        ("between Broadway and 10th on Oak", "between Broadway and 10th on Oak", 200, 100),
+        ("Main Street between 10th and 11th Avenues", "Main Street between 10th and 11th Avenues", 0, 300),
+    ],
+)  # fmt: skip
+def test_crossings_and_blocks(place, text, words, east, north):
+    assert place(text) == [(words, east, north)]
+
+
+@pytest.mark.parametrize(
+    ("text", "east", "north"),
+    [
+        ("200 W 10th Ave", 200, 210),  # as mapped
+        ("150 West 10th", 100, 200),  # between its neighbours
+        ("200 Broadway", 200, 0),
+        ("180 West 11th Avenue", 160, 400),  # by the numbers of parallel streets
+    ],
+)
+def test_house_numbers(place, text, east, north):
+    ((words, *found),) = place(text)
+    assert words == text
+    assert np.hypot(found[0] - east, found[1] - north) < 50.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Main Street and Oak Street",  # they never meet
+        "A bench is between Main Street and Oak Street.",
+        "near two fountains and the main entrance",
+        "9000 Oak Street",
+        "",
+    ],
+)
+def test_other_words_are_no_sites(place, text):
+    assert place(text) == []
+
+
+def test_a_text_is_located_at_a_crossing(city):
+    found = city.locate("Southwest corner of Oak & 10th.")
+    (goal,) = city.name_index.find_places("Oak & 10th")
+    assert (
+        np.hypot(*(city.plane.to_plane([found.best.longitude, found.best.latitude]) - goal)) < 30.0
+    )
+    assert found.best.evidence[0].verdict == "for"
