@@ -379,6 +379,7 @@ def scan_any(
                 read_metres(match["number"], match["unit"], language) if kind == "measure" else 0.0
             )
             sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
+    return [sentence for sentence in sentences if sentence]
 
 
 def read_metres(number: str, unit: str, language: Language) -> float:
