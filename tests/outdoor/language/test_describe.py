@@ -55,7 +55,7 @@ class Names:
         lengths = [len(n) for n in self.names if tuple(words[start : start + len(n)]) == n]
         return max(lengths, default=0)
 
-    def find_sites(self, text):
+    def find_sites(self, _text):
         return []
 
     def closest_name(self, phrase):
