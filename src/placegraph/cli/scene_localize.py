@@ -73,11 +73,13 @@ class Files:
         if self.png is not None:
             from placegraph.view import write_plan
 
-            write_plan(scene, estimate, self.png, title=self.title, camera=chosen.camera)
+            write_plan(scene, estimate, self.png, title=self.title, camera=chosen[-1].camera)
         if self.gif is not None:
             from placegraph.view import write_plan_animation
 
-            write_plan_animation(scene, estimate, self.gif, title=self.title, camera=chosen.camera)
+            write_plan_animation(
+                scene, estimate, self.gif, title=self.title, camera=chosen[-1].camera
+            )
         if self.overlay is not None and estimate.best is not None:
             from placegraph.view import write_overlay
 
@@ -211,10 +213,11 @@ def localize(
     device: Device = "auto",
     as_json: AsJson = False,
     png: Annotated[
-        Path | None, Option(help="Write a plan with the filter's particles.", panel=WRITTEN)
+        Path | None,
+        Option(help="Write a plan; with --gif or --record, also of particles.", panel=WRITTEN),
     ] = None,
     gif: Annotated[
-        Path | None, Option(help="Write the plan as an animation.", panel=WRITTEN)
+        Path | None, Option(help="Write an animation of a filter's particles.", panel=WRITTEN)
     ] = None,
     overlay: OverlayFile = None,
     tum: TumFile = None,
@@ -240,8 +243,9 @@ def localize(
     from placegraph.maps import open_scene
 
     options = replace(FilterOptions.preset(preset), **search)
-    if any(file is not None for file in (png, gif, record)):
-        options = options.with_filter(record=True)
+    filtered = options.with_filter(record=True) if gif or record else None
+    if filtered and options.particle_filter:
+        options, filtered = filtered, None
     prior = _prior(near, radius, yaw_deg)
     refining = RefineOptions.preset(preset) if refine else None
     matching = _matching(matcher, weights, device, refine=refining is not None)
@@ -251,10 +255,16 @@ def localize(
     scene = open_scene(map_file)
     title = f"{capture.name} {frames}" if frames else capture.name
     with progress_of(hidden=quiet or as_json) as tell:
+        asked: dict[str, Any] = {
+            "prior": prior, "description": description, "encoder": encoder, "seed": seed,
+            "device": device, "progress": tell,
+        }  # fmt: skip
         estimate = scene.localize(
-            chosen, prior=prior, description=description, encoder=encoder, options=options,
-            refine=refining or False, matcher=matching, seed=seed, device=device, progress=tell,
-        )  # fmt: skip
+            chosen, options=options, refine=refining or False, matcher=matching, **asked
+        )
+        if filtered:  # a second run, so that pictures change no answer
+            run = scene.localize(chosen, options=filtered, refine=False, **asked)
+            estimate = replace(estimate, history=run.history)
         tell("drawing", 0, 1)
         Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen)
     if as_json:

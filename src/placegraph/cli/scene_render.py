@@ -30,7 +30,7 @@ from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate
-    from placegraph.core.geometry import Camera, Floats
+    from placegraph.core.geometry import Floats
     from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.io.capture.capture import Capture
@@ -112,15 +112,21 @@ def render(
 
     Example: placegraph scene render house.scene -o out --tum walk.tum --capture walk/ --frame 12
     """
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.io.capture.json_files import read_camera
     from placegraph.maps import open_scene
 
     source = Source(pose, tum, estimate, row, mode)
     _check(source, camera=camera, capture=capture, frame=frame)
-    clip, picture_camera = _camera(camera, capture)
-    chosen = None if clip is None else _frame(clip, frame, source)
+    chosen = None if capture is None else _frame(open_capture(capture), frame, source)
+    if chosen is None:
+        assert camera is not None  # noqa: S101  # `_check` saw to it
+        view = read_camera(camera).camera
+    else:
+        view = chosen.camera
     map_from_camera = _pose(source, chosen, has_frame=frame is not None)
     scene = open_scene(map_file)
-    drawn = scene.render(map_from_camera, picture_camera, samples=samples, device=device)
+    drawn = scene.render(map_from_camera, view, samples=samples, device=device)
     files = _write(scene, drawn, map_from_camera, chosen, out)
     facts = _describe(scene, drawn, map_from_camera, chosen, files)
     if as_json:
@@ -143,18 +149,6 @@ def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: 
         raise OptionError("--row applies only to --tum; give both, or remove --row.")
     if source.mode != 1 and source.estimate is None:
         raise OptionError("--mode applies only to --estimate; give both, or remove --mode.")
-
-
-def _camera(camera: Path | None, capture: Path | None) -> tuple[Capture | None, Camera]:
-    if capture is not None:
-        from placegraph.io.capture.capture import open_capture
-
-        clip = open_capture(capture)
-        return clip, clip.camera
-    from placegraph.io.capture.json_files import read_camera
-
-    assert camera is not None  # noqa: S101  # `_check` saw to it
-    return None, read_camera(camera).camera
 
 
 def _frame(clip: Capture, number: int | None, source: Source) -> Frame:

@@ -251,6 +251,8 @@ COEFFICIENT_COUNTS = {"opencv": (0, 4, 5, 8), "fisheye": (0, 4)}
 MAX_FISHEYE_ANGLE = radians(85.0)
 """Largest angle off a fisheye's axis: rays with z = 1 grow without bound beyond."""
 _MAX_PARAMETER = 1e9
+REFOCUS = 0.2
+"""Largest relative change of a focal length between images of one camera; phones drift by some 4 %."""
 _ROUNDS = 100
 _NEWTON = 12
 
@@ -300,6 +302,12 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
         return Camera(width, height, *focal, *centre, self.distortion, self.model)
+
+    def is_refocused(self, other: Camera) -> bool:
+        """Return whether another camera is this one, perhaps refocused: same size, `REFOCUS` of fx, fy."""
+        same = (self.width, self.height, self.model) == (other.width, other.height, other.model)
+        ratios = self.fx / other.fx, self.fy / other.fy
+        return same and all(abs(ratio - 1.0) < REFOCUS for ratio in ratios)
 
     def directions(self, uv: ArrayLike) -> Floats:
         """Return rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].

@@ -50,7 +50,10 @@ def test_json_pictures_and_trajectory(run, room, tmp_path):
     assert apart.max() < 0.3
     assert written.stamps == pytest.approx(read_tum(room.walk / "odometry.tum").stamps)
 
-    assert [len(counts) for counts in told["stats"]["particles"]] == [FRAMES], "one pass"
+    plain = run("scene", "localize", room.map, room.walk, "--json").json
+    timed = ("stats", "refinement")
+    assert [told[k] for k in told if k not in timed] == [plain[k] for k in plain if k not in timed]
+    assert told["refinement"]["reason"] == plain["refinement"]["reason"]
     with Image.open(gif) as image:
         assert image.n_frames == FRAMES + 1, "each frame of the pass, and the result"
 

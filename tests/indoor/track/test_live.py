@@ -17,7 +17,7 @@ from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.track.belief import AHEAD, JUMP, KEPT, Odometry
 from placegraph.indoor.track.live import KIND, VERSION, LiveTracker, SavedPose
 from placegraph.indoor.track.tracker import Relocalizer
-from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frame import ArrayImages, Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -277,6 +277,34 @@ def test_somebody_says_where_it_is(room, film, truth, off, height):
     assert now.status is Status.OK
 
 
+def zoom(image, camera, factor):
+    """Return the image (h, w, ...) and the camera of `factor` times the focal length."""
+    new = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    x, y = np.moveaxis(camera.project(new.directions(np.stack([u, v], -1))), -1, 0).astype(int)
+    return image[y, x], new
+
+
+def refocus(frame, factor):
+    """Return the frame of a lens with `factor` times the focal length."""
+    rgb, camera = zoom(frame.rgb(), frame.camera, factor)
+    depth, depth_camera = zoom(frame.depth(), frame.depth_camera, factor)
+    images, kinds = ArrayImages(rgb, depth, None), {"label_camera": None, "label_kind": None}
+    return replace(frame, camera=camera, depth_camera=depth_camera, images=images, **kinds)
+
+
+def test_a_phone_that_refocuses(live, room, film, truth):
+    zooms = [refocus(f, z) for f, z in zip(film[:8], np.linspace(1.0, 1.1, 8), strict=True)]
+    for frame in zooms:
+        last = live.step(frame)
+    check_found(last, truth(film)[7], 0.1)
+    tracker = room.tracker(film.camera, seed=0)
+    for frame in zooms:
+        estimate = tracker.update(frame)
+    assert estimate.status is Status.OK
+    assert distance(estimate.best, truth(film)[7]) < 0.1
+
+
 def test_to_lose_a_pose(live, film):
     found(live, film)
     live.lose()
@@ -287,7 +315,7 @@ def test_to_lose_a_pose(live, film):
 
 def test_what_is_refused(live, room, film):
     live.see(film[0])
-    other = Camera(160, 90, 120.0, 120.0, 80.0, 45.0)
+    other = Camera(160, 90, 150.0, 150.0, 80.0, 45.0)
     for ask, says in (
         (lambda: live.see(replace(film[1], camera=other)), "camera differs"),
         (lambda: live.place(np.zeros((4, 4)), np.eye(6)), "map_from_camera"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from dataclasses import replace
 from importlib import import_module
 from math import radians
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.options import in_radians
 from placegraph.errors import OptionError, PlacegraphError, RequestError
-from placegraph.indoor.options import FilterOptions, PoseSearchOptions
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.status import diagnostics_of
 from placegraph.io.capture.frame import Frame
@@ -147,10 +148,13 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
         prior = hints.prior_in(scene.anchors)
         if hints.prior is None and len(frames) > 30:  # those are tracked, from no prior
             prior = None
-        return scene.localize(
-            frames, prior=prior, description=hints.description, seed=hints.seed,
-            options=FilterOptions(record=True) if record else PoseSearchOptions(),
-        )  # fmt: skip
+        asked: Any = {"prior": prior, "description": hints.description, "seed": hints.seed}
+        estimate = scene.localize(frames, **asked)
+        if record:  # a second run, so that a picture changes no answer
+            recorded = FilterOptions(record=True)
+            run = scene.localize(frames, options=recorded, refine=False, **asked)
+            estimate = replace(estimate, history=run.history)
+        return estimate
     if kind == "library" and name is not None:
         found_in: Any = places.open(name)
         return found_in.localize(frames, description=hints.description, seed=hints.seed)

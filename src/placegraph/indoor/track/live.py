@@ -272,7 +272,8 @@ class LiveTracker:
     maps
         A scene map, or a library of several.
     camera
-        Camera of the images; that of the first image if not given. Images of another camera are refused.
+        Camera of the images; that of the first image if not given. Each image has its own intrinsics:
+        a camera may refocus, but images of another size or view are refused.
     seed
         Seed of all random numbers; without `background` the same calls give the same poses.
     background
@@ -368,7 +369,7 @@ class LiveTracker:
         """
         if self.camera is None:
             self.camera = self._tracker.camera = frame.camera
-        if frame.camera != self.camera:
+        if not frame.camera.is_refocused(self.camera):
             raise OptionError(
                 "frame: its camera differs from the tracker's; create a tracker for this camera."
             )

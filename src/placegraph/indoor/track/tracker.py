@@ -117,7 +117,7 @@ class Tracker:
         Query without frames; its description and shares are of where the stream begins, and dropped once
         the pose is known.
     camera
-        Camera of the frames; frames of another are refused.
+        Camera of the frames, which may refocus; frames of another size or view are refused.
 
     Raises
     ------
@@ -195,7 +195,7 @@ class Tracker:
         self._confirmation = Confirmation()
 
     def _sighted(self, frame: Frame) -> Observation:
-        if self.camera is not None and frame.camera != self.camera:
+        if self.camera is not None and not frame.camera.is_refocused(self.camera):
             raise OptionError(
                 "frame: its camera differs from the tracker's; create a tracker for this camera."
             )
