@@ -8,11 +8,11 @@ and windows of other recordings. `doors` and `carrels` are drawn worlds that rep
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -29,6 +29,9 @@ from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_
 from placegraph_lab.tables.indoor.windows import Odometry, Window, true_poses, without_depth
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.worlds.flat.repeating import WORLDS, record_world
+
+if TYPE_CHECKING:
+    from placegraph_lab.tables.named.indoor_colmap import Peer
 
 RIGHT = (0.10, 5.0)
 """Position [m] and rotation [deg] of a right pose."""
@@ -49,6 +52,8 @@ SENSES = {
     "landmarks": {"colour": True},
 }
 """Terms of the search; `images` and `landmarks` get no depth, and only `landmarks` a map that has some."""
+COLMAP = "colmap"
+"""Single images in a map of SIFT features of the same frames, where pycolmap is installed."""
 PARTS = ("present", "absent")
 HALVES = {"even": slice(0, None, 2), "odd": slice(1, None, 2), "all": slice(None)}
 _MAPPING = ("placegraph/io", "placegraph/indoor/mapping")
@@ -103,6 +108,15 @@ class Case:
     """Of each map: recordings, their frames, and the most windows of them."""
 
 
+class PoseAnswer(NamedTuple):
+    """Answer of a method to a window."""
+
+    pose: Floats | None  # (4, 4) map_from_camera of the last frame
+    status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
+    probability: float
+    reason: str
+
+
 @dataclass(frozen=True)
 class Answer:
     """Result of one window."""
@@ -154,12 +168,13 @@ class Row:
         return [sum(a.is_false for a in n) for n in self.answers.values()]
 
     @property
-    def milliseconds(self) -> list[float]:
-        return [float(np.nanmedian([a.milliseconds for a in n] or [np.nan]))
-                for n in self.answers.values()]  # fmt: skip
+    def milliseconds(self) -> list[float | None]:
+        """Median CPU time of a window of each length; None where nothing was localized."""
+        times = [[a.milliseconds for a in n if a.milliseconds > 0] for n in self.answers.values()]
+        return [float(np.median(n)) if n else None for n in times]
 
 
-def _slashes(values: Iterable[float]) -> str:
+def _slashes(values: Iterable[float | None]) -> str:
     return "/".join(lab.number(v).replace(",", "") for v in values)
 
 
@@ -180,6 +195,7 @@ class Maps:
         self.run, self.fresh = run, fresh
         self.source = cache(self._source)
         self.scene = cache(self._scene)
+        self.peer = cache(self._peer)
 
     def _source(self, name: str) -> Source:
         if name in REAL:
@@ -192,14 +208,33 @@ class Maps:
 
     def _scene(self, name: str, start: int, stop: int | None, step: int) -> SceneMap:
         """Open the map of some frames of a recording, with landmarks."""
-        key = f"few_{name}_{start}_{stop}_{step}_{lab.code_key(_MAPPING)}.scene"
-        path = self.run.cache / key
+        code = lab.code_key(_MAPPING if name in REAL else (*_MAPPING, *lab.WORLDS))
+        path = self.run.cache / f"few_{name}_{start}_{stop}_{step}_{code}.scene"
         if self.fresh or not path.exists():
             self.run.log(f"map of {name}, frames {start}:{stop}:{step}")
             self.run.cache.mkdir(parents=True, exist_ok=True)
             how = FromCapture(frames=slice(start, stop, step), landmarks=True)
             build_scene(self.source(name).folder, path, capture=how)
         return SceneMap.open(path)
+
+    def _peer(self, name: str, start: int, stop: int | None, step: int) -> Peer:
+        """Map of SIFT features that COLMAP triangulates, of the same frames."""
+        from placegraph_lab.tables.named.indoor_colmap import colmap_peer
+
+        self.run.log(f"COLMAP's map of {name}, frames {start}:{stop}:{step}")
+        source, rows = self.source(name), slice(start, stop, step)
+        return colmap_peer(
+            source.capture.frames[rows], source.truth[rows], np.random.default_rng(0)
+        )
+
+    def method(self, senses: str, name: str, frames: slice) -> Callable[[Capture], PoseAnswer]:
+        """Return what localizes a capture by some senses in the map of some frames."""
+        key = name, frames.start, frames.stop, frames.step
+        if senses == COLMAP:
+            return partial(_localize_by_peer, self.peer(*key))
+        scene = self.scene(*key)
+        bare = scene if senses == "landmarks" else replace(scene, landmarks=None)
+        return partial(_localize, bare, senses)
 
 
 def make_cases(names: Sequence[str], parts: Sequence[str], count: int) -> list[Case]:
@@ -221,52 +256,65 @@ def make_cases(names: Sequence[str], parts: Sequence[str], count: int) -> list[C
 
 
 def measure_case(maps: Maps, case: Case, senses: str, lengths: Sequence[int], half: str) -> Row:
-    """Ask all windows of a case."""
-    options = PoseSearchOptions().only(**SENSES[senses])
+    """Ask all windows of a case; COLMAP gets single images."""
     answers: dict[int, list[Answer]] = {n: [] for n in lengths}
     for (name, frames), queries in zip(case.maps, case.queries, strict=True):
-        scene = maps.scene(name, frames.start, frames.stop, frames.step)
-        if senses != "landmarks":
-            scene = replace(scene, landmarks=None)
+        localize = maps.method(senses, name, frames)
         warm = False
         for length in lengths:
             windows = [
                 window
                 for other, rows, count in queries
                 for window in maps.source(other).windows(rows, length, count)
+                if senses != COLMAP or length == 1
             ]
             for window in windows[HALVES[half]]:
                 if not warm:  # so that nothing is compiled or cast in what is timed
-                    _ask(scene, window, senses, options, absent=True)
+                    localize(window.capture)
                     warm = True
-                answer = _ask(scene, window, senses, options, absent=case.part == "absent")
-                answers[length].append(answer)
+                start = time.process_time()
+                found = localize(window.capture)
+                took = 1e3 * (time.process_time() - start)
+                truth = None if case.part == "absent" else window.truth
+                answers[length].append(_measure(window, truth, found, took))
     return Row(case.name, case.part, senses, {n: tuple(found) for n, found in answers.items()})
 
 
-def _ask(
-    scene: SceneMap, window: Window, senses: str, options: PoseSearchOptions, *, absent: bool
+def _measure(
+    window: Window, truth: Floats | None, answer: PoseAnswer, milliseconds: float
 ) -> Answer:
-    capture = window.capture if SENSES[senses].get("depth") else without_depth(window.capture)
-    start = time.process_time()
-    try:
-        found = scene.localize(capture, options=options)
-    except PlacegraphError as error:
-        nothing = (np.inf, np.inf, type(error).__name__, 0.0, np.nan, str(error))
-        return Answer(window.name, len(capture), *nothing)
-    took = 1e3 * (time.process_time() - start)
-    best = found.best
-    pose = None if best is None or absent else best.map_from_camera
+    pose = None if truth is None else answer.pose
     return Answer(
         window=window.name,
-        frames=len(capture),
+        frames=len(window.capture),
         position=np.inf if pose is None else position_error(pose, window.truth),
         rotation=np.inf if pose is None else rotation_error(pose, window.truth),
-        status=found.status.name,
-        probability=0.0 if best is None else float(best.probability),
-        milliseconds=took,
-        reason=found.reason,
+        status=answer.status,
+        probability=answer.probability,
+        milliseconds=milliseconds,
+        reason=answer.reason,
     )
+
+
+def _localize(scene: SceneMap, senses: str, capture: Capture) -> PoseAnswer:
+    terms = SENSES[senses]
+    if not terms.get("depth"):
+        capture = without_depth(capture)
+    try:
+        found = scene.localize(capture, options=PoseSearchOptions().only(**terms))
+    except PlacegraphError as error:
+        return PoseAnswer(None, type(error).__name__, 0.0, str(error))
+    if found.best is None:
+        return PoseAnswer(None, found.status.name, 0.0, found.reason)
+    best = found.best
+    return PoseAnswer(
+        best.map_from_camera, found.status.name, float(best.probability), found.reason
+    )
+
+
+def _localize_by_peer(peer: Peer, capture: Capture) -> PoseAnswer:
+    pose, sure = peer.ask(capture[0])
+    return PoseAnswer(pose, "OK" if sure else "LOST", float(sure), "")
 
 
 def pool_rows(rows: Sequence[Row], part: str) -> list[Row]:
@@ -285,7 +333,9 @@ def indoor_few(
     run: lab.Run,
     sets: Annotated[str, lab.option(f"Recordings with commas: {', '.join(SETS)}.")] = "",
     frames: Annotated[str, lab.option("Frames of a window, with commas.")] = "1,2,3,5,10",
-    senses: Annotated[str, lab.option(f"With commas: {', '.join(SENSES)}.")] = "depth,images,both",
+    senses: Annotated[
+        str, lab.option(f"With commas: {', '.join((*SENSES, COLMAP))}.")
+    ] = "depth,images,both",
     half: Annotated[str, lab.option("Windows asked: odd (for tuning), even, or all.")] = "even",
     parts: Annotated[str, lab.option(f"With commas: {', '.join(PARTS)}.")] = "",
     windows: Annotated[int, lab.option("Most windows of a length of each recording.")] = 24,
@@ -297,7 +347,7 @@ def indoor_few(
     """Poses of one to ten frames: right, OK and false OK, in places on the map and absent ones."""
     names = lab.check_names(lab.parts(sets), SETS, "recording")
     wanted = lab.check_names(lab.parts(parts), PARTS, "part")
-    kinds = lab.check_names(lab.parts(senses), SENSES, "sense")
+    kinds = lab.check_names(lab.parts(senses), (*SENSES, COLMAP), "sense")
     half = lab.check_names([half], HALVES, "half")[0]
     lengths = [1, 5] if quick else [int(n) for n in lab.parts(frames)]
     maps = Maps(run, fresh=fresh)

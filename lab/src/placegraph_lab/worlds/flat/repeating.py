@@ -22,6 +22,7 @@ FRAMES = 64
 HEIGHT = 1.4  # of the camera above the floor [m]
 BAYS = 9  # of the corridor
 CARRELS = 5  # on each side of a hall
+_SPEED = 100.0  # more than is needed from end to end [m/s]
 _ACROSS = 8  # cells across the corridor
 _BAY = 12  # cells from a door to the next
 _CARREL = 7  # cells from a partition to the next
@@ -111,6 +112,6 @@ def record_world(name: str, folder: Path, *, frames: int = FRAMES, seed: int = 0
     """
     draw, walk, render = np.random.default_rng([seed, len(name)]).spawn(3)
     flat = WORLDS[name](draw)
-    way = stroll(flat, walk, frames=frames, through="ab", height=HEIGHT, speed=2.0)
+    way = stroll(flat, walk, frames=frames, through="ab", height=HEIGHT, speed=_SPEED)
     interior = flat.furnish(draw)
     return write_walk(interior, way, folder, render, camera=CAMERA, daylight=0.2, labels=None)
