@@ -182,7 +182,8 @@ def make_scene(
         encoded=blobs,
     )
     seen_from = source.viewpoints[is_near_box(source.viewpoints, scene.bounds)]
-    return replace(scene, landmarks=source.landmarks, viewpoints=seen_from, anchors=source.anchors)
+    scene = replace(scene, landmarks=source.landmarks, viewpoints=seen_from, anchors=source.anchors)
+    return replace(scene, own_agreement=source.measure(scene)[None]) if source.measure else scene
 
 
 def _find_floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:

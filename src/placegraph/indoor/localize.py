@@ -14,7 +14,7 @@ from placegraph.indoor.encode.labels import explain_foreign_ids
 from placegraph.indoor.likelihood.observe import observe_frame
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
-from placegraph.indoor.pose.agreement import find_fault, find_image_fault
+from placegraph.indoor.pose.agreement import find_image_fault, undo_faults
 from placegraph.indoor.pose.covariance import explore_unobservable
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
 from placegraph.indoor.pose.local_fit import correct_drift, fit_window
@@ -31,6 +31,7 @@ from placegraph.indoor.refine.correspondences import locate_by_landmarks
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.status import (
     add_note,
+    confirms_fault,
     diagnostics_of,
     explain_by_fault,
     needs_fault_search,
@@ -134,16 +135,32 @@ def _add_costs(
 def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     """Explain an answer that is not `OK` by a fault of the input, if any does."""
     query, found = window.query, diagnostics_of(estimate)
-    here = query.shares is None  # else other scenes of a library may be right
-    if query.encoder is None and here and estimate.status is not Status.OK:
-        other = explain_foreign_ids(query.scene, query.frames[-WINDOW:], found.semantic)
-        if other:
-            return add_note(estimate, other)
-    searched = query.options.tracked and len(query.frames) <= WINDOW
-    if not (needs_fault_search(estimate) and here and searched and estimate.modes):
+    if query.shares is not None or estimate.status is Status.OK:  # other scenes may be right
         return estimate
-    with time_stage(window.seconds, "faults"):
-        fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
-    seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
-    estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
-    return explain_by_fault(estimate, fault) if fault else estimate
+    searched = query.options.tracked and len(query.frames) <= WINDOW
+    if needs_fault_search(estimate) and searched and estimate.modes:
+        with time_stage(window.seconds, "faults"):
+            fault = _find_fault(window)
+        seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
+        estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
+        if fault:
+            return explain_by_fault(estimate, fault)
+    if query.encoder is None:
+        other = explain_foreign_ids(query.scene, query.frames[-WINDOW:], found.semantic)
+        return add_note(estimate, other) if other else estimate
+    return estimate
+
+
+_FAULT_STARTS = 8
+"""Number of seeds that are fitted with a fault undone."""
+
+
+def _find_fault(window: Window) -> str:
+    """Return the fault of the input without which the frames fit the map; empty: none."""
+    for corrected, sentence in undo_faults(window):
+        if len(corrected.table):
+            rng = np.random.default_rng(window.query.seed)
+            candidates = fit_window(corrected, search(corrected, rng)[:_FAULT_STARTS], rng)
+            if confirms_fault(estimate_pose(corrected, candidates)):
+                return sentence
+    return ""

@@ -26,12 +26,15 @@ from placegraph.indoor.pose.agreement import (
     TELLING,
     WITNESSES,
     Agreement,
+    both_odds,
     log_odds,
 )
 from placegraph.indoor.pose.covariance import least_certain
 
 SURE = 0.75
 """Probability of being right from which on a pose is `OK`."""
+FAULT = 3.0
+"""Log odds of a pose with a fault of the input undone above which the fault counts: faults are rare."""
 FITS_NOWHERE = -1.0
 """Log odds below which nothing on the map fits."""
 LOOSE = 0.2
@@ -40,6 +43,9 @@ than the 0.5 m that `OK` promises."""
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
+FEW = 5
+"""Largest number of frames that may agree by chance."""
+_UNLIKE_OWN = "it agrees much less than the frames that the map was made of"
 RIVAL = 0.01
 """Probability of a mode from which on it counts as a rival."""
 _UPRIGHT = 0.8
@@ -88,6 +94,8 @@ class RefinementDiagnostics:
     """... and turn [deg]."""
     camera: str = ""
     """Hint that the camera is wrong, for a closer look; empty: none."""
+    loose: float = 0.0
+    """Way that an unsure scale of depth may move the pose [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -98,6 +106,9 @@ class Diagnostics:
     """Agreement of the best mode with the newest frames; None: nothing was compared."""
     frames: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """(T, 3) agreement of each frame of the window: semantic and depth [share], colour [nat a sample]."""
+    searched: float = np.inf
+    """Log odds of the best mode against places that were not searched, by the agreement of the map's own
+    frames; infinite: unknown."""
     ratio_per_frame: float = 0.0
     """Log-likelihood ratio of the best mode against anywhere, a frame [nat]."""
     image_fault: str = ""
@@ -167,6 +178,16 @@ def decide_pose(
         return Status.LOST, diagnostics.image_fault, replace(diagnostics, consistent=consistent)
     status, reason = decide_fit(agreed, modes, diagnostics.ratio_per_frame)
     undecided = status is Status.AMBIGUOUS
+    if (
+        status is not Status.LOST
+        and diagnostics.searched < FITS_NOWHERE
+        and len(agreed.frames) > FEW
+    ):
+        status, reason = Status.LOST, f"No place on the map fits: {_UNLIKE_OWN}."
+    elif status is Status.OK and np.isfinite(diagnostics.searched):
+        odds = both_odds(CONFIDENCE.odds(agreed), diagnostics.searched)
+        if modes[0].probability / (1.0 + np.exp(-odds)) < SURE:
+            status, reason = Status.AMBIGUOUS, f"One place fits best, but {_UNLIKE_OWN}."
     if diagnostics.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
         return status, diagnostics.contradiction, replace(diagnostics, consistent=consistent)
@@ -303,6 +324,14 @@ def needs_fault_search(estimate: PoseEstimate) -> bool:
     return estimate.status is not Status.OK and not (found.undecided and not doubted)
 
 
+def confirms_fault(estimate: PoseEstimate) -> bool:
+    """Return whether an estimate of frames with a fault undone fits so well that the fault is a fact."""
+    found = diagnostics_of(estimate)
+    if estimate.status is Status.LOST or found.contradiction or not np.isfinite(found.odds):
+        return False
+    return both_odds(found.odds, found.searched) > FAULT
+
+
 def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
     """Return an estimate that is not `OK` with the fault of the input that explains it."""
     return replace(estimate, reason=f"The frames fit nowhere on the map. {fault}")
@@ -330,6 +359,9 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
             "One place fits, but images matched with the map move it by "
             f"{refined.shift:.1f} m and {refined.turn_deg:.0f} degrees: check the camera's intrinsics."
         )
+    if status is Status.OK and refined.loose > LOOSE:
+        status = Status.AMBIGUOUS
+        reason = f"One place fits, but the scale of depth is unsure, and the pose by {refined.loose:.1f} m."
     undecided = diagnostics_of(estimate).undecided
     one_scene = len({mode.scene for mode in estimate.modes}) == 1
     if refined.landmarks is not None and undecided and refined.accepted and one_scene:

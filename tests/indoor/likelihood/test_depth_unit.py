@@ -16,7 +16,7 @@ from placegraph.indoor.likelihood.observe import (
     FACTORS,
     FINE,
     check_unit,
-    describe_suspected_unit,
+    describe_unit_error,
     observe_frame,
     suspect_unit_factor,
 )
@@ -70,7 +70,6 @@ def test_no_depth_no_suspicion(room, walk):
     assert suspect_unit_factor(blind, background) is None
     few = [v._replace(depth=np.where(np.arange(len(v.depth)) < 9, v.depth, 0)) for v in blind]
     assert suspect_unit_factor(few, background) is None
-    assert not describe_suspected_unit(blind, background, walk[0])
 
 
 @pytest.mark.parametrize(
@@ -140,8 +139,7 @@ def test_a_likely_unit_is_told_where_the_pose_is_not_found(room, walk, tmp_path,
 
 def test_of_frames_in_memory_it_asks_for_metres(room, walk):
     frames = scaled(walk[:5], 5.0)
-    seen = view_frames(room, frames, OPTIONS, stride=FINE)
-    text = describe_suspected_unit(seen, room.visibility(OPTIONS).background, frames[0])
+    text = describe_unit_error(frames[0], suspected(room, frames))
     assert "about 5.0 times too long; give depth in metres" in text
 
 

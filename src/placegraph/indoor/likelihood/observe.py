@@ -485,12 +485,6 @@ def _density(background: Background) -> Floats:
     return np.asarray(smooth * ranges.shape[1])
 
 
-def describe_suspected_unit(views: Sequence[View], background: Background, frame: Frame) -> str:
-    """Return a sentence about a wrong unit of depth; empty: none is suspected."""
-    factor = suspect_unit_factor(views, background)
-    return "" if factor is None else describe_unit_error(frame, factor)
-
-
 def describe_unit_error(frame: Frame, factor: float) -> str:
     """Return a sentence about depth that is `factor` times too long, with the file and the right unit."""
     times, direction = (factor, "long") if factor > 1 else (1.0 / factor, "short")

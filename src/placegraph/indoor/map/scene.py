@@ -157,6 +157,9 @@ class Scene(PickleFields):
     """(V, 3) where the cameras were that the map was made from [m, map]; none of a mesh."""
     anchors: tuple[Anchor, ...] = ()
     """Candidate anchors on Earth, best first; empty if unknown."""
+    own_agreement: NDArray[np.float64] | None = None
+    """(S, 3, 2) mean and deviation of the agreement of the frames that each scene was made of: log odds
+    of depth readings, steps of colour [nat], tones [nat]; NaN: unknown. None: of no scene known."""
 
     @classmethod
     def create(
@@ -235,6 +238,10 @@ class Scene(PickleFields):
                 )
             column.flags.writeable = False
             object.__setattr__(self, name, column)
+        if self.own_agreement is not None and self.own_agreement.shape != (s, 3, 2):
+            raise OptionError(
+                f"own_agreement: shape is {self.own_agreement.shape}, expected {(s, 3, 2)}."
+            )
         if not n or not len(self.mesh) or not s:
             raise OptionError("A scene map needs at least one object, one triangle and one scene.")
         if len(self.attributes) != n or len(self.encoded) != len(self.mesh.textures):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.networks import Segmenter
 from placegraph.indoor.map.floor import find_floor_height
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.scene import Landmarks
+from placegraph.indoor.map.scene import Landmarks, Scene
 from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS
 from placegraph.io.capture.capture import Capture, load_capture
 from placegraph.io.mesh.model import Model, ModelObject, Texture
@@ -66,6 +67,8 @@ class Source:
     """(V, 3) where its frames were taken from, thinned [m]."""
     anchors: tuple[Anchor, ...] = ()
     """Anchors on Earth that the source gives; the map then keeps the source's axes."""
+    measure: Callable[[Scene], NDArray[np.float64]] | None = None
+    """Measures the agreement (3, 2) of its frames with the finished scene (`Scene.own_agreement`)."""
 
 
 def read_capture(
@@ -84,6 +87,7 @@ def read_capture(
     from placegraph.indoor.mapping.atlas.colours import frame_colours
     from placegraph.indoor.mapping.landmarks import map_landmarks
     from placegraph.indoor.mapping.segment import segment
+    from placegraph.indoor.pose.agreement import measure_own_agreement
 
     has_trajectory = how.poses is None and (path / "trajectory.tum").exists()
     capture = _open_capture(path, how, "trajectory" if has_trajectory else how.poses, reader or {})
@@ -120,7 +124,10 @@ def read_capture(
     notes = _write_notes(path, has_trajectory, fused.stats, segments.labels)
     told_of = (*capture.notes, *notes, *guessed)
     seen_from = thin_points(poses[:, :3, 3])
-    return Source(model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from)
+    measure = partial(measure_own_agreement, frames=capture.frames, poses=poses)
+    return Source(
+        model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from, measure=measure
+    )
 
 
 def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -72,12 +72,22 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         landmarks=Landmarks.concatenate([m.landmarks for m in moved]),
         viewpoints=np.concatenate([m.viewpoints for m in moved]),
         anchors=_join_tuples([m.anchors for m in moved]),
+        own_agreement=_join_own_agreement(moved),
     )
     if out_path is not None:
         from placegraph.indoor.map.scene_file import save_scene
 
         save_scene(merged, out_path)
     return merged
+
+
+def _join_own_agreement(maps: Sequence[Scene]) -> NDArray[np.float64] | None:
+    """Return the agreement (S, 3, 2) of the frames that scenes were made of; None where none is known."""
+    if all(m.own_agreement is None for m in maps):
+        return None
+    unknown = [np.full((len(m.scenes), 3, 2), np.nan) for m in maps]
+    known = [m.own_agreement for m in maps]
+    return np.concatenate([u if k is None else k for k, u in zip(known, unknown, strict=True)])
 
 
 def _check_scenes(scenes: Mapping[str, Scene]) -> None:

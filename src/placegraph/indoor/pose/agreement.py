@@ -11,18 +11,33 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
-from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap_angle
-from placegraph.indoor.likelihood.observe import FINE, Observation, View
+from placegraph.core.geometry import (
+    Floats,
+    compose,
+    level_from_camera,
+    split_pose,
+    wrap_angle,
+)
+from placegraph.indoor.likelihood.observe import (
+    FINE,
+    Background,
+    Observation,
+    View,
+    describe_unit_error,
+    observe_frame,
+    spread,
+    suspect_unit_factor,
+    views,
+)
 from placegraph.indoor.likelihood.score import Scorer, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, cast_view
 from placegraph.indoor.map.scene import Scene, make_object_ref
-from placegraph.indoor.pose.local_fit import fit_window
-from placegraph.indoor.pose.search import search
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import Window
+from placegraph.io.capture.frame import Frame
 
 SPEAK = 0.02
 """Log-likelihood of colours from which on depth is not the only evidence [nat a sample] ..."""
@@ -215,6 +230,64 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
         )
 
 
+_OWN = 24
+"""Largest number of own frames that are compared with a map."""
+
+
+def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) -> Floats:
+    """Measure how well the frames that a map was made of agree with it at their poses (T, 4, 4).
+
+    Returns mean and deviation over frames (3, 2) of `reach`; NaN where a sense is missing.
+    """
+    options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
+    scorer, count = Scorer(scene, options.likelihood), len(scene)
+    nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
+    found = np.full((0, 3), np.nan)
+    for row in spread(len(frames), _OWN):
+        frame = replace(frames[row], gravity=-poses[row, 2, :3])
+        view = views([observe_frame(frame, None, options)], FINE, scorer.model, nothing)
+        at = agreement(scorer, split_pose(poses[row])[0], view, np.zeros((1, 4)))
+        found = np.vstack([found, reach(at)])
+    known = found[:, ~np.isnan(found).any(axis=0)]
+    out = np.full((3, 2), np.nan)
+    out[~np.isnan(found).any(axis=0)] = np.stack([known.mean(axis=0), known.std(axis=0)], axis=1)
+    return out
+
+
+def reach(agreed: Agreement) -> Floats:
+    """Return log odds of depth, steps of colour [nat] and tones [nat] (3,) of an agreement."""
+    depth = np.nan if np.isnan(agreed.depth) else log_odds(agreed.depth, 0.01)
+    return np.array([depth, agreed.colour, agreed.tone])
+
+
+_UNEVEN = 0.1
+"""Deviation of any map's own agreement, as a share of its mean: light and viewpoints change."""
+_SEARCHED = 5.5
+"""Log odds of a pose against all places that were not searched, if it agrees as the own frames do."""
+
+
+def searched_odds(agreed: Agreement, own: Floats | None) -> float:
+    """Return the log odds that a pose is right, and not of a place that was not searched or not mapped.
+
+    A right pose agrees as the frames that the map was made of, with normal errors; a wrong one anyhow. Steps
+    of colour and tones count as one, and without colours depth counts. `own`: (3, 2), a row of
+    `Scene.own_agreement`; if it is unknown, the odds are infinite.
+    """
+    if own is None:
+        return np.inf
+    deviations = np.hypot(own[:, 1], _UNEVEN * own[:, 0])
+    short = np.maximum((own[:, 0] - reach(agreed)) / deviations, 0.0)
+    known = short[1:] if np.isfinite(short[1]) else short[:1]
+    return np.inf if np.isnan(known).all() else _SEARCHED - 0.5 * float(np.nanmean(known)) ** 2
+
+
+def both_odds(one: float, other: float) -> float:
+    """Return the log odds that two independent statements of log odds `one` and `other` are true."""
+    if np.isinf(other):
+        return one
+    return -float(np.logaddexp(np.logaddexp(-one, -other), -one - other))
+
+
 def _concerned(
     semantic: NDArray[np.float32],
     patch: NDArray[np.int32],
@@ -297,9 +370,6 @@ _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces in frames that fit, and in frames that do not."""
 _MUTE = SPEAK / 4.0
 """Largest log-likelihood of colours in a frame taken elsewhere [nat a sample]."""
-_STARTS = 8
-_GAIN, _LEAST_RATIO = 1.2, 25.0
-"""Least gain of the log-likelihood ratio by undoing a fault, and least ratio of a frame [nat]."""
 _UNDERGROUND = (-1.0, -0.3)
 """Heights above the floor at which a camera below it is searched for [m]."""
 
@@ -413,37 +483,24 @@ def _is_odometry_missing(observations: list[Observation]) -> bool:
     return bool(still and read.any() and np.median(change[read]) > _MOVED)
 
 
-def find_fault(window: Window, ratio: float, rng: Generator) -> str:
-    """Return the fault of the input that explains why frames do not fit, as a sentence; empty: none.
+def undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
+    """Yield windows with depth with one fault undone, and a sentence about the fault.
 
-    Frames with depth are searched for in the whole map with one fault after the other undone.
-
-    Parameters
-    ----------
-    ratio
-        Log-likelihood ratio against anywhere of the frames as they are, a frame [nat].
-
-    """
-    if all(s.depth is None for s in window.observations):
-        return ""
-    for corrected, sentence in _undo_faults(window):
-        if not len(corrected.table):
-            continue
-        fit = fit_window(corrected, search(corrected, rng)[:_STARTS], rng)[0]
-        judging, newest = corrected.judging, corrected.newest
-        views = [judging.views(FINE)[i] for i in newest]
-        agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[newest]))
-        if agreed.depth > _FITS and agreed.ratio > max(_LEAST_RATIO, _GAIN * ratio):
-            return sentence
-    return ""
-
-
-def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
-    """Yield the window with one fault undone, and a sentence about the fault.
-
-    Rows *gravity up*, *mirrored* and *below the floor*.
+    Rows *gravity up*, *mirrored* and *below the floor*, and depth in another unit.
     """
     query, observations = replace(window.query, prior=None), window.observations
+    if all(s.depth is None for s in observations):
+        return
+    factor = suspect_unit_factor(window.judging.views(FINE), window.table.background)
+    if factor is not None:
+        scaled = [
+            replace(s, depth=None if s.depth is None else s.depth / np.float32(factor))
+            for s in observations
+        ]
+        yield (
+            Window(query, window.scorer, scaled),
+            describe_unit_error(observations[-1].frame, factor),
+        )
     if np.mean([s.frame.gravity[1] for s in observations]) < 0:  # or the camera is held upside down
         upright = [
             replace(

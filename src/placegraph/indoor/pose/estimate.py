@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
+from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
-from placegraph.indoor.likelihood.observe import FINE, describe_suspected_unit
+from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.map.floor import find_storey
 from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.map.scene import Scene
@@ -19,15 +19,17 @@ from placegraph.indoor.pose.agreement import (
     CONFIDENCE,
     Agreement,
     agreement,
+    both_odds,
     explain,
     find_contradiction,
     find_image_fault,
+    searched_odds,
 )
 from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, time_stage
-from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose
+from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose, diagnostics_of
 
 
 def add_earth_poses(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:
@@ -81,7 +83,12 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
         count = max(_EXPLAINED, int((shares > RIVAL).sum()))
         agreed = [agreed_at(fit) for fit in candidates[:count]]
         if window.options.likelihood.tempered:
-            shares = weigh_by_confidence(shares, np.array([CONFIDENCE.odds(a) for a in agreed]))
+            own = [_own_agreement(window.scene, fit.pose) for fit in candidates[: len(agreed)]]
+            odds = [
+                both_odds(CONFIDENCE.odds(a), searched_odds(a, its))
+                for a, its in zip(agreed, own, strict=True)
+            ]
+            shares = weigh_by_confidence(shares, np.array(odds))
             order = np.argsort(-shares, kind="stable")
             shares, candidates = shares[order], [candidates[i] for i in order]
             agreed = [agreed[i] for i in order[: len(agreed)]]
@@ -94,6 +101,7 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
         told = judging.scorer.together(poses[-1][None], told_apart, steps)[0]
         frames = _agreement_of_frames(judging, poses, agreed[0])
         observations, prior = window.observations, window.log_prior
+        searched = searched_odds(agreed[0], _own_agreement(window.scene, poses[-1]))
         found = Diagnostics(
             agreement=agreed[0],
             frames=frames,
@@ -101,15 +109,12 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
             image_fault=find_image_fault(judging),
             contradiction=find_contradiction(judging, frames),
             unnamed=any(s.patches is not None and not s.patches.named for s in observations),
+            searched=searched,
             unmet="" if prior is None else prior.find_contradictions(modes[0].pose),
         )
         status, reason, found = decide_pose(found, modes)
-        if status is not Status.OK and not (found.image_fault or found.contradiction):
-            # depth may look to be in another unit
-            unit = describe_suspected_unit(
-                judging.views(FINE), window.table.background, observations[-1].frame
-            )
-            reason = f"{reason} {unit}".rstrip()
+        if np.isfinite(searched):
+            modes = _scale_probabilities(modes, searched)
         return PoseEstimate(
             status=status,
             modes=modes,
@@ -195,10 +200,41 @@ def _explained(
     return said + explain(scene, agreed)
 
 
-def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, ...]]:
-    """Return a function that describes the evidence of the newest frames at poses (T, 4) of all frames."""
+def _own_agreement(scene: Scene, pose: Floats) -> Floats | None:
+    """Return the agreement (3, 2) of the frames that the scene at a pose (4,) was made of; None: unknown."""
+    known = scene.own_agreement
+    return None if known is None else known[scene.scene_at(pose[:2])]
+
+
+def agreement_at(window: Window, poses: Floats) -> Agreement:
+    """Measure the agreement of the newest frames at poses (T, 4) of all frames."""
     judging, looked = window.judging, window.newest
     views = [judging.views(FINE)[i] for i in looked]
-    steps = between(poses[-1], poses[looked])
-    agreed = agreement(judging.scorer, poses[-1], views, steps)
+    return agreement(judging.scorer, poses[-1], views, between(poses[-1], poses[looked]))
+
+
+def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, ...]]:
+    """Return a function that describes the evidence of the newest frames at poses (T, 4) of all frames."""
+    agreed = agreement_at(window, poses)
     return partial(_explained, window.log_prior, window.scene, agreed, poses[-1])
+
+
+def _scale_probabilities(modes: tuple[PoseMode, ...], searched: float) -> tuple[PoseMode, ...]:
+    """Return modes whose probabilities leave what was not searched its share; log odds `searched`."""
+    share = 1.0 / (1.0 + np.exp(-searched)) / sum(mode.probability for mode in modes)
+    return tuple(replace(mode, probability=share * mode.probability) for mode in modes)
+
+
+def judge_refined(window: Window, estimate: PoseEstimate, poses: Floats) -> PoseEstimate:
+    """Decide an estimate again by the agreement at refined poses (T, 4), if they agree better."""
+    before = diagnostics_of(estimate)
+    if np.isinf(before.searched):
+        return estimate
+    agreed = agreement_at(window, poses)
+    searched = searched_odds(agreed, _own_agreement(window.scene, poses[-1]))
+    if searched <= before.searched:
+        return estimate
+    modes = _scale_probabilities(estimate.modes, np.inf)
+    status, reason, found = decide_pose(replace(before, agreement=agreed, searched=searched), modes)
+    modes = _scale_probabilities(modes, searched)
+    return replace(estimate, status=status, reason=reason, modes=modes, diagnostics=found)

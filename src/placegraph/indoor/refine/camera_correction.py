@@ -472,14 +472,16 @@ DULL = 0.35
 )
 APART = (0.03, 0.012)
 """Way [m] and turn [rad] between depth and images from which on they are not of one view."""
+ALIKE = 0.5
+"""Largest difference of the turns of gravity that two halves of the frames find, as a share of their mean."""
 GAIN = 0.04
 """Least share of the robust cost that a correction saves."""
 TRIAL_MODES, TRIAL_FRAMES, TRIAL_READINGS = 4, 5, 500
 """Numbers of modes, frames, and readings a frame in a trial."""
 TRIAL = (10.0, 10.0, 6.0, 6.0, 4.0)
 """Kernels of a trial [standard deviations]."""
-MOST = 12
-"""Largest number of frames for a correction."""
+LEAST, MOST = 6, 12
+"""Least number of frames that tell a camera from a place, and largest number for a correction."""
 ROUNDS = 4
 SETTLED = 0.003
 """Largest change in the last round."""
@@ -508,7 +510,8 @@ def find_camera_correction(
     window: Window, estimate: PoseEstimate, refining: RefineSetup
 ) -> CameraCorrection | None:
     """Find a correction of the camera of a window's frames; None: no clear fault."""
-    if not refining.options.joint or estimate.best is None or not _needs_correction(estimate):
+    few = len(window) < LEAST or not refining.options.joint or estimate.best is None
+    if few or not _needs_correction(estimate):
         return None
     # depth tells enough at few places, and lags are told from frame to frame
     rows = np.arange(len(window))[-MOST:]
@@ -516,7 +519,11 @@ def find_camera_correction(
     if not case.refiner(case.window).has_depth:
         return None
     starts = [start[rows] for start in _starts(window, estimate)]
-    return case.search(starts[0] if len(starts) == 1 else case.nearest(starts))
+    poses = starts[0] if len(starts) == 1 else case.nearest(starts)
+    correction = case.search(poses.copy())
+    if correction is None:
+        return None
+    return correction if case.is_confirmed(poses) else None
 
 
 def _needs_correction(estimate: PoseEstimate) -> bool:
@@ -571,6 +578,34 @@ class _CameraSearch:
             if fit.cost < cost and np.abs(fit.values).max() < PLAUSIBLE:
                 best, cost = fit.poses[-1] @ np.linalg.inv(start[rows[-1]]) @ start, fit.cost
         return best
+
+    def is_confirmed(self, poses: Floats) -> bool:
+        """Return whether each half of the frames (poses (T, 4, 4)) has a correction that holds for the other.
+
+        It lowers the cost of frames that it was not fitted to. Turns of gravity, which cost nothing as
+        poses may lean, must be alike.
+        """
+        halves = np.array_split(np.arange(len(poses)), 2)
+        parts = [_CameraSearch(_part(self.window, rows), self.refining) for rows in halves]
+        if any(part.search(poses[rows]) is None for part, rows in zip(parts, halves, strict=True)):
+            return False
+        turns = [part.correction.values[list(TILT)] for part in parts]
+        if np.linalg.norm(turns[0] - turns[1]) > ALIKE * np.linalg.norm(turns[0] + turns[1]) / 2.0:
+            return False
+        if not any(part.correction.values[: TILT[0]].any() for part in parts):
+            return True
+        for own, other, rows in ((0, 1, halves[1]), (1, 0, halves[0])):
+            plain = _CameraSearch(parts[other].window, self.refining)
+            before, after = (
+                calibrate_camera(refiner.scene, refiner.problem(), poses[rows], []).cost
+                for refiner in (
+                    plain.refiner(plain.window, TRIAL_READINGS),
+                    parts[own].refiner(plain.window, TRIAL_READINGS),
+                )
+            )
+            if after > (1.0 - GAIN) * before:
+                return False
+        return True
 
     def search(self, poses: Floats) -> CameraCorrection | None:
         """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""

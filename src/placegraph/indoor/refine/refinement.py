@@ -25,11 +25,12 @@ from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
 from placegraph.indoor.pose.covariance import FITTED
-from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
+from placegraph.indoor.pose.estimate import estimate_pose, evidence_at, judge_refined
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import (
     DULL,
+    LEAST,
     OFF,
     SUSPECT,
     find_camera_correction,
@@ -249,6 +250,8 @@ class FitCheck:
     """Correlation of held-out parts of the images with the map; None: not compared."""
     camera: str = ""
     """Hint that the camera is wrong; empty: none."""
+    loose: float = 0.0
+    """Way that an unsure scale of depth may move the pose [m]."""
 
 
 def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
@@ -266,7 +269,12 @@ def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -
         return replace(check, reason=f"{by}, unchecked.")
     with time_stage(refiner.seconds, "check"):
         way, against = _choose_candidate(refiner, coarse, ways)
-        objection, camera = _diagnose_camera(refiner, way)
+        factor = measure_scale_error(refiner, way.candidate)
+        if len(refiner.frames) < LEAST:  # too few to tell a camera from a place
+            objection, camera = "", ""
+            way = _widen_by_scale(refiner, way, factor)
+        else:
+            objection, camera = _diagnose_camera(refiner, way, factor)
         way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
     against = objection or against
     if against:
@@ -397,12 +405,28 @@ def _evidence(
     return found
 
 
-def _diagnose_camera(refiner: Refiner, way: FitCheck) -> tuple[str, str]:
+def _widen_by_scale(refiner: Refiner, way: FitCheck, factor: float) -> FitCheck:
+    """Widen the covariance for a scale of few frames that is off by a logarithm `factor`.
+
+    The pose may then be off along the last frame's optical axis by that share of its median depth.
+    """
+    read, fit = refiner.readings()[-1], way.candidate
+    depths = np.zeros(0) if read is None else read.depth[read.depth > 0]
+    if not factor or not len(depths):
+        return way
+    off = factor * float(np.median(depths)) * fit.poses[-1, :3, 2]
+    covariance = fit.covariance.copy()
+    covariance[:3, :3] += np.outer(off, off)
+    widened = replace(fit, covariance=covariance)
+    return replace(way, candidate=widened, loose=float(np.linalg.norm(off)))
+
+
+def _diagnose_camera(refiner: Refiner, way: FitCheck, factor: float) -> tuple[str, str]:
     """Diagnose the camera: objection, and hint for `find_camera_correction`; empty: none.
 
-    Rows *focal length*, *depth scale* and *depth aside*.
+    Rows *focal length*, *depth scale* and *depth aside*. `factor`: of `measure_scale_error`.
     """
-    factor, hint = measure_scale_error(refiner, way.candidate), ""
+    hint = ""
     if abs(factor) > SUSPECT:
         hint = f"the scale seems {factor:+.1%} off"
     elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
@@ -517,6 +541,9 @@ def refine_from(
         else:
             nothing = FittedTrajectory(start, None, [], np.full((6, 6), np.nan))
             check = FitCheck(False, f"Not refined: {error}", nothing, {})
+    if check.accepted:
+        refined = split_pose(check.candidate.poses)[0]
+        estimate = judge_refined(window, estimate, refined)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best
     if explained and check.accepted and best is not None:
@@ -558,6 +585,7 @@ def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> P
         shift=check.shift,
         turn_deg=check.turn_deg,
         camera=check.camera,
+        loose=check.loose,
     )
     status, reason = decide_refined(estimate, found)
     return replace(

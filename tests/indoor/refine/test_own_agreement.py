@@ -1,0 +1,94 @@
+"""How well the frames that a map was made of agree with it, and answers that fall short of them."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.core.estimate import Status
+from placegraph.errors import OptionError
+from placegraph.indoor.map.scene_file import save_scene
+from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.options import PoseSearchOptions
+from placegraph.indoor.pose.agreement import (
+    Agreement,
+    both_odds,
+    measure_own_agreement,
+    searched_odds,
+)
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.status import FEW
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+OWN = np.array([[4.0, 0.6], [0.26, 0.03], [1.0, 0.13]])
+NOTHING = np.zeros(2)
+
+
+def seen(depth=0.98, colour=0.26, tone=1.0):
+    return Agreement(0.9, math.nan, depth, colour, NOTHING, NOTHING, tone=tone)
+
+
+def test_colours_that_fall_short_are_of_an_unsearched_place():
+    as_own, beside, elsewhere = seen(), seen(colour=0.2, tone=0.8), seen(colour=0.1, tone=0.35)
+    odds = [searched_odds(a, OWN) for a in (as_own, beside, elsewhere)]
+    assert odds[0] > odds[1] > 3.0
+    assert odds[2] < -1.0
+    assert searched_odds(seen(colour=0.5, tone=2.0), OWN) == odds[0], "more is no fault"
+    assert searched_odds(elsewhere, None) == math.inf
+    # without colours depth counts, without a sense that is known nothing does
+    blind = seen(depth=0.7, colour=math.nan, tone=math.nan)
+    assert searched_odds(blind, OWN) < searched_odds(replace(blind, depth=0.97), OWN)
+    assert searched_odds(as_own, np.full((3, 2), np.nan)) == math.inf
+
+
+@given(st.floats(-30, 30), st.floats(-30, 30))
+def test_both_are_no_likelier_than_either(one, other):
+    probability = 1.0 / (1.0 + math.exp(-one)) / (1.0 + math.exp(-other))
+    both = both_odds(one, other)
+    assert 1.0 / (1.0 + math.exp(-both)) == pytest.approx(probability, rel=1e-6)
+    assert both <= min(one, other)
+    assert both_odds(one, math.inf) == one
+
+
+@pytest.fixture(scope="module")
+def measured(room, exact):
+    return replace(
+        room, own_agreement=measure_own_agreement(room, exact.capture.frames, exact.poses)[None]
+    )
+
+
+def test_own_frames_are_measured_kept_and_merged(room, measured, tmp_path):
+    mean, deviation = measured.own_agreement[0].T
+    assert mean[0] > 3.0
+    assert (mean[1:] > 0.05).all()
+    assert (deviation >= 0).all()
+    save_scene(measured, tmp_path / "it.scene")
+    np.testing.assert_array_equal(
+        SceneMap.open(tmp_path / "it.scene").own_agreement, measured.own_agreement
+    )
+    both = merge_scenes({"mesh": room, "walked": measured})
+    assert np.isnan(both.own_agreement[0]).all()
+    np.testing.assert_array_equal(both.own_agreement[1], measured.own_agreement[0])
+    assert merge_scenes({"a": room, "b": room}).own_agreement is None
+    with pytest.raises(OptionError, match="own_agreement"):
+        replace(room, own_agreement=np.zeros((2, 3, 2)))
+
+
+@pytest.mark.parametrize(("count", "status"), [(3, Status.AMBIGUOUS), (10, Status.LOST)])
+def test_answers_that_fall_short_are_not_ok(measured, exact, count, status):
+    options = PoseSearchOptions().only(depth=True, colour=True)
+    asked = {"frames": slice(0, count), "options": options, "refine": False}
+    right = measured.localize(exact.capture, **asked)
+    assert right.status is Status.OK
+    assert 0.95 < sum(mode.probability for mode in right.modes) < 1.0
+    own = measured.own_agreement + np.array([[0.0, 0.0], [0.5, 0.0], [2.0, 0.0]])
+    estimate = replace(measured, own_agreement=own).localize(exact.capture, **asked)
+    assert estimate.status is status
+    assert "than the frames that the map was made of" in estimate.reason
+    assert sum(mode.probability for mode in estimate.modes) < 0.1
+    assert count > FEW or len(estimate.modes)
+    json.dumps(estimate.to_dict(), allow_nan=False)
