@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.indoor.conftest import measure_error, rebuild
+from tests.indoor.conftest import measure_error, rebuild, rebuild_frame
 
 import placegraph as pg
 from placegraph.core.estimate import Status
@@ -110,6 +110,16 @@ def test_an_encoder_that_says_nothing_does_no_harm(room, walk, truth):
             return Patches(frame.camera, (2, 2), rows, np.ones((1, len(room)), np.float32))
 
     right(room.localize(walk, frames=[1, 3, 4], encoder=Mute()), truth(walk)[4])
+
+
+def test_frames_of_depth_alone_take_part(room, walk, truth):
+    frames = [
+        f if i % 2 else rebuild_frame(f, rgb=None, labels=None, label_camera=None)
+        for i, f in enumerate(walk[:5])
+    ]
+    answer = room.localize(frames, seed=1)
+    right(answer, truth(walk)[4], 0.1, 2.0)
+    assert answer.status is Status.OK
 
 
 RECORDED = FilterOptions(record=True)

@@ -154,6 +154,19 @@ def test_threads_change_nothing(views):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
+def test_frames_without_colour_add_surface_and_no_colour(views, fused):
+    frames = [
+        f if i % 2 else Frame.from_arrays(None, f.camera, depth=f.depth(), odometry=f.odometry)
+        for i, f in enumerate(views[0])
+    ]
+    found = fuse(frames, views[1], voxel=0.06)
+    np.testing.assert_array_equal(found.vertices, fused.vertices)
+    painted = found.colours.any(axis=1)
+    assert painted.mean() > 0.5
+    off = np.abs(found.colours[painted].astype(int) - fused.colours[painted])
+    assert np.median(off) <= 2
+
+
 def test_frames_that_cannot_be_used_are_counted(views):
     frames, poses = list(views[0][:8]), views[1][:8].copy()
     poses[1, 0, 3] = np.nan

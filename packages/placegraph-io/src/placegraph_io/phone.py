@@ -9,7 +9,7 @@ ty, tz: world_from_camera in ARKit's axes, of the image as it is stored) and `fr
 **3D Scanner App.** For every frame N: `frame_N.json` with `cameraPoseARFrame` (16 numbers by rows,
 world_from_camera in ARKit's axes, of the image as it is stored), `intrinsics` (9 by rows [px of the
 image]) and `time`; `depth_N.png` (16 bits [mm]) and `conf_N.png` (0 to 2). Only some have a
-`frame_N.jpg`.
+`frame_N.jpg`; the others are frames of depth alone.
 
 **ios_logger.** `Frames.m4v`; `Frames.txt`, a row a frame of it: `time, number, fx, fy, cx, cy` [s, px];
 `ARposes.txt`, rows `time, x, y, z, qw, qx, qy, qz` in ARKit's axes, of the image as it is stored. Rows
@@ -48,6 +48,7 @@ from placegraph.io.capture.frame import (
     Capture,
     DepthUnit,
     LazyImages,
+    NoColour,
     check_shape,
     colour_file,
     depth_file,
@@ -346,17 +347,17 @@ def read_arkit_app(path: Path) -> Capture:
         row = stem.removeprefix("frame_")
         if row == stem or not (row.isascii() and row.isdigit()):
             continue  # info.json and the like
-        lacking = [name for name in (stem, f"depth_{row}") if name not in images]
-        if lacking:
-            left_out["no colour image" if stem in lacking else "no depth"] += 1
-        else:
+        if f"depth_{row}" in images:
             named.append(row)
-    if not named:
+        else:
+            left_out["no depth"] += 1
+    coloured = next((row for row in named if f"frame_{row}" in images), None)
+    if coloured is None:
         raise InputError(
             f"{path} has no frame with frame_*.json, frame_*.jpg and depth_*.png; record with a "
             "device with LiDAR, and export all data."
         )
-    first = images[f"frame_{named[0]}"], images[f"depth_{named[0]}"]
+    first = images[f"frame_{coloured}"], images[f"depth_{coloured}"]
     return make_capture(
         path, (_read_arkit_app_frame(path, images, row, first) for row in named), left_out=left_out
     )
@@ -378,7 +379,8 @@ def _read_arkit_app_frame(
             f"{width} x {height}, so the images were resized or rotated; export them again."
         )
     camera = make_camera(f"{file}: intrinsics", (width, height), (fx, fy, cx, cy))
-    depth, confidence = images[f"depth_{row}"], images.get(f"conf_{row}")
+    colour, confidence = (images.get(f"{kind}_{row}") for kind in ("frame", "conf"))
+    depth = images[f"depth_{row}"]
     depth_camera = resize_camera(camera, image_size(first[1]), first[1])
     pose = orthonormalize_pose(
         read_numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame"
@@ -389,7 +391,7 @@ def _read_arkit_app_frame(
         pose=MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV,
         camera=camera,
         images=LazyImages(
-            colour_file(images[f"frame_{row}"], camera),
+            colour_file(colour, camera) if colour else NoColour((width, height)),
             depth_file(depth, depth_camera, _UNIT, confidence=confidence),
             unit=DepthUnit(f"{path / 'depth_*.png'}", _UNIT),
         ),

@@ -223,7 +223,8 @@ def encode_patches(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None
 
     Raises `OptionError` where they are no finite vectors of the encoder's own length.
     """
-    image = encoder.patches(frame)
+    seen = frame.has_colour or frame.label_camera is not None
+    image = encoder.patches(frame) if seen else None
     if image is None:
         return None
     if image.ndim != 3 or image.shape[2] != encoder.dimension or not np.isfinite(image).all():

@@ -191,7 +191,7 @@ def observe_frame(
         level=level_from_camera(frame.gravity),
         patches=encoder.encode(frame) if encoder is not None and options.semantic else None,
         depth=depth,
-        rgb=frame.rgb() if options.colour else None,
+        rgb=frame.rgb() if options.colour and frame.has_colour else None,
     )
 
 

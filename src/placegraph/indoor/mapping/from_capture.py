@@ -111,16 +111,18 @@ def read_capture(
         floor=floor,
     )  # fmt: skip
     poses = np.array([f.odometry for f in capture.frames])
+    coloured = [f for f in capture.frames if f.has_colour]
+    looks = np.array([f.odometry for f in coloured])
     colour_of = frame_colours(
-        capture.frames,
-        poses,
+        coloured,
+        looks,
         fused.vertices,
         fused.triangles,
         progress=_report_stage(progress, "colours"),
     )
     landmarks = None
     if how.landmarks:
-        landmarks = map_landmarks(capture.frames, poses, _report_stage(progress, "landmarks"))
+        landmarks = map_landmarks(coloured, looks, _report_stage(progress, "landmarks"))
     notes = _write_notes(path, has_trajectory, fused.stats, segments.labels)
     told_of = (*capture.notes, *notes, *guessed)
     seen_from = thin_points(poses[:, :3, 3])

@@ -74,11 +74,12 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
     depth, depth_camera = frame.depth(), frame.depth_camera
     if depth is None or depth_camera is None or not (depth > 0).any():
         return None
-    image, camera = frame.rgb(), frame.camera
+    camera = frame.camera
+    image = frame.rgb() if frame.has_colour else np.zeros((0, 0, 3), np.uint8)
     if not depth_camera.is_rectilinear:
         depth_camera, table = undistort(depth_camera)
         depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
-    if not camera.is_rectilinear:
+    if not camera.is_rectilinear and frame.has_colour:
         camera, table = undistort(camera)
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])

@@ -72,6 +72,8 @@ class Frame(PickleFields):
     label_names: dict[int, str]
     """Names of label ids; may be empty for instances."""
     images: Images = field(repr=False)
+    has_colour: bool = True
+    """Whether there is a colour image; without one `rgb` is black, and only depth is compared."""
 
     def rgb(self) -> NDArray[np.uint8]:
         """Return colours (H, W, 3) uint8, sRGB; `InputError` where the file is broken or of another size."""
@@ -94,7 +96,7 @@ class Frame(PickleFields):
     @classmethod
     def from_arrays(
         cls,
-        rgb: ArrayLike,
+        rgb: ArrayLike | None,
         camera: Camera,
         *,
         depth: ArrayLike | None = None,
@@ -113,7 +115,7 @@ class Frame(PickleFields):
         Parameters
         ----------
         rgb
-            (H, W, 3) uint8, sRGB.
+            (H, W, 3) uint8, sRGB; None: a frame of depth alone.
         depth
             (h, w) along the optical axis [m]; 0, negative or not finite: no reading.
         depth_camera
@@ -139,7 +141,8 @@ class Frame(PickleFields):
             An array has the wrong shape or type, or does not fit its camera.
 
         """
-        colours = np.asarray(rgb)
+        black = NoColour((camera.width, camera.height))
+        colours = black() if rgb is None else np.asarray(rgb)
         if colours.dtype != np.uint8:
             raise OptionError(f"rgb: {colours.dtype}; colours must be uint8, 0 to 255.")
         if label_kind not in {"labels", "instances"}:
@@ -173,6 +176,7 @@ class Frame(PickleFields):
                 None if metres is None else _freeze(metres),
                 None if ids is None else _freeze(ids),
             ),
+            has_colour=rgb is not None,
         )
 
 
@@ -349,6 +353,7 @@ def posed_frame(
         label_kind=None if label_camera is None else label_kind,
         label_names=dict(label_names or {}),
         images=replace(images, turns=turns) if turns else images,
+        has_colour=not isinstance(images.colours, NoColour),
     )
 
 
@@ -385,6 +390,17 @@ def rotate_camera(camera: Camera, turns: int) -> Camera:
             model=camera.model,
         )
     return camera
+
+
+@dataclass(frozen=True, slots=True)
+class NoColour:
+    """Reader of a frame that has no colour image, of this width and height [px]: black."""
+
+    size: tuple[int, int]
+
+    def __call__(self) -> NDArray[np.uint8]:
+        """Return (H, W, 3)."""
+        return np.zeros((*self.size[::-1], 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)

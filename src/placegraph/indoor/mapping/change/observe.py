@@ -135,6 +135,8 @@ def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
     """Resample an image to (H, W, 3), 0 to 1, as `camera` at the same place would take it."""
     from PIL import Image
 
+    if not frame.has_colour:
+        return np.full((camera.height, camera.width, 3), np.nan, np.float32)
     rgb, own = frame.rgb(), frame.camera
     if own.resize(camera.width, camera.height) == camera:
         size = camera.width, camera.height
