@@ -25,6 +25,7 @@ from placegraph.view.city.city_items import (
     mode_bounds,
     mode_position,
     posterior_layer,
+    round_corners,
 )
 from placegraph.view.city.page import MAX_LEVEL, SIDE, UNIT, CityTiles, example_sentences
 from placegraph.view.city.picture import length_words, round_length
@@ -287,3 +288,26 @@ def test_scale_bars_are_round(most):
 
 def test_lengths_in_words():
     assert [length_words(m) for m in (0.5, 20.0, 2000.0)] == ["0.5 m", "20 m", "2 km"]
+
+
+def _polygon(n, radius):
+    turn = np.linspace(0.0, 2.0 * np.pi, n + 1)
+    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+
+@pytest.mark.parametrize("n", [5, 6, 8])
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_pool_that_a_map_simplified_is_drawn_round(n, way):
+    ring = _polygon(n, 4.0)[::way]
+    drawn = round_corners(ring)
+    assert (drawn[0] == drawn[-1]).all()
+    sides = 0.5 * (drawn[1:] + drawn[:-1])  # halfway between two points a polygon is flattest
+    assert np.abs(np.hypot(*sides.T) - 4.0).max() < 0.1 * 4.0
+    assert np.hypot(*(0.5 * (ring[1:] + ring[:-1])).T).min() < np.hypot(*sides.T).min()
+
+
+@pytest.mark.parametrize(
+    "ring", [_polygon(4, 4.0), _polygon(6, 30.0), np.array(ring(0, 0, 8, 8))[[0, 1, 1, 2, 3, 4]]]
+)
+def test_other_rings_are_drawn_as_they_are(ring):
+    assert round_corners(ring) is ring

@@ -28,7 +28,13 @@ from placegraph.view.draw.canvas import (
     cut_dashes,
 )
 from placegraph.view.draw.lettering import REPEAT, OccupiedPlaces, covering_discs, place_names
-from placegraph.view.draw.painter import Sheet, colour_density, paint_picture, write_image
+from placegraph.view.draw.painter import (
+    Sheet,
+    colour_density,
+    paint_picture,
+    wrap_text,
+    write_image,
+)
 from placegraph.view.draw.style import AREA, LINE, PAINTS, PALETTE, POINT, RULES, find_paint
 
 BOUNDS = (0.0, 0.0, 100.0, 60.0)
@@ -341,3 +347,15 @@ def test_lettering_has_contrast(dark):
     inks = ("ink", "soft-ink", "for", "against", "mode", "amber", "park-ink")
     for ink, ground in (*product(inks, ("paper", "land")), ("on-mode", "mode")):
         assert contrast(PALETTE[ink][dark], PALETTE[ground][dark]) >= 4.5, (ink, ground)
+
+
+@given(st.lists(st.text("abcdefgh", min_size=1, max_size=12), min_size=1), st.integers(80, 400))
+def test_lines_break_between_words_and_say_what_they_leave_out(words, room):
+    text, face = " ".join(words), choose_face(["a"])
+    lines = wrap_text(face, text, 13, room, 2)
+    assert len(lines) <= 2
+    assert all(face.width(line, 13) <= room for line in lines)
+    shown = [word for line in lines for word in line.removesuffix("...").split()]
+    whole = max(face.width(word, 13) for word in words) <= room - face.width("...", 13)
+    assert not whole or shown == words[: len(shown)]
+    assert lines[-1].endswith("...") == ("".join(shown) != "".join(words))

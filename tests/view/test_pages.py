@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -150,6 +151,27 @@ def test_a_page_in_a_browser(city, sure, browser, tmp_path):
         assert page.get_attribute('.mode[data-mode="1"]', "aria-pressed") == "true"
         page.focus(".object >> nth=0")
         assert re.match(r"(node|way)/\d+", page.get_attribute(".map", "data-lit"))
+
+
+def test_names_of_the_evidence_stand_on_no_other(browser):
+    found = [
+        {"at": [x, y], "words": words, "verdict": "for", "id": words}
+        for x, y, words in (
+            (-8, 2, "Jardins de la Petite Afrique"), (-6, 0, "Avenue des Spélugues"), (-5, 1, "Casino"),
+            (0, 0, "Place du Casino"), (0.2, 0.2, "swimming pool"), (9, 0, "Rampoldi"),
+        )
+    ]  # fmt: skip
+    parts = "\n".join(read_part(f"{name}.js") for name in ("base", "letters", "marks"))
+    script = re.sub(r'^import [^;]+ from "[^"]+";\n|^export ', "", parts, flags=re.MULTILINE)
+    with opened(browser, "about:blank") as page:
+        placed = page.evaluate(
+            f"(found) => {{ {script}; return beside(found, [0, 0], 2).map((t) => [t.text, covering(t, 2)]); }}",
+            found,
+        )
+    assert len(placed) >= 4
+    for (one, discs), (other, others) in combinations(placed, 2):
+        gaps = [np.hypot(a - x, b - y) - r - q for a, b, r in discs for x, y, q in others]
+        assert min(gaps) >= 0.0, f"{one} stands on {other}"
 
 
 def test_what_is_only_ranked_shows_no_percentage(city, sure, browser, tmp_path):

@@ -21,6 +21,7 @@ from placegraph.view.draw.canvas import (
     Line,
     MapItem,
     Mark,
+    Points,
     Stroke,
     clip_line,
     clip_ring,
@@ -259,7 +260,8 @@ def draw_item(
     if not paint:
         return None
     if kind == AREA:
-        rings = [clip_ring(ring, bounds) for ring in objects.parts(row) if len(ring) > 2]
+        parts = [round_corners(ring) for ring in objects.parts(row) if len(ring) > 2]
+        rings = [clip_ring(ring, bounds) for ring in parts]
         rings = [ring for ring in rings if len(ring) > 3]
         return Area(rings, paint, row) if rings else None
     if kind == LINE:
@@ -270,6 +272,36 @@ def draw_item(
     if not (west <= x <= east and south <= y <= north):
         return None
     return Dot(objects.center[row], paint, row)
+
+
+ROUND = 12.0
+"""Longest side of a ring that is taken for a simplified circle [m]."""
+
+
+def round_corners(ring: Points) -> Points:
+    """Return a ring of few, short sides and wide angles as the curve (Catmull-Rom) through its corners.
+
+    Maps simplify a round pool to a hexagon; other rings come back unchanged.
+    """
+    corners = np.asarray(ring[:-1], np.float64)
+    sides = np.roll(corners, -1, axis=0) - corners
+    if not 5 <= len(corners) <= 10 or np.hypot(*sides.T).max() > ROUND:
+        return ring
+    after = np.roll(sides, -1, axis=0)
+    turns = np.arctan2(
+        sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0], (sides * after).sum(axis=1)
+    )
+    if abs(turns.sum()) < 6.0 or not (np.abs(turns) < np.radians(80.0)).all():
+        return ring
+    if (turns * turns[0] <= 0.0).any():
+        return ring
+    t = np.linspace(0.0, 1.0, 6, endpoint=False)[None, :, None]
+    p, q, r, s = (np.roll(corners, shift, axis=0)[:, None] for shift in (1, 0, -1, -2))
+    curve = q + 0.5 * t * (
+        r - p + t * (2.0 * p - 5.0 * q + 4.0 * r - s + t * (3.0 * (q - r) + s - p))
+    )
+    points = curve.reshape(-1, 2)
+    return np.concatenate([points, points[:1]])
 
 
 BANDWIDTH = 9.0
@@ -430,5 +462,5 @@ def _draw_outline(objects: CityObjects, obj: EvidenceObject, at: Floats, color: 
     parts = objects.parts(obj.row)
     if objects.kind[obj.row] == LINE:
         return [Stroke(piece, color, 3.0) for part in parts for piece in clip_line(part, window)]
-    rings = [ring for part in parts if len(ring := clip_ring(part, window)) > 3]
+    rings = [ring for part in parts if len(ring := clip_ring(round_corners(part), window)) > 3]
     return [Stroke(ring, color, 2.0, fill=0.0 if k else 0.14) for k, ring in enumerate(rings)]

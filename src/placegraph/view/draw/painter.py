@@ -19,6 +19,7 @@ from placegraph.view.draw.canvas import (
     Area,
     Disc,
     Dot,
+    Face,
     Frame,
     HeatLayer,
     Item,
@@ -329,14 +330,14 @@ class Sheet:
         anchor: str = "l",
         room: float | None = None,
     ) -> float:
-        """Write a line, cut to its room, centred on the height of `at`; return where it ends."""
+        """Write a line, cut behind a word to fit its room; return where it ends.
+
+        The line is centred on the height of `at`.
+        """
         face = choose_face([text])
         text = face.drawable(text)
-        if room is not None and face.width(text, size) > room:
-            fits = bisect_right(
-                range(len(text)), room, key=lambda count: face.width(text[:count] + "...", size)
-            )
-            text = text[: max(fits - 1, 0)].rstrip() + "..."
+        if room is not None:
+            text = next(iter(wrap_text(face, text, size, room, 1)), "")
         font = face.font(size * SUPERSAMPLE)
         self.draw.text(_scale_up(at), text, self._color(color), font, anchor=f"{anchor}m")
         return at[0] + face.width(text, size)
@@ -360,16 +361,20 @@ class Sheet:
         self.text((corner[0] + 10, corner[1] + size / 2 + 7), text, size, "ink")
 
     def card(self, corner: XY, lines: Sequence[tuple[str, str]], room: float) -> None:
-        """Write lines, each with its verdict, on a card of paper."""
+        """Write statements, each with its verdict and in two lines at most, on a card of paper."""
         left, top = corner
         face = choose_face(text for _, text in lines)
-        longest = max(face.width(text, 13) for _, text in lines)
-        width = min(room, longest + 40)
-        self._box((left, top, left + width, top + 20 * len(lines) + 14))
-        for k, (verdict, text) in enumerate(lines):
+        rows = [
+            (verdict if k == 0 else None, text)
+            for verdict, statement in lines
+            for k, text in enumerate(wrap_text(face, statement, 13, room - 38, 2))
+        ]
+        width = 40 + max(face.width(text, 13) for _, text in rows)
+        self._box((left, top, left + width, top + 20 * len(rows) + 14))
+        for k, (verdict, text) in enumerate(rows):
             y = top + 17 + 20 * k
-            self.verdict((left + 14, y), verdict)
-            self.text((left + 28, y), text, 13, "ink" if verdict else "soft-ink", room=width - 38)
+            self.verdict((left + 14, y), verdict or "")
+            self.text((left + 28, y), text, 13, "soft-ink" if verdict == "" else "ink")
 
     def verdict(self, at: XY, verdict: str) -> None:
         """Draw a tick (for), a cross (against) or a stroke (silent) around a place."""
@@ -482,6 +487,27 @@ class Sheet:
     def _color(self, name: str) -> tuple[int, int, int]:
         red, green, blue = ImageColor.getrgb(PALETTE[name][0])[:3]
         return red, green, blue
+
+
+def wrap_text(face: Face, text: str, size: float, room: float, most: int) -> list[str]:
+    """Break a text between words into at most so many lines that fit their room [px].
+
+    Three dots stand for what is left out. A word that is longer than a line is cut.
+    """
+    lines: list[str] = []
+    rest = text
+    while rest and len(lines) < most:
+        dots = "" if face.width(rest, size) <= room else "..." if len(lines) == most - 1 else ""
+        fits = bisect_right(
+            range(len(rest) + 1), room, key=lambda count: face.width(rest[:count] + dots, size)
+        )
+        line, rest = rest[: max(fits - 1, 1)], rest[max(fits - 1, 1) :]
+        words, space, begun = line.rpartition(" ")
+        if rest and not rest.startswith(" ") and space:
+            line, rest = words, begun + rest
+        lines.append(line.rstrip() + dots)
+        rest = rest.lstrip()
+    return lines
 
 
 def write_image(image: Image.Image, path: str | Path, form: str, **options: Any) -> Path:  # noqa: ANN401  # Pillow's

@@ -183,7 +183,7 @@ export class AnswerMap {
   texts() {
     const place = this.places[this.selected];
     if (!place?.at || this.map.view.scale < 0.4) return [];
-    return this.speaking(place).slice(0, 12).map((witness) => beside(witness, place.at));
+    return beside(this.speaking(place).slice(0, 12), place.at, this.map.view.scale);
   }
 
   /** Witnesses of a place: what is inside where that is seen from near by, else what is outside. */

@@ -49,7 +49,7 @@ const square = (x, y, i, j) => (Math.floor(x / SQUARE) + i) * 65536 + Math.floor
 /** Discs that cover a text; x grows to the right, y downwards [px]. */
 export function covering(text, scale) {
   const x = text.x * scale + text.dx, y = -text.y * scale + text.dy;
-  const width = widthOf(text.text, text.size) + 4, n = Math.max(1, Math.ceil(width / text.size));
+  const width = (text.bold ? 1.1 : 1) * widthOf(text.text, text.size) + 4, n = Math.max(1, Math.ceil(width / text.size));
   const start = { left: 0, center: -0.5, right: -1 }[text.anchor], discs = [];
   for (let i = 0; i < n; i++) {
     const along = (start + (i + 0.5) / n) * width;

@@ -1,6 +1,7 @@
 // What an estimate says, on the map: the posterior as heat, modes with their ellipses, evidence.
 
 import { clamp, commonName, tidy } from "./base.js";
+import { covering, Taken } from "./letters.js";
 
 const BANDWIDTH = 9, FAINT = 0.1, SIGMAS = 2, SHOWN = 120, NEAREST = 10, FINEST = 0.0025;
 const STOPS = [[0.02, 255, 205, 90, 0], [0.12, 255, 190, 80, 70], [0.4, 246, 138, 52, 125],
@@ -226,11 +227,23 @@ export function dot(ctx, x, y, radius, fill, rim) {
   ctx.stroke();
 }
 
-/** Names of the witnesses, beside them on the side that looks away from the mode. */
-export function beside({ at, words, verdict, id }, mode) {
-  const text = { x: at[0], y: at[1], text: words, size: 14, ink: verdict, bold: true, angle: 0, dy: 0, osm: id };
-  if (Math.hypot(at[0] - mode[0], at[1] - mode[1]) < 1) return { ...text, anchor: "center", dx: 0, dy: 26 };
-  return at[0] < mode[0] - 1 ? { ...text, anchor: "right", dx: -9 } : { ...text, anchor: "left", dx: 9 };
+/**
+ * Names of the witnesses at a scale [px/m], none on another: beside them on the side that looks away
+ * from the mode, else on another side. One that finds no room stands in the panel alone.
+ */
+export function beside(found, mode, scale) {
+  const taken = new Taken(), texts = [];
+  taken.claim([[mode[0] * scale, -mode[1] * scale, 13]], true);
+  for (const { at, words, verdict, id } of found) {
+    const text = { x: at[0], y: at[1], text: words, size: 14, ink: verdict, bold: true, angle: 0, dx: 0, dy: 0, osm: id };
+    const here = Math.hypot(at[0] - mode[0], at[1] - mode[1]) < 1;
+    const left = { ...text, anchor: "right", dx: -9 }, right = { ...text, anchor: "left", dx: 9 };
+    const upright = (here ? [26, -26] : [16, -16]).map((dy) => ({ ...text, anchor: "center", dy }));
+    const sides = at[0] < mode[0] - 1 ? [left, right] : [right, left];
+    const free = (here ? upright : [...sides, ...upright]).find((t) => taken.claim(covering(t, scale)));
+    if (free) texts.push(free);
+  }
+  return texts;
 }
 
 export function paintEllipse(ctx, map, ring, colour) {

@@ -86,13 +86,14 @@ function bar(probability) {
 export function evidence(mode, k, { light, go, linked = true }) {
   const rows = mode.evidence.map((e) => {
     const [mark, words] = VERDICTS[e.verdict] ?? ["–", "says nothing about it"];
-    const title = `${words}: ${factor(e.weight)} than anywhere`, ids = e.objects.map((object) => object.id);
+    const agrees = e.verdict !== "against" || e.weight <= 0; // a rare object may speak for a place and lie the other way
+    const title = agrees ? `${words}: ${factor(e.weight)} than anywhere` : words, ids = e.objects.map((object) => object.id);
     const touch = ids.length ? { onpointerenter: () => light(ids), onpointerleave: () => light([]) } : {};
     return el("li", { class: VERDICTS[e.verdict] ? e.verdict : "silent", "data-ids": ids.join(" "), ...touch },
       el("span", { class: "verdict", role: "img", "aria-label": words }, mark),
       el("span", { class: "statement" }, e.statement),
       el("span", { class: "weight", role: "img", "aria-label": title, title },
-        el("i", { style: { [e.weight >= 0 ? "left" : "right"]: "50%", width: `${50 * Math.min(1, Math.abs(e.weight) / FULL_BAR)}%` } })),
+        el("i", { style: { [e.weight >= 0 ? "left" : "right"]: "50%", width: `${agrees ? 50 * Math.min(1, Math.abs(e.weight) / FULL_BAR) : 0}%` } })),
       e.note ? el("p", { class: "note" }, e.note) : null,
       ids.length ? el("ul", {}, e.objects.map((object) => thing(object, { light, go, linked }))) : null);
   });
