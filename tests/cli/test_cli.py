@@ -311,6 +311,10 @@ def test_ask_until_the_place_is_clear(run, city):
     assert "'maybe' is not a valid answer" in result.err
     other = run("city", "locate", city, SQUARES, "--ask", "--json", stdin="Fischmarkt\nyes\n")
     assert other.json["modes"][0]["latitude"] == pytest.approx(53.5500, abs=3e-4)
+    none = run("city", "locate", city, SQUARES, "--ask", "--json", stdin="n\n")
+    assert none.code == 0
+    assert "is not a valid answer" not in none.err
+    assert any(s["negated"] for s in none.json["understood"]["statements"])
 
 
 def test_ask_asks_nothing_where_all_is_clear_and_answers_whoever_goes_away(run, city):

@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from placegraph.cli.command import Argument, Fields, Option
-from placegraph.cli.common import AsJson, Quiet, console, numbers_of, progress_of, show_facts, table
+from placegraph.cli.common import (
+    AsJson,
+    Quiet,
+    console,
+    evidence_cells,
+    numbers_of,
+    progress_of,
+    show_facts,
+    table,
+)
 from placegraph.core.options import in_radians
 from placegraph.core.plugins import load_module
 from placegraph.errors import DescriptionError, OptionError
@@ -440,10 +449,7 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
         rows = table("", "statement", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence:
             things = ", ".join(f"{o.name or o.label} ({o.id})" for o in e.objects)
-            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
-            rows.add_row(
-                sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
-            )
+            rows.add_row(*evidence_cells(e), "; ".join(x for x in (things, e.note) if x))
         out.print(rows)
     if estimate.understood and estimate.understood.ignored:
         ignored = "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in estimate.understood.ignored)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
+    from placegraph.core.estimate import Evidence
+
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, Option("--quiet", help="Print neither progress nor summary.")]
 
@@ -107,6 +109,17 @@ def table(*headings: str, show_header: bool = True) -> Table:
     from rich.table import Table
 
     return Table(*headings, box=None, pad_edge=False, show_header=show_header)
+
+
+def evidence_cells(evidence: Evidence) -> tuple[str, str, str]:
+    """Return the cells of evidence in a table: sign of the verdict, statement, log-likelihood ratio.
+
+    The ratio is left out where it contradicts the verdict: a rare object is there, which speaks for the
+    place, but not where the statement says.
+    """
+    sign = {"for": "+", "against": "-"}.get(evidence.verdict, " ")
+    agrees = evidence.verdict != "against" or evidence.weight <= 0.0
+    return sign, evidence.statement, f"{evidence.weight:+.1f}" if agrees else ""
 
 
 def show_facts(facts_by_name: dict[str, object]) -> None:

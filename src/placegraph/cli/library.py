@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, console, echo_json, progress_of, show_facts, table
+from placegraph.cli.common import (
+    AsJson,
+    console,
+    echo_json,
+    evidence_cells,
+    progress_of,
+    show_facts,
+    table,
+)
 from placegraph.cli.scene_localize import MOST_OBJECTS, show
 from placegraph.cli.scene_options import (
     CaptureFolder,
@@ -387,6 +395,5 @@ def show_scenes(estimate: SceneEstimate) -> None:
     if estimate.evidence:
         rows = table("", "evidence", "log-likelihood ratio")
         for e in estimate.evidence[: MOST_OBJECTS + 2]:
-            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
-            rows.add_row(sign, e.statement, f"{e.weight:+.1f}")
+            rows.add_row(*evidence_cells(e))
         out.print(rows)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph.cli.city import Near, location_prior
 from placegraph.cli.command import Argument, Fields, Option
-from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
+from placegraph.cli.common import AsJson, console, echo_json, evidence_cells, progress_of, table
 from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
 from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
 from placegraph.errors import OptionError
@@ -99,11 +99,8 @@ def show(estimate: WorldEstimate) -> None:
     if estimate.evidence:
         rows = table("", "evidence", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence[: MOST_OBJECTS + 4]:
-            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
             things = ", ".join(o.name or o.label for o in e.objects[:3])
-            rows.add_row(
-                sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
-            )
+            rows.add_row(*evidence_cells(e), "; ".join(x for x in (things, e.note) if x))
         out.print(rows)
     parsed = estimate.understood
     if parsed is not None and parsed.ignored:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from placegraph.cli.command import Fields, Option
-from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
+from placegraph.cli.common import AsJson, console, evidence_cells, numbers_of, progress_of, table
 from placegraph.cli.scene_options import (
     KNOWN,
     REFINED,
@@ -114,8 +114,8 @@ def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:
     if estimate.evidence:
         rows = table("", "evidence", "log-likelihood ratio", "")
         for e in [*of_objects[:MOST_OBJECTS], *of_senses]:
-            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
-            rows.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
+            sign, statement, ratio = evidence_cells(e)
+            rows.add_row(sign, statement, ratio if e.objects else "", e.note)
         out.print(rows)
     if len(of_objects) > MOST_OBJECTS:
         out.print(f"and {len(of_objects) - MOST_OBJECTS} more objects (--json names them)")

@@ -167,7 +167,8 @@ BENCH = Question("Is there a bench?", (YES, NO), (Subject("bench", "amenity=benc
         (BENCH, "yes", YES), (BENCH, " YES ", YES), (BENCH, "y", YES), (BENCH, "Y", YES),
         (BENCH, "no", NO), (BENCH, "n", NO), (BENCH, "don't know", UNKNOWN),
         (BENCH, "Don't Know", UNKNOWN), (CHOICE, "kern", "Kern"), (CHOICE, "Brot\n", "Brot"),
-        (CHOICE, "none of these", NONE), (CHOICE, "DON'T KNOW", UNKNOWN),
+        (CHOICE, "none of these", NONE), (CHOICE, "n", NONE), (CHOICE, "No", NONE),
+        (CHOICE, "none", NONE), (CHOICE, "DON'T KNOW", UNKNOWN),
     ],
 )  # fmt: skip
 def test_answers_that_count(question, given_, expected):

@@ -46,7 +46,8 @@ def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
     assert judge(near)[0] is Status.AMBIGUOUS
     status, reason = judge(near, AT_A_PLACE)
     assert status is Status.OK
-    assert "within 250 m" in reason
+    assert "within 250 m, where 2 places fit: it may be any of them" in reason
+    assert "2 places" not in judge(make_posterior((0, 0.999), (150, 0.0005)), AT_A_PLACE)[1]
     scattered = make_posterior(*((60.0 * i, 0.24) for i in range(4)))
     assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, (
         f"the best holds less than {MIN_BEST}"
@@ -147,3 +148,16 @@ B: shop=bakery name=Kern
 def test_it_is_no_wonder_that_a_list_of_landmarks_lacks_a_name(make_city, name):
     estimate = make_city(BARE).locate(f"I am at {name}, next to the Rexbank.")
     assert "not on this map" not in estimate.reason
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "43.7384, 7.4246", "I am at 43.7384 7.4246", "https://maps.google.com/?q=43.7384,7.4246",
+        "https://www.openstreetmap.org/#map=18/43.7384/7.4246", "geo:43.7384,7.4246",
+    ],
+)  # fmt: skip
+def test_coordinates_are_no_description_but_a_hint(text, harbour):
+    estimate = harbour.locate(text)
+    assert estimate.status is Status.LOST
+    assert "pass them as `near` (--near 7.4246,43.7384 on the command line)" in estimate.reason

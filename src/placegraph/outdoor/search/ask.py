@@ -69,12 +69,16 @@ class Question:
     """Expected information gain [nat]."""
 
     def answer(self, option: str) -> Answer:
-        """Choose an answer; raises `OptionError` where the question does not offer it."""
+        """Choose an answer; raises `OptionError` where the question does not offer it.
+
+        "y" and "n" are short for yes and no; no to a list is `NONE`.
+        """
         given = str(option).strip().lower()
+        short = {"y": YES, "n": NO}.get(given, given)
+        if NONE in self.options and short in (NO, "none"):
+            short = NONE
         for known in (*self.options, UNKNOWN):
-            if given == known.lower() or (
-                given and given == known[0].lower() and known in (YES, NO)
-            ):
+            if short == known.lower():
                 return Answer(self, known)
         options = ", ".join((*self.options, UNKNOWN))
         raise OptionError(f"{option!r} is not a valid answer; choose one of: {options}.")

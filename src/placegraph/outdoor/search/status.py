@@ -8,6 +8,7 @@ its log odds are shrunk by coefficients that were fitted to texts whose places a
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,8 @@ MAX_SHARE = 1.0 - 1e-4
 """Largest share of a posterior that is calibrated."""
 UNKNOWN_NAME = -2.0
 """Change of the log odds where the text names something that the map should know and does not."""
+SERIOUS = 0.1
+"""Share of the best place's probability from which another place counts."""
 MAX_QUOTED = 3
 """Largest number of unread words that a reason quotes."""
 UNREAD = ("unknown word", "not understood")
@@ -97,6 +100,8 @@ class Diagnostics:
     near_best: float = 0.0
     """Posterior share within the radius of `claim` of the best place."""
     claim: Claim = IN_SIGHT
+    others: int = 0
+    """Number of further places within the radius of `claim` that are at least a tenth as probable."""
     unknown_names: tuple[str, ...] = ()
     """Names in the text that the map should know and does not."""
     unread: tuple[str, ...] = ()
@@ -134,8 +139,7 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     if sure >= MIN_CONFIDENCE and diagnostics.best >= MIN_BEST and not names:
         if diagnostics.cell_matcher:
             return Status.AMBIGUOUS, ranked
-        wide = f" within {claim.radius:.0f} m" if claim.radius > MODE_RADIUS else ""
-        return Status.OK, f"One place holds {sure:.0%} of the probability{wide}."
+        return Status.OK, _confirm(sure, claim.radius, diagnostics.others)
     best = claim.of_place.apply(diagnostics.best, unknown_name=bool(names))
     if names:
         are = "are" if len(names) > 1 else "is"
@@ -148,6 +152,18 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
         f" Not understood: {_quote(diagnostics.unread[:MAX_QUOTED])}." if diagnostics.unread else ""
     )
     return Status.AMBIGUOUS, why + unread
+
+
+def _confirm(sure: float, radius: float, others: int) -> str:
+    """Say how much of the probability lies within a radius [m], in which further places may fit."""
+    if radius <= MODE_RADIUS:
+        return f"One place holds {sure:.0%} of the probability."
+    if not others:
+        return f"One place holds {sure:.0%} of the probability within {radius:.0f} m."
+    return (
+        f"The best place holds {sure:.0%} of the probability within {radius:.0f} m, where "
+        f"{others + 1} places fit: it may be any of them."
+    )
 
 
 def _quote(words: tuple[str, ...]) -> str:
@@ -180,6 +196,11 @@ def diagnose(
         best=modes[0].probability if modes else None,
         near_best=posterior.mass_within(modes[0].position, claim.radius) if modes else 0.0,
         claim=claim,
+        others=sum(
+            other.probability >= SERIOUS * modes[0].probability
+            and float(np.hypot(*(other.position - modes[0].position))) <= claim.radius
+            for other in modes[1:]
+        ),
         unknown_names=tuple(dict.fromkeys(names)),
         unread=tuple(dict.fromkeys(filter(None, unread))),
     )
@@ -213,6 +234,8 @@ def infer_claim(description: Description) -> Claim:
     return AT_A_PLACE if at_a_place else IN_SIGHT
 
 
+_COORDINATES = re.compile(r"(?<![\d.])(-?\d{1,2}\.\d{3,})\s*[,;/ ]\s*(-?\d{1,3}\.\d{3,})")
+"""Latitude and longitude, as people and links to maps write them."""
 ADVICE = "describe the objects around you, and their directions."
 
 
@@ -225,6 +248,12 @@ def find_obstacle(query: Query, description: Description, *, tells_way: bool = F
         return ""
     if query.used:
         return "The text only says what is absent; also mention something you can see."
+    if place := _COORDINATES.search(description.text):
+        latitude, longitude = (float(number) for number in place.groups())
+        return (
+            f"The text gives coordinates; pass them as `near` (--near {longitude:g},{latitude:g} on "
+            f"the command line), and {ADVICE}"
+        )
     if query.unused:
         return f"No statement of the text can be used: {_join_reasons(query)}."
     if description.ignored:
