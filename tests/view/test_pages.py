@@ -165,7 +165,8 @@ def test_names_of_the_evidence_stand_on_no_other(browser):
     script = re.sub(r'^import [^;]+ from "[^"]+";\n|^export ', "", parts, flags=re.MULTILINE)
     with opened(browser, "about:blank") as page:
         placed = page.evaluate(
-            f"(found) => {{ {script}; return beside(found, [0, 0], 2).map((t) => [t.text, covering(t, 2)]); }}",
+            f"(found) => {{ {script};"
+            " return beside(found, [0, 0], 2).map((t) => [t.text, covering(t, 2)]); }",
             found,
         )
     assert len(placed) >= 4

@@ -323,6 +323,9 @@ class GraphBuilder:
         if subject > LISTENER and not self.references.is_known(subject):  # "the nearest one is ..."
             self.places.add(context, Relation.VISIBLE, node, SPEAKER)
             return
+        if subject == SPEAKER and noun.name and self.references.language.code != "en":
+            self.places.add(context, Relation.NEAR, subject, node)  # "bin an der Halde", a street
+            return
         self.places.add(context, Relation.SAME, subject, node)
         if subject in self.places.goals and not context.negated:
             self.places.goals.add(node)

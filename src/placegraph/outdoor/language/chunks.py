@@ -412,8 +412,8 @@ class InflectedChunker(Chunker):
                 self.text, words[end - 1].end(), words[end].start()
             ):
                 end += 1
-            said = [word.group() for word in words[i:end]]
-            n, prefix = max(self._name_behind(said, prefix) for prefix in ("", *prefixes))
+            spoken = [word.group() for word in words[i:end]]
+            n, prefix = max(self._name_behind(spoken, prefix) for prefix in ("", *prefixes))
             if not n:
                 i += 1
                 continue
@@ -427,40 +427,42 @@ class InflectedChunker(Chunker):
             found[start] = words[i - 1].end()
         return found
 
-    def _name_behind(self, said: list[str], prefix: str) -> tuple[int, int]:
+    def _name_behind(self, spoken: list[str], prefix: str) -> tuple[int, int]:
         """Return the words of the longest name behind a prefix, and minus the letters of the prefix."""
-        names, first = self.proper.names, said[0].removeprefix(prefix)
-        if names is None or not said[0].startswith(prefix) or len(first) < 2:
+        names, first = self.proper.names, spoken[0].removeprefix(prefix)
+        if names is None or not spoken[0].startswith(prefix) or len(first) < 2:
             return 0, 0
-        n = names.longest_name([fold(word) for word in (first, *said[1:])], 0)
-        return (0, 0) if n == 0 or self._is_common([first, *said[1:n]]) else (n, -len(prefix))
+        n = names.longest_name([fold(word) for word in (first, *spoken[1:])], 0)
+        return (0, 0) if n == 0 or self._is_common([first, *spoken[1:n]]) else (n, -len(prefix))
 
     def _is_common(self, words: list[str]) -> bool:
         """Tell whether words are of things or the grammar, with or without prefixes."""
-        said = [fold_case(word) for word in words]
-        known = self.lexicon.longest(said, 0)
+        spoken = [fold_case(word) for word in words]
+        known = self.lexicon.longest(spoken, 0)
         kinds = self.lists["place_prefixes"] | self.lists["street_prefixes"]
-        if (known and known[0] == len(said)) or " ".join(said) in kinds:
+        if (known and known[0] == len(spoken)) or " ".join(spoken) in kinds:
             return True
-        if self.dictionary.contains(" ".join(said)):
+        if self.dictionary.contains(" ".join(spoken)):
             return True
-        rests = [said[0].removeprefix(p) for p in self.lexicon.prefixes if said[0].startswith(p)]
-        return any(self._is_common([rest, *said[1:]]) for rest in rests if rest)
+        rests = [
+            spoken[0].removeprefix(p) for p in self.lexicon.prefixes if spoken[0].startswith(p)
+        ]
+        return any(self._is_common([rest, *spoken[1:]]) for rest in rests if rest)
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Return the chunks of a sentence, in the order of the grammar."""
         self.proper.inflected = {}
-        sentence = [self._mend(word) for word in sentence]
+        sentence = [self._respell(word) for word in sentence]
         found = self._mark_cases(super().chunks(sentence))
         parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
         return [chunk for part in parts for chunk in order_chunks(part, self.lexicon)]
 
-    def _mend(self, word: Word) -> Word:
+    def _respell(self, word: Word) -> Word:
         """Return a word as it should be spelt."""
         spelt = word.kind == "word" and not word.capital and len(word.lower) >= _SHORTEST
         if not spelt or self.is_word(word.lower):
             return word
-        return word._replace(lower=self.lexicon.mend(word.lower))
+        return word._replace(lower=self.lexicon.respell(word.lower))
 
     def _take_mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":
@@ -596,7 +598,8 @@ class InflectedNames(ProperNames):
         bare = self._is_bare_name(at)
         noun = self.vocabulary.longest_match(self.lower, i)
         common = bare and noun is not None and noun[0] > 1  # a "foot path" in its own script
-        if common or not (self.words[at].capital or bare):
+        plain = not (place or bare) and self._is_small_name(i, at)
+        if common or not (self.words[at].capital or bare or plain):
             return 0
         end = at + 1
         while end < len(self.words) and self.words[end].kind == "word":
@@ -608,6 +611,16 @@ class InflectedNames(ProperNames):
                 break
             end += 1
         return end - i
+
+    def _is_small_name(self, i: int, at: int) -> bool:
+        """Tell whether an unknown word at `at` is a street's name in lower case: "avenida venezuela"."""
+        known = self.lexicon.longest(self.lower, i - 1) if i else None
+        kind = known[1][0].type if known else ""
+        return (
+            kind not in ("A", "NUM", "ANOTHER", "NO")
+            and self.lexicon.longest(self.lower, at) is None
+            and self.vocabulary.longest_match(self.lower, at) is None
+        )
 
     def _is_bare_name(self, i: int) -> bool:
         """Tell whether a word in a script without capitals may be a street's name."""

@@ -36,6 +36,8 @@ _ANGLES = frozenset(str(angle) for angle in range(0, 360, 45))
 _ANGLED = ("compass", "compass_short", "facing")
 _SEE = "see docs/howto-language.md"
 _MEMORY = 1 << 14
+_ALIKE = 0.93
+"""Similarity (Jaro-Winkler) from which an unknown word is a misspelt one."""
 _SURELY = 5
 """Letters of a word that is longer than most that differ in one letter."""
 
@@ -220,7 +222,7 @@ class Language(Phrases):
         words = {fold_diacritics(word) for listed in self.things.values() for word in listed}
         return frozenset(stem for word in words for stem in self.forms.stems(word))
 
-    def mend(self, word: str) -> str:
+    def respell(self, word: str) -> str:
         """Return the word of the grammar or of a thing that an unknown word is a misspelling of.
 
         The word itself is returned if there is none.
@@ -228,7 +230,8 @@ class Language(Phrases):
         if word not in self._meant:
             sound = spell_sounds(word, self.code)
             near = None if sound in self._sounding else correct_word(word, self._long_words)
-            self._meant[word] = self._sounding.get(sound) or (near[0] if near else word)
+            slip = near[0] if near and near[1] > _ALIKE else word
+            self._meant[word] = self._sounding.get(sound, slip)
         return self._meant[word]
 
     @cached_property
