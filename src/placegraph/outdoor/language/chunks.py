@@ -261,7 +261,8 @@ class ProperNames:
         if led and not spelt:  # "the bench" is no "The Bench"
             noun = self.vocabulary.longest_match(self.lower, i + 1)
             mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
-        if mapped == 1 and (entry or n_noun or len(self.lower[i]) < 3):
+        counts = self.lower[i] in self.lexicon.counts  # "two fountains" are no shop "Two"
+        if mapped == 1 and (entry or n_noun or counts or len(self.lower[i]) < 3):
             return spelt
         if mapped == 1 and not capital and self.vocabulary.senses(self.lower[i]):
             return spelt  # "a craft shop" is no business called "Craft"

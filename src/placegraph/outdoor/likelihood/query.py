@@ -253,6 +253,12 @@ MENTIONED = 0.7
 """Largest certainty of a thing that is only named, and not said to be in sight."""
 MAPPED = 0.5
 """Share of things of a kind that a map has where it has none of that kind near a named place."""
+VAGUE = ("name=", "place=", "natural=bay", "natural=water", "leisure=park", "leisure=garden")
+"""Beginnings of labels of things that are wide even where a map draws them as points ..."""
+UNKNOWN_EXTENT = 400.0
+"""... and how wide [m]."""
+MAX_UNIQUE = 2
+"""Largest number of objects that bear a unique name: a shop is a building and a point in it."""
 NEAR_NAMED, MAX_KIND = 60.0, 20_000
 """What stands nearer to a named place is there [m]; a kind with more objects is everywhere."""
 SITE_SCALE = 35.0
@@ -282,6 +288,26 @@ class Query:
     """Mentions whose name is not on the map; they are matched by kind."""
     sites: frozenset[int] = frozenset()
     """Mentions of crossings and houses that are no objects of the map."""
+    unique: frozenset[int] = frozenset()
+    """Mentions by names that one place of the map bears, and `sites`."""
+
+    def find_extent(self, node: int, position: Floats, city: Lexicon) -> float:
+        """Return the distance [m] to the far end of what a unique name means.
+
+        Maps draw quarters, bays and gardens as points, too: their extent is `UNKNOWN_EXTENT`.
+        """
+        starts, tokens, weights = self.mentions
+        row = slice(starts[node - 2], starts[node - 1])
+        names = tokens[row][weights[row] > KIND_WEIGHT]
+        if not len(names):
+            return 0.0
+        extents = []
+        for row in np.concatenate(city.bearers(names)).tolist():
+            points = np.concatenate(city.objects.parts(row))
+            far = float(np.hypot(*(points - position).T).max())
+            vague = city.objects.kind[row] == POINT and city.objects.label(row).startswith(VAGUE)
+            extents.append(max(far, UNKNOWN_EXTENT) if vague else far)
+        return min(extents)
 
     def is_about_site(self, statement: Statement) -> bool:
         """Tell whether a statement is about a crossing or a house that is no object."""
@@ -353,7 +379,22 @@ def compile_query(description: Description, city: Lexicon, *, tells_way: bool = 
         _find_distant(used, mentions, city, sites, tells_way=tells_way),
         by_kind,
         frozenset(sites),
+        frozenset(sites) | _find_unique(description, mentions, city),
     )
+
+
+def _find_unique(
+    description: Description,
+    mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
+    city: Lexicon,
+) -> frozenset[int]:
+    """Find the mentions by names that one place of the map bears."""
+    found = set()
+    for mention, (tokens, weights) in zip(description.mentions[2:], mentions, strict=True):
+        names = tokens[(weights > KIND_WEIGHT) & (tokens >= len(city.objects.labels))]
+        if mention.name and len(names) and city.count_bearers(names).sum() <= MAX_UNIQUE:
+            found.add(mention.id)
+    return frozenset(found)
 
 
 class NamedPlaces(NamedTuple):
@@ -366,7 +407,7 @@ class NamedPlaces(NamedTuple):
 
     def adjust(self, statement: Statement, noise: float) -> float:
         """Return the share of wrong statements like this: of exact names few, of what is lacking most."""
-        if _is_binding(statement) and not self.nodes.isdisjoint(ends(statement)):
+        if is_binding(statement) and not self.nodes.isdisjoint(ends(statement)):
             return min(noise, NAMED_NOISE)
         if not self.lacking.isdisjoint(ends(statement)) and not statement.negated:
             return 1.0 - (1.0 - noise) * MAPPED
@@ -387,7 +428,7 @@ class NamedPlaces(NamedTuple):
                 yield replace(s, source=source, target=target, target2=target2)
 
 
-def _is_binding(s: Statement) -> bool:
+def is_binding(s: Statement) -> bool:
     """Tell whether a statement says that the speaker is where something is, or only names it."""
     bare = s.relation is Relation.VISIBLE and s.certainty <= MENTIONED
     return (s.relation in WITHIN or bare) and not (s.negated or s.far)
@@ -409,7 +450,7 @@ def _find_named(
     nodes = {
         node
         for s in description.statements
-        if (_is_binding(s) or _is_beside(s)) and not here.isdisjoint(ends(s))
+        if (is_binding(s) or _is_beside(s)) and not here.isdisjoint(ends(s))
         for node in ends(s)
         if node > LISTENER and description.mentions[node].name
     }

@@ -150,6 +150,9 @@ class Streets:
                 if small and not typed and not _is_led(tokens, i, i + n):
                     continue
                 last = i + n - 1
+                following = tokens[last + 1] if last + 1 < len(tokens) else None
+                if not typed and following is not None and _continues(tokens[last], following):
+                    continue  # "Hudson Yards" is another place than Hudson Street
                 if typed is False and last + 1 < len(tokens) and tokens[last + 1].word in TYPES:
                     last += 1  # "Knight street" of "Knight Road": another type, loosely
                     typed = True
@@ -364,6 +367,12 @@ def _scan(text: str) -> Iterator[_Token]:
         word = _PLURAL.get(word, word)
         last = written
         yield _Token(word or written, match.start(), match.end(), written[0].isupper())
+
+
+def _continues(token: _Token, following: _Token) -> bool:
+    """Tell whether a name goes on with the next word."""
+    beside = following.start - token.end == 1 and following.word not in TYPES | COMPASS
+    return beside and following.capital and following.word.isalpha()
 
 
 def _join_ordinals(words: Sequence[str]) -> str:

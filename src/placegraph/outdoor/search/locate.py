@@ -50,6 +50,7 @@ from placegraph.outdoor.search.status import (
     decide,
     diagnose,
     find_contradiction,
+    find_doubt,
     find_obstacle,
     infer_claim,
     shrink,
@@ -123,8 +124,10 @@ def decide_estimate(
         places.append(
             Place(longitude, latitude, mode.probability, cell, mode.covariance, explain=evidence)
         )
-    contradiction = find_contradiction(places[0] if places else None, query)
-    status, reason = decide(replace(diagnostics, contradiction=contradiction))
+    best = places[0] if places else None
+    contradiction = find_contradiction(best, query)
+    doubt = find_doubt(best, query, city) if diagnostics.is_probable else ""
+    status, reason = decide(replace(diagnostics, contradiction=contradiction, doubt=doubt))
     understood = None if query is None else query.description
     heaviest = np.argsort(-posterior.probabilities, kind="stable")[:MAX_SUPPORT]
     lonlat = city.plane.to_lonlat(posterior.positions[heaviest])

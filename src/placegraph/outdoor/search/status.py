@@ -22,7 +22,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.query import Query, ends
+from placegraph.outdoor.likelihood.query import Query, ends, find_speaker_nodes, is_binding
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import POINT
 from placegraph.outdoor.search.posterior import MODE_RADIUS, Mode, Posterior
@@ -37,6 +37,8 @@ UNKNOWN_NAME = -2.0
 """Change of the log odds where the text names something that the map should know and does not."""
 SERIOUS = 0.1
 """Share of the best place's probability from which another place counts."""
+MAX_EXTENT = 300.0
+"""Largest distance [m] to the far end of a named area that an `OK` estimate may lie in."""
 MAX_QUOTED = 3
 """Largest number of unread words that a reason quotes."""
 UNREAD = ("unknown word", "not understood")
@@ -106,8 +108,17 @@ class Diagnostics:
     """Names in the text that the map should know and does not."""
     unread: tuple[str, ...] = ()
     """Words of the text that were not understood."""
+    doubt: str = ""
+    """Why the best place is not sure however probable it is: a unique name that does not fit it."""
     remark: str = ""
     """Sentence appended to the reason."""
+
+    @property
+    def is_probable(self) -> bool:
+        """Whether the best place is as probable as an `OK` estimate claims."""
+        if self.best is None or self.best < MIN_BEST or self.unknown_names:
+            return False
+        return self.claim.of_radius.apply(self.near_best, unknown_name=False) >= MIN_CONFIDENCE
 
 
 def decide(diagnostics: Diagnostics) -> tuple[Status, str]:
@@ -136,9 +147,9 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
         )
     names, claim = diagnostics.unknown_names, diagnostics.claim
     sure = claim.of_radius.apply(diagnostics.near_best, unknown_name=bool(names))
-    if sure >= MIN_CONFIDENCE and diagnostics.best >= MIN_BEST and not names:
-        if diagnostics.cell_matcher:
-            return Status.AMBIGUOUS, ranked
+    if diagnostics.is_probable:
+        if diagnostics.cell_matcher or diagnostics.doubt:
+            return Status.AMBIGUOUS, diagnostics.doubt or ranked
         return Status.OK, _confirm(sure, claim.radius, diagnostics.others)
     best = claim.of_place.apply(diagnostics.best, unknown_name=bool(names))
     if names:
@@ -229,6 +240,7 @@ def infer_claim(description: Description) -> Claim:
         s.far
         or LISTENER in ends(s)
         or (s.relation is Relation.SAME and s.source == SPEAKER and not s.negated)
+        or (is_binding(s) and any(description.mentions[node].name for node in ends(s)))
         for s in description.statements
     )
     return AT_A_PLACE if at_a_place else IN_SIGHT
@@ -291,6 +303,37 @@ def find_contradiction(best: Place | None, query: Query | None) -> str:
             ):
                 opposed |= {i, j}
     return query.description.conflicts[0] if 2 * len(opposed) > len(query.used) else ""
+
+
+def find_doubt(best: Place | None, query: Query | None, city: City) -> str:
+    """Return why the best place cannot be sure; empty where nothing speaks against it.
+
+    A unique name that does not fit the place forbids certainty. A named area tells no more than its
+    extent, unless another unique name tells where in it.
+    """
+    if best is None or query is None:
+        return ""
+    mentions, fits = query.description.mentions, set[int]()
+    position = city.plane.to_plane((best.longitude, best.latitude))
+    here, wide = find_speaker_nodes(query.used), dict[int, float]()
+    for s, evidence in zip(query.used, best.evidence, strict=False):
+        unique = query.unique.intersection(ends(s))
+        if not unique or s.negated or s.far or here.isdisjoint(ends(s)):
+            continue
+        if evidence.verdict == "against":
+            name = mentions[min(unique)].name
+            return f"“{name}” does not fit the best place, so the place cannot be sure."
+        says_where = is_binding(s) or s.relation in (Relation.NEAR, Relation.ALONG)
+        for node in unique if evidence.verdict == "for" else ():
+            extent = 0.0 if node in query.sites else query.find_extent(node, position, city)
+            if extent > MAX_EXTENT:
+                wide |= {node: extent} if says_where else {}
+            elif not mentions[node].name[:1].isdecimal():
+                fits.add(node)
+    if not wide or fits:
+        return ""
+    node = min(wide, key=wide.__getitem__)
+    return f"“{mentions[node].name}” is more than {wide[node]:.0f} m wide; say where in it."
 
 
 def _are_opposed(a: Statement, b: Statement) -> bool:
