@@ -50,8 +50,8 @@ from placegraph.outdoor.search.status import (
     decide,
     diagnose,
     find_contradiction,
-    find_doubt,
     find_obstacle,
+    find_uncertainty,
     infer_claim,
     shrink,
 )
@@ -126,8 +126,10 @@ def decide_estimate(
         )
     best = places[0] if places else None
     contradiction = find_contradiction(best, query)
-    doubt = find_doubt(best, query, city) if diagnostics.is_probable else ""
-    status, reason = decide(replace(diagnostics, contradiction=contradiction, doubt=doubt))
+    uncertainty = find_uncertainty(best, query, city) if diagnostics.is_probable else ""
+    status, reason = decide(
+        replace(diagnostics, contradiction=contradiction, uncertainty=uncertainty)
+    )
     understood = None if query is None else query.description
     heaviest = np.argsort(-posterior.probabilities, kind="stable")[:MAX_SUPPORT]
     lonlat = city.plane.to_lonlat(posterior.positions[heaviest])

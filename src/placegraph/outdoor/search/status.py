@@ -37,6 +37,8 @@ UNKNOWN_NAME = -2.0
 """Change of the log odds where the text names something that the map should know and does not."""
 SERIOUS = 0.1
 """Share of the best place's probability from which another place counts."""
+TELLING = 1.0
+"""Log-likelihood ratio of a statement that tells where in a named area the speaker is."""
 MAX_EXTENT = 300.0
 """Largest distance [m] to the far end of a named area that an `OK` estimate may lie in."""
 MAX_QUOTED = 3
@@ -108,7 +110,7 @@ class Diagnostics:
     """Names in the text that the map should know and does not."""
     unread: tuple[str, ...] = ()
     """Words of the text that were not understood."""
-    doubt: str = ""
+    uncertainty: str = ""
     """Why the best place is not sure however probable it is: a unique name that does not fit it."""
     remark: str = ""
     """Sentence appended to the reason."""
@@ -148,8 +150,8 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     names, claim = diagnostics.unknown_names, diagnostics.claim
     sure = claim.of_radius.apply(diagnostics.near_best, unknown_name=bool(names))
     if diagnostics.is_probable:
-        if diagnostics.cell_matcher or diagnostics.doubt:
-            return Status.AMBIGUOUS, diagnostics.doubt or ranked
+        if diagnostics.cell_matcher or diagnostics.uncertainty:
+            return Status.AMBIGUOUS, diagnostics.uncertainty or ranked
         return Status.OK, _confirm(sure, claim.radius, diagnostics.others)
     best = claim.of_place.apply(diagnostics.best, unknown_name=bool(names))
     if names:
@@ -305,7 +307,7 @@ def find_contradiction(best: Place | None, query: Query | None) -> str:
     return query.description.conflicts[0] if 2 * len(opposed) > len(query.used) else ""
 
 
-def find_doubt(best: Place | None, query: Query | None, city: City) -> str:
+def find_uncertainty(best: Place | None, query: Query | None, city: City) -> str:
     """Return why the best place cannot be sure; empty where nothing speaks against it.
 
     A unique name that does not fit the place forbids certainty. A named area tells no more than its
@@ -313,24 +315,27 @@ def find_doubt(best: Place | None, query: Query | None, city: City) -> str:
     """
     if best is None or query is None:
         return ""
-    mentions, fits = query.description.mentions, set[int]()
+    mentions, here = query.description.mentions, find_speaker_nodes(query.used)
     position = city.plane.to_plane((best.longitude, best.latitude))
-    here, wide = find_speaker_nodes(query.used), dict[int, float]()
+    wide: dict[int, float] = {}
+    narrow = False
     for s, evidence in zip(query.used, best.evidence, strict=False):
-        unique = query.unique.intersection(ends(s))
-        if not unique or s.negated or s.far or here.isdisjoint(ends(s)):
+        if s.negated or s.far:
             continue
-        if evidence.verdict == "against":
+        unique = query.unique.intersection(ends(s))
+        if unique and evidence.verdict == "against" and not here.isdisjoint(ends(s)):
             name = mentions[min(unique)].name
             return f"“{name}” does not fit the best place, so the place cannot be sure."
-        says_where = is_binding(s) or s.relation in (Relation.NEAR, Relation.ALONG)
-        for node in unique if evidence.verdict == "for" else ():
-            extent = 0.0 if node in query.sites else query.find_extent(node, position, city)
-            if extent > MAX_EXTENT:
-                wide |= {node: extent} if says_where else {}
-            elif not mentions[node].name[:1].isdecimal():
-                fits.add(node)
-    if not wide or fits:
+        extents = {
+            node: query.find_extent(node, position, city)
+            for node in unique - query.sites
+            if is_binding(s) or s.relation is Relation.NEAR
+        }
+        if max(extents.values(), default=0.0) > MAX_EXTENT:
+            wide |= extents
+        elif not any(mentions[node].name[:1].isdecimal() for node in ends(s)):
+            narrow |= evidence.weight > TELLING
+    if not wide or narrow:
         return ""
     node = min(wide, key=wide.__getitem__)
     return f"“{mentions[node].name}” is more than {wide[node]:.0f} m wide; say where in it."
