@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import dataclass
 from math import degrees, radians
 from pathlib import Path
 
@@ -10,9 +11,10 @@ import pytest
 from placegraph.errors import InputError, OptionError
 from placegraph.language.text import IgnoredText
 from placegraph.outdoor.language import describe
-from placegraph.outdoor.language.description import LISTENER, SPEAKER
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.language.languages import tables
 from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.map.names import NameIndex
 
 MEANING = re.compile(
     r"(?P<no>not )?(?P<relation>\w+)\((?P<nodes>[^)]*)\)(?: (?P<bearing>\d+)°)?(?: (?P<far>\d+)m)?"
@@ -154,3 +156,75 @@ def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
 )
 def test_little_evidence_is_no_error(text):
     assert describe(text).text == text
+
+
+@dataclass(frozen=True)
+class Names:
+    names: tuple[str, ...]
+
+
+HEBREW = NameIndex.build(
+    Names(
+        (
+            "בית המשפט העליון",
+            'בי"ס אורט',
+            "הספריה הלאומית",
+            "מרכז קהילתי בית רוס",
+            "יפו",
+            "שמואל הנגיד",
+        )
+    )
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("אני ליד בית המשפט העליון.", ["בית המשפט העליון"]),
+        ("הבנק נמצא מצפון לספרייה הלאומית.", ["ספרייה הלאומית"]),
+        ("אני בבית הספר אורט, ברחוב יפו.", ["בית הספר אורט", "רחוב יפו"]),
+        ("אני ליד המרכז הקהילתי בית רוס.", ["המרכז הקהילתי בית רוס"]),
+        ("אני בין רחוב יפו לשמואל הנגיד.", ["רחוב יפו", "שמואל הנגיד"]),
+        ("אני ליד הבית.", []),
+    ],
+)
+def test_names_of_the_map_are_sought_before_prefixes_are_cut(text, named):
+    description = describe(text, names=HEBREW)
+    assert [m.name for m in description.mentions if m.name] == named
+    assert description.ignored == ()
+
+
+def test_a_name_that_no_statement_speaks_of_is_near():
+    names = NameIndex.build(Names(("Kiosk am Eck", "Zum Hirsch")))
+    text = "Ich war gestern, so sagt man, wohl ganz blorf Zum Hirsch."
+    description = describe(text, names=names, language="de")
+    assert [(s.relation, s.certainty) for s in description.statements] == [(Relation.NEAR, 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("text", "language", "meaning"),
+    [
+        ("estoi serca del cafe expres y la farmasia", "es", ["near(I, cafe)", "near(I, pharmacy)"]),
+        ("estoi al lado de la iglecia", "es", ["near(I, church)"]),
+        ("je suis a cote de la farmacie", "fr", ["near(I, pharmacy)"]),
+        ("ich bin neben der apoteke", "de", ["near(I, pharmacy)"]),
+        ("Estoy en la avenida venezuela.", "es", ['along(I, "avenida venezuela")']),
+        ("Estoy en una calle peatonal.", "es", None),
+        ("sono in via garibaldi, vicino alla chiesa", "it", ['along(I, "via garibaldi")', "near(I, church)"]),
+    ],
+)  # fmt: skip
+def test_colloquial_spelling(text, language, meaning):
+    description = describe(text)
+    assert description.language == language
+    if meaning is None:
+        assert not any(m.name for m in description.mentions)
+        return
+    for wanted in meaning:
+        assert any(is_said(s, wanted, description) for s in description.statements), description
+
+
+def test_names_and_kinds_alone():
+    names = NameIndex.build(Names(("Zum Hirsch",)))
+    description = describe("Östlich vom Zum Hirsch liegt keine Bank.", names=names, grammar=False)
+    found = [(str(s.relation), s.negated) for s in description.statements]
+    assert sorted(found) == [("near", False), ("visible", False)]

@@ -324,7 +324,7 @@ class GraphBuilder:
             self.places.add(context, Relation.VISIBLE, node, SPEAKER)
             return
         if subject == SPEAKER and noun.name and self.references.language.code != "en":
-            self.places.add(context, Relation.NEAR, subject, node)  # "bin an der Halde", a street
+            self.places.add(context, Relation.ALONG, subject, node)  # "bin an der Halde", a street
             return
         self.places.add(context, Relation.SAME, subject, node)
         if subject in self.places.goals and not context.negated:

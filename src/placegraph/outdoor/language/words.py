@@ -246,7 +246,11 @@ TYPES = ROADS | _read_words("""
 JOINS = _read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con")
 """Words between the names of two streets that cross."""
 BETWEEN = _read_words("between zwischen entre tra fra mellan tussen")
-CORNERS = _read_words("corner intersection crossing junction crossroads corners")
+CORNERS = _read_words("""
+    corner intersection crossing junction crossroads corners ecke kreuzung coin angle carrefour
+    esquina cruce cruzamento angolo incrocio hoek kruising korsning kulma risteys rog kosesi угол
+    перекресток
+""")
 SMALL = _read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
     e der die das dem den von vom zu zum zur am im van het רחוב شارع

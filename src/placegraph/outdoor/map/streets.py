@@ -348,7 +348,10 @@ class Streets:
 
 
 _PLURAL = {"streets": "st", "avenues": "ave", "roads": "rd", "drives": "dr", "sts": "st"}
-_HINT = re.compile(r"\b(?:corner|intersection|between|at|near)\b|\band\b", re.IGNORECASE)
+_HINT = re.compile(
+    rf"\b(?:{'|'.join(word for word in JOINS | CORNERS | BETWEEN if word.isalpha())})\b",
+    re.IGNORECASE,
+)
 
 
 def _tokens(name: str) -> list[str]:

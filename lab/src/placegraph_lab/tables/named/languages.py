@@ -1,25 +1,29 @@
-"""Is every language read as well as English? The same statements, said in each.
+"""Reading of every language, beside English and beside names alone.
 
-Frames and words are those of the languages' own tables; their nouns stand in the form of the
-dictionary, so that some sentences are worse grammar than people's.
+The same statements are said in each language. Frames and words are those of the languages' own tables;
+their nouns stand in the form of the dictionary, so that some sentences are worse grammar than people's.
+Sentences that were written by hand for places of a map (``outdoor/tongues.tsv``) are read twice: by
+the grammar, and by names and kinds of things alone.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.languages import Language, codes, english, language
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, Extract, open_city
 from placegraph_lab.tables.outdoor.metrics import HIT, distances, positions
 from placegraph_lab.tables.outdoor.queries import Query, Teller, load, make_queries
 from placegraph_lab.tables.runner import Column as Col
@@ -147,6 +151,69 @@ def score_texts(city: CityMap, code: str, texts: list[tuple[str, Query]]) -> dic
     }
 
 
+PLACED = resources.files("placegraph_lab.tables.outdoor") / "tongues.tsv"
+NEAR, BLOCK = 100.0, 250.0
+"""A place is found within these distances [m]."""
+
+
+class PlacedText(NamedTuple):
+    """A sentence that somebody wrote for a place of a map."""
+
+    language: str
+    map: str
+    longitude: float
+    latitude: float
+    text: str
+
+
+def read_placed() -> dict[tuple[str, str], list[PlacedText]]:
+    """Read the sentences written by hand, by language and map; the odd ones of each tune."""
+    found: dict[tuple[str, str], list[PlacedText]] = {}
+    for line in PLACED.read_text("utf-8").splitlines()[1:]:
+        code, extract, longitude, latitude, text = line.split("\t")
+        row = PlacedText(code, extract, float(longitude), float(latitude), text)
+        found.setdefault((code, extract), []).append(row)
+    return found
+
+
+def score_placed(city: CityMap, texts: Sequence[PlacedText], *, grammar: bool) -> dict[str, float]:
+    """Shares of places found from texts, by the grammar or by names and kinds alone."""
+    off, ok = np.full(len(texts), np.inf), np.zeros(len(texts), bool)
+    for i, row in enumerate(texts):
+        read = describe(
+            row.text, vocabulary=city.vocabulary, names=city.name_index,
+            block_length=city.block_length, grammar=grammar,
+        )  # fmt: skip
+        estimate = city.locate(read)
+        if estimate.best is not None:
+            off[i] = distances(positions(estimate)[:1], row.longitude, row.latitude)[0]
+        ok[i] = estimate.status.name == "OK"
+    return {
+        "near": float((off <= NEAR).mean()),
+        "block": float((off <= BLOCK).mean()),
+        "ok": float(ok.mean()),
+        "wrong_of_ok": float((off[ok] > BLOCK).mean()) if ok.any() else 0.0,
+    }
+
+
+def score_all_placed(osm: Path, cache: Path) -> Iterator[dict[str, Any]]:
+    """Yield rows of the odd and the even sentences of each language, with and without grammar."""
+    for (code, extract), texts in read_placed().items():
+        city = Extract(extract, osm / f"{extract}.osm.pbf").open(cache)
+        for part, rows in (("odd", texts[::2]), ("even", texts[1::2])):
+            for reader, grammar in (("grammar", True), ("names alone", False)):
+                key = {"language": code, "city": extract, "part": part, "reader": reader}
+                yield key | {"texts": len(rows)} | score_placed(city, rows, grammar=grammar)
+
+
+PLACED_COLUMNS = (
+    Col("", lambda r: f"{name(r['language'])} ({r['language']})"), Col("map", "city"),
+    Col("sentences", "part"), Col("", "texts"), Col("read by", "reader"),
+    Col("within 100 m", "near", share), Col("250 m", "block", share), Col("`OK`", "ok", share),
+    Col("of these wrong", "wrong_of_ok", share),
+)  # fmt: skip
+
+
 COLUMNS = (
     Col("", "city"), Col("", lambda r: f"{name(r['language'])} ({r['language']})"),
     Col("recognised", "recognised", share), Col("within 50 m", "recall", share),
@@ -176,4 +243,6 @@ def languages(
             for code, row in found.items()
         ]
     print(render(COLUMNS, rows))
-    run.save({"rows": rows})
+    placed = [] if quick else list(score_all_placed(run.osm, run.cache))
+    print(render(PLACED_COLUMNS, placed))
+    run.save({"rows": rows, "placed": placed})

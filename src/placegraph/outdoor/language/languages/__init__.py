@@ -227,22 +227,20 @@ class Language(Phrases):
 
         The word itself is returned if there is none.
         """
-        if word not in self._meant:
-            sound = spell_sounds(word, self.code)
-            near = None if sound in self._sounding else correct_word(word, self._long_words)
-            slip = near[0] if near and near[1] > _ALIKE else word
-            self._meant[word] = self._sounding.get(sound, slip)
-        return self._meant[word]
-
-    @cached_property
-    def _meant(self) -> dict[str, str]:
-        return {}
+        sound = spell_sounds(word, self.code)
+        if sound in self._sounding:
+            return self._sounding[sound]
+        near = correct_word(word, self._long_words)
+        return near[0] if near and near[1] > _ALIKE else word
 
     @cached_property
     def _sounding(self) -> dict[str, str]:
         """Words of its grammar and of things by how they sound."""
         things = {
-            word for listed in self.things.values() for phrase in listed for word in phrase.split()
+            word
+            for listed in self.things.values()
+            for phrase in listed
+            for word in fold_case(phrase).split()
         }
         return {
             spell_sounds(word, self.code): word for word in (*sorted(things), *sorted(self.words))
