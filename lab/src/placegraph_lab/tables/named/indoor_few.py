@@ -1,6 +1,7 @@
 """Poses of one to ten frames: right and certain answers in real places, and none where no map is.
 
-Even frames of a recording make the map, and windows of its odd frames are asked. Odometry begins
+Even frames of a recording make the map, and windows of its odd frames are asked (of the office, also
+frames halfway between those of a map of one frame in 20). Odometry begins
 elsewhere and drifts, unless the recording has its own. Absent places are parts that a map leaves out,
 and windows of other recordings. `doors` and `carrels` are drawn worlds that repeat themselves.
 """
@@ -44,6 +45,8 @@ LEFT_OUT = {
     "carrels": ((slice(0, 14, 2), slice(44, 64)), (slice(36, 64, 2), slice(0, 16))),
 }
 """Frames that make a map, and frames that show other parts of the place."""
+SPARSE = {"office": 20}
+"""Recordings that are also asked in a map of one frame in so many: halfway between these frames."""
 FOREIGN = 4  # windows of each other recording that a map is asked
 SENSES = {
     "depth": {"depth": True},
@@ -243,6 +246,11 @@ def make_cases(names: Sequence[str], parts: Sequence[str], count: int) -> list[C
     found = []
     if "present" in parts:
         found += [Case(n, "present", ((n, made),), (((n, odd, count),),)) for n in names]
+        for name in (n for n in names if n in SPARSE):
+            n = SPARSE[name]
+            between = ((name, slice(n // 2, None, n), count),)
+            title, few = f"{name}, 1 frame in {n} mapped", slice(0, None, n)
+            found.append(Case(title, "present", ((name, few),), (between,)))
     if "absent" in parts:
         for name in names:
             if name in LEFT_OUT:
