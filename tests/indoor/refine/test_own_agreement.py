@@ -13,18 +13,18 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene_file import save_scene
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.mapping.own_agreement import measure_own_agreement
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.agreement import (
     Agreement,
     both_odds,
-    measure_own_agreement,
     searched_odds,
 )
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.status import FEW
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OWN = np.array([[4.0, 0.6], [0.26, 0.03], [1.0, 0.13]])
+OWN = np.array([4.0, 0.26, 1.0, 0.45, 0.6, 0.03, 0.13, 0.1, 0.5])
 NOTHING = np.zeros(2)
 
 
@@ -35,14 +35,22 @@ def seen(depth=0.98, colour=0.26, tone=1.0):
 def test_colours_that_fall_short_are_of_an_unsearched_place():
     as_own, beside, elsewhere = seen(), seen(colour=0.2, tone=0.8), seen(colour=0.1, tone=0.35)
     odds = [searched_odds(a, OWN) for a in (as_own, beside, elsewhere)]
-    assert odds[0] > odds[1] > 3.0
+    assert odds[0] > odds[1] > 2.0
     assert odds[2] < -1.0
+    assert searched_odds(beside, OWN, 0.77) > searched_odds(beside, OWN, 0.3)
+    alike, unlike = np.r_[OWN[:-1], 0.8], np.r_[OWN[:-1], 0.0]
+    for agreed in (as_own, beside, seen(depth=0.8)):
+        assert (
+            searched_odds(agreed, alike)
+            < searched_odds(agreed, OWN)
+            < searched_odds(agreed, unlike)
+        )
     assert searched_odds(seen(colour=0.5, tone=2.0), OWN) == odds[0], "more is no fault"
     assert searched_odds(elsewhere, None) == math.inf
     # without colours depth counts, without a sense that is known nothing does
     blind = seen(depth=0.7, colour=math.nan, tone=math.nan)
     assert searched_odds(blind, OWN) < searched_odds(replace(blind, depth=0.97), OWN)
-    assert searched_odds(as_own, np.full((3, 2), np.nan)) == math.inf
+    assert searched_odds(as_own, np.full(9, np.nan)) == math.inf
 
 
 @given(st.floats(-30, 30), st.floats(-30, 30))
@@ -62,10 +70,11 @@ def measured(room, exact):
 
 
 def test_own_frames_are_measured_kept_and_merged(room, measured, tmp_path):
-    mean, deviation = measured.own_agreement[0].T
-    assert mean[0] > 3.0
-    assert (mean[1:] > 0.05).all()
-    assert (deviation >= 0).all()
+    own = measured.own_agreement[0]
+    assert own[0] > 3.0
+    assert (own[1:4] > 0.05).all()
+    assert (own[4:] >= 0).all()
+    assert own[-1] < 0.5, "one room repeats little"
     save_scene(measured, tmp_path / "it.scene")
     np.testing.assert_array_equal(
         SceneMap.open(tmp_path / "it.scene").own_agreement, measured.own_agreement
@@ -75,7 +84,7 @@ def test_own_frames_are_measured_kept_and_merged(room, measured, tmp_path):
     np.testing.assert_array_equal(both.own_agreement[1], measured.own_agreement[0])
     assert merge_scenes({"a": room, "b": room}).own_agreement is None
     with pytest.raises(OptionError, match="own_agreement"):
-        replace(room, own_agreement=np.zeros((2, 3, 2)))
+        replace(room, own_agreement=np.zeros((2, 9)))
 
 
 @pytest.mark.parametrize(("count", "status"), [(3, Status.AMBIGUOUS), (10, Status.LOST)])
@@ -85,7 +94,7 @@ def test_answers_that_fall_short_are_not_ok(measured, exact, count, status):
     right = measured.localize(exact.capture, **asked)
     assert right.status is Status.OK
     assert 0.95 < sum(mode.probability for mode in right.modes) < 1.0
-    own = measured.own_agreement + np.array([[0.0, 0.0], [0.5, 0.0], [2.0, 0.0]])
+    own = measured.own_agreement + np.array([0.0, 0.5, 2.0, *np.zeros(6)])
     estimate = replace(measured, own_agreement=own).localize(exact.capture, **asked)
     assert estimate.status is status
     assert "than the frames that the map was made of" in estimate.reason

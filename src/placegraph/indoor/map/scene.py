@@ -158,8 +158,8 @@ class Scene(PickleFields):
     anchors: tuple[Anchor, ...] = ()
     """Candidate anchors on Earth, best first; empty if unknown."""
     own_agreement: NDArray[np.float64] | None = None
-    """(S, 3, 2) mean and deviation of the agreement of the frames that each scene was made of: log odds
-    of depth readings, steps of colour [nat], tones [nat]; NaN: unknown. None: of no scene known."""
+    """(S, 9) means and deviations of the agreement of the frames that each scene was made of (`reach` of
+    `pose/agreement.py`), and the share of it that repeats itself; NaN: unknown. None: of no scene known."""
 
     @classmethod
     def create(
@@ -238,9 +238,9 @@ class Scene(PickleFields):
                 )
             column.flags.writeable = False
             object.__setattr__(self, name, column)
-        if self.own_agreement is not None and self.own_agreement.shape != (s, 3, 2):
+        if self.own_agreement is not None and self.own_agreement.shape != (s, 9):
             raise OptionError(
-                f"own_agreement: shape is {self.own_agreement.shape}, expected {(s, 3, 2)}."
+                f"own_agreement: shape is {self.own_agreement.shape}, expected {(s, 9)}."
             )
         if not n or not len(self.mesh) or not s:
             raise OptionError("A scene map needs at least one object, one triangle and one scene.")

@@ -127,7 +127,7 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     if len(scene.viewpoints):
         arrays["viewpoints"] = np.rint(scene.viewpoints / CENTIMETRE).astype(np.int32)
     if scene.own_agreement is not None:
-        arrays["own_agreement"] = scene.own_agreement.reshape(-1, 6)
+        arrays["own_agreement"] = scene.own_agreement
     if scene.landmarks is not None:
         arrays |= scene.landmarks.columns()
     return meta, arrays
@@ -171,9 +171,7 @@ def _unpack_scene(file: MapFile) -> dict[str, Any]:
         "encoder": str(file.meta.get("encoder", "")),
         "landmarks": Landmarks.read(file),
         "own_agreement": (
-            file.array("own_agreement", "<f8", 2).reshape(-1, 3, 2)
-            if "own_agreement" in file.arrays
-            else None
+            file.array("own_agreement", "<f8", 2) if "own_agreement" in file.arrays else None
         ),
         "anchors": tuple(Anchor.from_dict(dict(a)) for a in file.meta.get("anchors", ())),
         "viewpoints": (

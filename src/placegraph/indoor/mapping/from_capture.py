@@ -68,7 +68,7 @@ class Source:
     anchors: tuple[Anchor, ...] = ()
     """Anchors on Earth that the source gives; the map then keeps the source's axes."""
     measure: Callable[[Scene], NDArray[np.float64]] | None = None
-    """Measures the agreement (3, 2) of its frames with the finished scene (`Scene.own_agreement`)."""
+    """Measures the agreement (9,) of its frames with the finished scene (`Scene.own_agreement`)."""
 
 
 def read_capture(
@@ -86,8 +86,8 @@ def read_capture(
     """
     from placegraph.indoor.mapping.atlas.colours import frame_colours
     from placegraph.indoor.mapping.landmarks import map_landmarks
+    from placegraph.indoor.mapping.own_agreement import measure_own_agreement
     from placegraph.indoor.mapping.segment import segment
-    from placegraph.indoor.pose.agreement import measure_own_agreement
 
     has_trajectory = how.poses is None and (path / "trajectory.tum").exists()
     capture = _open_capture(path, how, "trajectory" if has_trajectory else how.poses, reader or {})

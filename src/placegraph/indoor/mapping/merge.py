@@ -82,10 +82,10 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
 
 
 def _join_own_agreement(maps: Sequence[Scene]) -> NDArray[np.float64] | None:
-    """Return the agreement (S, 3, 2) of the frames that scenes were made of; None where none is known."""
+    """Return the agreement (S, 9) of the frames that scenes were made of; None where none is known."""
     if all(m.own_agreement is None for m in maps):
         return None
-    unknown = [np.full((len(m.scenes), 3, 2), np.nan) for m in maps]
+    unknown = [np.full((len(m.scenes), 9), np.nan) for m in maps]
     known = [m.own_agreement for m in maps]
     return np.concatenate([u if k is None else k for k, u in zip(known, unknown, strict=True)])
 

@@ -18,26 +18,19 @@ from placegraph.core.geometry import (
     Floats,
     compose,
     level_from_camera,
-    split_pose,
     wrap_angle,
 )
 from placegraph.indoor.likelihood.observe import (
     FINE,
-    Background,
     Observation,
     View,
     describe_unit_error,
-    observe_frame,
-    spread,
     suspect_unit_factor,
-    views,
 )
 from placegraph.indoor.likelihood.score import Scorer, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, cast_view
 from placegraph.indoor.map.scene import Scene, make_object_ref
-from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import Window
-from placegraph.io.capture.frame import Frame
 
 SPEAK = 0.02
 """Log-likelihood of colours from which on depth is not the only evidence [nat a sample] ..."""
@@ -230,55 +223,48 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
         )
 
 
-_OWN = 24
-"""Largest number of own frames that are compared with a map."""
+REACH = 4
+"""Number of values of `reach`."""
 
 
-def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) -> Floats:
-    """Measure how well the frames that a map was made of agree with it at their poses (T, 4, 4).
+def reach(agreed: Agreement, correlation: float = np.nan) -> Floats:
+    """Return log odds of depth, steps of colour, tones [nat], and log-likelihood of a correlation [nat].
 
-    Returns mean and deviation over frames (3, 2) of `reach`; NaN where a sense is missing.
+    `correlation`: of held-out parts of images with the map at a refined pose; NaN: not compared.
     """
-    options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
-    scorer, count = Scorer(scene, options.likelihood), len(scene)
-    nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
-    found = np.full((0, 3), np.nan)
-    for row in spread(len(frames), _OWN):
-        frame = replace(frames[row], gravity=-poses[row, 2, :3])
-        view = views([observe_frame(frame, None, options)], FINE, scorer.model, nothing)
-        at = agreement(scorer, split_pose(poses[row])[0], view, np.zeros((1, 4)))
-        found = np.vstack([found, reach(at)])
-    known = found[:, ~np.isnan(found).any(axis=0)]
-    out = np.full((3, 2), np.nan)
-    out[~np.isnan(found).any(axis=0)] = np.stack([known.mean(axis=0), known.std(axis=0)], axis=1)
-    return out
-
-
-def reach(agreed: Agreement) -> Floats:
-    """Return log odds of depth, steps of colour [nat] and tones [nat] (3,) of an agreement."""
     depth = np.nan if np.isnan(agreed.depth) else log_odds(agreed.depth, 0.01)
-    return np.array([depth, agreed.colour, agreed.tone])
+    return np.array([depth, agreed.colour, agreed.tone, -0.5 * np.log1p(-(correlation**2))])
 
 
 _UNEVEN = 0.1
 """Deviation of any map's own agreement, as a share of its mean: light and viewpoints change."""
-_SEARCHED = 5.5
-"""Log odds of a pose against all places that were not searched, if it agrees as the own frames do."""
+_SEARCHED = 4.0
+"""Log odds of a pose against all places that were not searched, in a map of which half repeats itself."""
+_COLOURS = 1.5
+"""Number of independent senses that steps, tones and correlation are together."""
+_REPEATS = (0.1, 0.8)
+"""Least and largest share of a map that repeats itself."""
 
 
-def searched_odds(agreed: Agreement, own: Floats | None) -> float:
+def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np.nan) -> float:
     """Return the log odds that a pose is right, and not of a place that was not searched or not mapped.
 
-    A right pose agrees as the frames that the map was made of, with normal errors; a wrong one anyhow. Steps
-    of colour and tones count as one, and without colours depth counts. `own`: (3, 2), a row of
-    `Scene.own_agreement`; if it is unknown, the odds are infinite.
+    A right pose agrees as the frames that the map was made of, with normal errors; a wrong one anyhow, the
+    likelier, the more the map repeats itself. Colours count by the mean square of the shortfalls of steps,
+    tones, and correlation. Depth counts as far as the map repeats itself: elsewhere a moved chair proves
+    nothing. `own`: (2 K + 1,), a row of `Scene.own_agreement`; if it is unknown, the odds are infinite.
     """
-    if own is None:
+    if own is None or np.isnan(own[-1]):
         return np.inf
-    deviations = np.hypot(own[:, 1], _UNEVEN * own[:, 0])
-    short = np.maximum((own[:, 0] - reach(agreed)) / deviations, 0.0)
-    known = short[1:] if np.isfinite(short[1]) else short[:1]
-    return np.inf if np.isnan(known).all() else _SEARCHED - 0.5 * float(np.nanmean(known)) ** 2
+    means, deviations, repeats = own[:REACH], own[REACH:-1], np.clip(own[-1], *_REPEATS)
+    short = (means - reach(agreed, correlation)) / np.hypot(deviations, _UNEVEN * means)
+    short = np.maximum(short, 0.0)
+    depth, colours = short[0], short[1:][np.isfinite(short[1:])]
+    if np.isnan(depth) and not len(colours):
+        return np.inf
+    off = repeats * np.nan_to_num(depth) ** 2
+    off += _COLOURS * float(np.mean(colours**2)) if len(colours) else 0.0
+    return float(_SEARCHED - log_odds(repeats, 0.0) - 0.5 * off)
 
 
 def both_odds(one: float, other: float) -> float:

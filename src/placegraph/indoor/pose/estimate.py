@@ -201,7 +201,7 @@ def _explained(
 
 
 def _own_agreement(scene: Scene, pose: Floats) -> Floats | None:
-    """Return the agreement (3, 2) of the frames that the scene at a pose (4,) was made of; None: unknown."""
+    """Return the agreement (9,) of the frames that the scene at a pose (4,) was made of; None: unknown."""
     known = scene.own_agreement
     return None if known is None else known[scene.scene_at(pose[:2])]
 
@@ -225,15 +225,18 @@ def _scale_probabilities(modes: tuple[PoseMode, ...], searched: float) -> tuple[
     return tuple(replace(mode, probability=share * mode.probability) for mode in modes)
 
 
-def judge_refined(window: Window, estimate: PoseEstimate, poses: Floats) -> PoseEstimate:
-    """Decide an estimate again by the agreement at refined poses (T, 4), if they agree better."""
-    before = diagnostics_of(estimate)
-    if np.isinf(before.searched):
+def judge_refined(
+    window: Window, estimate: PoseEstimate, poses: Floats, correlation: float | None
+) -> PoseEstimate:
+    """Decide an estimate again at refined poses (T, 4), if the map knows the agreement of its own frames.
+
+    `correlation`: of held-out parts of the images with the map; None: not compared.
+    """
+    before, own = diagnostics_of(estimate), _own_agreement(window.scene, poses[-1])
+    if own is None or np.isinf(before.searched):
         return estimate
     agreed = agreement_at(window, poses)
-    searched = searched_odds(agreed, _own_agreement(window.scene, poses[-1]))
-    if searched <= before.searched:
-        return estimate
+    searched = searched_odds(agreed, own, np.nan if correlation is None else correlation)
     modes = _scale_probabilities(estimate.modes, np.inf)
     status, reason, found = decide_pose(replace(before, agreement=agreed, searched=searched), modes)
     modes = _scale_probabilities(modes, searched)

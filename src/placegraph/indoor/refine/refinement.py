@@ -114,6 +114,11 @@ class HeldOutEvidence:
             effect = max(1.0, float(together / max(single, _ALIKE)))
         return cls(blocks / effect, samples)
 
+    def correlation(self, row: int) -> float:
+        """Return the mean correlation of the windows of images at a trajectory; NaN without any."""
+        alike = np.sqrt(-np.expm1(-2.0 * self.scores[row]))
+        return float(alike.mean()) if len(alike) else np.nan
+
     def gain(self, row: int) -> Floats:
         """Return the gain (B,) of the log-likelihood of a trajectory over the first [nat]."""
         return np.asarray(self.blocks[row] - self.blocks[0])
@@ -373,8 +378,7 @@ def _choose_candidate(
         for name, e in senses.items()
     }
     if "images" in senses and senses["images"].samples:
-        alike = np.sqrt(-np.expm1(-2.0 * senses["images"].scores[row + 1]))
-        way = replace(way, correlation=round(float(alike.mean()), 3))
+        way = replace(way, correlation=round(senses["images"].correlation(row + 1), 3))
         way.stats["held_back"]["images"]["alike"] = way.correlation
     # landmarks were found in the whole map: unlike renderings they are not wrong together
     needed = SURE if refiner.has_depth or refiner.landmark_matches is not None else SURER
@@ -543,7 +547,7 @@ def refine_from(
             check = FitCheck(False, f"Not refined: {error}", nothing, {})
     if check.accepted:
         refined = split_pose(check.candidate.poses)[0]
-        estimate = judge_refined(window, estimate, refined)
+        estimate = judge_refined(window, estimate, refined, check.correlation)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best
     if explained and check.accepted and best is not None:
