@@ -371,6 +371,9 @@ def test_four_pictures_in_one():
         (10, 200, 30), (180, 180, 180), EMPTY_COLOUR,
     }  # fmt: skip
     assert (sheet[:band] < 100).any(), "captions"
+    for colour in (LINE, FAINT):
+        key = sheet[band + H + GAP : 2 * band + H + GAP, :W]
+        assert (key == colour).all(axis=-1).sum() > 6, "what the lines are"
     with pytest.raises(OptionError, match="query's camera"):
         draw_overlay(np.zeros((H, W - 1, 3), np.uint8), drawn, normals)
 

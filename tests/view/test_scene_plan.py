@@ -1,6 +1,7 @@
 """Plans of rooms, and pictures of an estimate in them: checked by their pixels."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,17 +15,20 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation
-from placegraph.view.draw.canvas import Frame, choose_face
+from placegraph.view.draw.canvas import Disc, Frame, choose_face
 from placegraph.view.draw.lettering import OccupiedPlaces, covering_discs
 from placegraph.view.draw.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.draw.style import PALETTE
+from placegraph.view.scene.frame_marks import mark_agreement
 from placegraph.view.scene.plan import (
     CAPTION,
     FOOT,
+    GAP,
     HEAD,
     MAX_FRAMES,
     Layout,
     core_bounds,
+    evidence_marks,
     evidence_rows,
     particle_levels,
     particle_marks,
@@ -467,3 +471,106 @@ def test_panels_do_not_overlap(wide, deep, steps):
         assert right <= layout.width
         assert bottom <= layout.height - FOOT
         assert right <= left or bottom <= top
+
+
+BARE = {
+    "floor": ((0, 0, -0.1), (6, 4, 0)),
+    "wall west": ((-0.2, 0, 0), (0, 4, 2.6)),
+    "wall north": ((0, 4, 0), (6, 4.2, 2.6)),
+    "unknown 1": ((4, 2, 0), (5, 3, 0.9)),
+    "unknown 2": ((1, 3, 0), (2, 4, 0.9)),
+}
+"""A corner of a room whose things have no names."""
+FLOOR_COLOUR, BOX_COLOURS = (150, 120, 90), ((30, 60, 220), (210, 40, 30))
+
+
+@pytest.fixture(scope="module")
+def bare():
+    mesh, colours = scene_of(BARE).mesh, np.full((40, 3), 200, np.uint8)
+    colours[:8], colours[24:32], colours[32:] = FLOOR_COLOUR, *BOX_COLOURS
+    coloured = Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of, colours)
+    labels = [label.split()[0] for label in BARE]
+    return SceneMap.create(coloured, [str(k) for k in range(5)], labels, floor=0.0, scene="room")
+
+
+def test_things_without_names_show_their_colours_and_no_words(bare):
+    plan = RoomPlan(bare)
+    assert plan.is_bare.tolist() == [True, False, False, True, True]
+    frame = Frame.around(plan.bounds, 420, 280)
+    picture = paint_room(plan, frame)
+    for at, colour in (((4.5, 2.5), BOX_COLOURS[0]), ((1.5, 3.5), BOX_COLOURS[1])):
+        drawn = pixel(picture, frame, at)
+        assert np.argmax(drawn) == np.argmax(colour), "red is red, blue is blue"
+        assert max(drawn) - min(drawn) > 70
+    assert not near(pixel(picture, frame, (3.0, 1.0)), light("floor"), 20)
+    assert plan.names(frame, choose_face(["unknown"]), OccupiedPlaces(), {3: "for"}) == []
+    chair = RoomPlan(scene_of({**BARE, "chair": ((3, 1, 0), (3.5, 1.5, 0.9))}))
+    assert not chair.is_bare[0], "a floor among things with names has the paint of floors"
+
+
+def test_evidence_ends_amid_what_is_seen_in_its_colour(bare):
+    plan = RoomPlan(bare)
+    box = evidence_marks(plan, mode(1, 1, 0.5, 0.9, evidence=refs((3, "for", 2.0))), 1.0)[-1]
+    assert isinstance(box, Disc)
+    assert box.rim == "for"
+    assert 4 <= box.at[0] <= 5
+    assert 2 <= box.at[1] <= 3
+    assert ImageColor.getrgb(box.color) == BOX_COLOURS[0]
+    point, _ = plan.point_in_view(2, np.array([1.0, 1.0, 1.6, 1.2]), 0.6)
+    assert 0.5 < point[0] < 3.5, "the part of a long wall that is in view, not its middle"
+
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+
+
+def shown_at(scene, pose, *, depth=True):
+    """Return a frame that shows a scene from a pose (4, 4)."""
+    drawn = scene.render(pose, CAMERA, samples=1)
+    read = np.where(drawn.mask, drawn.depth, np.nan).astype(np.float32) if depth else None
+    return SimpleNamespace(
+        index=10, camera=CAMERA, depth_camera=CAMERA if depth else None,
+        rgb=lambda: drawn.colour, depth=lambda: read,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_a_wrong_place_looks_wrong(bare, depth):
+    down = level_from_camera((0.0, np.cos(0.3), np.sin(0.3)))
+    right, wrong = (pose_matrix((x, 0.5, 1.6, 1.2), down) for x in (2.0, 3.5))
+    frame = shown_at(bare, right, depth=depth)
+    verdicts = [dot.color for dot in mark_agreement(bare, 0.0, frame, right)]
+    assert len(verdicts) > 100
+    assert verdicts.count("against") < 0.03 * len(verdicts)
+    verdicts = [dot.color for dot in mark_agreement(bare, 0.0, frame, wrong)]
+    assert verdicts.count("against") > 0.15 * len(verdicts)
+
+
+def test_frames_are_compared_with_the_map_where_they_are_given(bare, tmp_path):
+    pose = pose_matrix((2.0, 0.5, 1.6, 1.2), level_from_camera((0.0, np.cos(0.3), np.sin(0.3))))
+    best = replace(mode(2.0, 0.5, 1.2, 0.9), map_from_camera=pose)
+    estimate = replace(estimate_of(Status.OK, best, steps=1), trajectory=pose[None])
+    without = pixels(write_plan(bare, estimate, tmp_path / "a.png"))
+    frames = [shown_at(bare, pose)]
+    shown = pixels(write_plan(bare, estimate, tmp_path / "b.png", capture=frames))
+    assert share(without[HEAD:], "for") == 0
+    assert share(shown[HEAD:], "for") > 500
+    stranger = SimpleNamespace(index=99)
+    again = pixels(write_plan(bare, estimate, tmp_path / "c.png", capture=[stranger]))
+    np.testing.assert_array_equal(again, without)
+
+
+def test_a_crack_in_a_wall_lets_no_look_through():
+    walls = {
+        "floor": ((0, 0, -0.1), (6, 6, 0)),
+        "wall a": ((0, 3, 0), (2.98, 3.2, 2.6)),
+        "wall b": ((3.02, 3, 0), (6, 3.2, 2.6)),
+    }
+    ring = view_ring(RoomPlan(scene_of(walls)), np.array([3.0, 1.0, 1.5, np.pi / 2]), 1.0, 3.5)
+    assert ring[:, 1].max() < 3.05
+
+
+def test_one_frame_leaves_no_panel_blank():
+    layout = Layout.of((0.0, 0.0, 4.0, 4.0), [1])
+    assert layout.columns == 1
+    assert layout.large_corner == (layout.small[0] + GAP, HEAD)
+    assert layout.large[1] == layout.small[1] + CAPTION

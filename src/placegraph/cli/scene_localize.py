@@ -73,7 +73,8 @@ class Files:
         if self.png is not None:
             from placegraph.view import write_plan
 
-            write_plan(scene, estimate, self.png, title=self.title, camera=chosen[-1].camera)
+            camera = chosen[-1].camera
+            write_plan(scene, estimate, self.png, title=self.title, camera=camera, capture=chosen)
         if self.gif is not None:
             from placegraph.view import write_plan_animation
 

@@ -71,7 +71,9 @@ def _film(
     from placegraph.view import write_overlay, write_plan, write_plan_animation
 
     estimate = scene.localize(capture, options=FilterOptions(record=True), seed=0)
-    write_plan(scene, estimate, out / "walk.png", truth=truth, camera=capture.camera)
+    write_plan(
+        scene, estimate, out / "walk.png", truth=truth, camera=capture.camera, capture=capture
+    )
     write_plan_animation(scene, estimate, out / "walk.gif", truth=truth, camera=capture.camera)
     write_overlay(scene, estimate, capture, out / "overlay.png")
     _say_pose(estimate, report)

@@ -218,7 +218,7 @@ def picture(
         return None
     scene, camera = places.scene(where), frames[-1].camera
     if path.stem == "plan":
-        view.write_plan(scene, estimate, path, camera=camera)
+        view.write_plan(scene, estimate, path, camera=camera, capture=frames)
     elif path.stem == "overlay":
         view.write_overlay(scene, estimate, frames, path)
     elif any(record.steps for record in estimate.history):

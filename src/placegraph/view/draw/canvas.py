@@ -57,6 +57,13 @@ class Frame:
         y = (self.center[1] - east_north[..., 1]) * self.scale + self.height / 2
         return np.stack([x, y], axis=-1)
 
+    def to_map(self, pixels: Points) -> NDArray[np.float64]:
+        """Convert pixels (..., 2), x right, y down, to east, north (..., 2) [m]."""
+        at: NDArray[np.float64] = np.asarray(pixels, np.float64)
+        east = (at[..., 0] - self.width / 2) / self.scale + self.center[0]
+        north = self.center[1] - (at[..., 1] - self.height / 2) / self.scale
+        return np.stack([east, north], axis=-1)
+
 
 @dataclass(frozen=True, slots=True)
 class Area:
@@ -106,6 +113,7 @@ class Disc:
     radius: float
     """[px]"""
     color: str
+    """Name in the palette, or #rrggbb."""
     rim: str = "paper"
     text: str = ""
 

@@ -92,7 +92,8 @@ class _Painter:
         self.draw = ImageDraw.Draw(self.image, "RGBA")
 
     def color(self, name: str, opacity: float = 1.0) -> RGBA:
-        red, green, blue = ImageColor.getrgb(PALETTE[name][self.dark])[:3]
+        shown = name if name.startswith("#") else PALETTE[name][self.dark]
+        red, green, blue = ImageColor.getrgb(shown)[:3]
         return red, green, blue, round(255 * opacity)
 
     def paint(self, items: Sequence[Item]) -> Image.Image:

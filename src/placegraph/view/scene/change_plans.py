@@ -24,7 +24,7 @@ from placegraph.view.scene.plan import (
     draw_scale_bar,
     place_names,
 )
-from placegraph.view.scene.room_plan import MARGIN, RoomPlan, paint_room, plain_words
+from placegraph.view.scene.room_plan import MARGIN, RoomPlan, name_of, paint_room
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.change.changes import Change, SceneDiff
@@ -236,7 +236,7 @@ def change_marks(plan: RoomPlan, change: Change, rows: dict[str, int]) -> list[M
             Stroke(ring, color, 2.0, (4.0, 3.0), fill=0.15),
             *(Stroke(line, color, 1.2) for line in cross),
         ]
-    words = plain_words(change.new_label or change.label)
+    words = name_of(change.new_label or change.label)
     label = Text(middle, words, 12.0, color, shift=(0.0, 14.0))
     if change.kind == "relabelled":
         return [Stroke(ring, color, 1.6), label]

@@ -15,6 +15,7 @@ from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.images import resize_image
 from placegraph.view.draw.canvas import choose_face
 from placegraph.view.draw.painter import write_image
 
@@ -40,13 +41,21 @@ EMPTY_COLOUR = (38, 40, 46)
 """Colour of pixels without a surface of the map."""
 GAP = 8
 """Between pictures [px]."""
-CAPTIONS = (
-    "query",
-    "map, seen from the pose",
-    "edges of the map on the query",
-    "query and map in turn",
+Key = tuple[tuple[tuple[int, int, int], str], ...]
+"""Colours and what they stand for."""
+EDGES: Key = ((LINE, "of shapes"), (FAINT, "of colours"))
+CAPTIONS: tuple[tuple[str, Key], ...] = (
+    ("query", ()),
+    ("map, seen from the pose", ((EMPTY_COLOUR, "not mapped"),)),
+    ("the map's edges on the query:", EDGES),
+    ("query and map in turn", ()),
 )
-BEFORE = ("before the refinement: edges of the map", "before: query and map in turn")
+BEFORE: tuple[tuple[str, Key], ...] = (
+    ("before the refinement, edges:", EDGES),
+    ("before: query and map in turn", ()),
+)
+LARGEST = 960
+"""Longer side of one picture [px]: in larger ones the lines would be too thin to be seen."""
 _GOLDEN = 0.618033988749895
 
 
@@ -78,7 +87,10 @@ def write_overlay(
     InputError
         The image is broken.
     """
-    from placegraph.indoor.render import Renderer  # compiled code: not for cities
+    from placegraph.indoor.refine.correspondences import (
+        shrink_camera,  # compiled code: not for cities
+    )
+    from placegraph.indoor.render import Renderer
 
     best, refinement = estimate.best, estimate.refinement
     if best is None:
@@ -90,14 +102,15 @@ def write_overlay(
             f"Frame {row}, the last of the estimate, is not in the given capture; give the "
             "capture that was localized."
         )
-    renderer = Renderer(scene)
+    renderer, camera = Renderer(scene), shrink_camera(frame.camera, LARGEST)
     drawn = []
     coarse = [refinement.coarse] if refinement is not None and refinement.accepted else []
     for mode in (best, *coarse):
         pose = mode.map_from_camera
-        rendering = renderer.render(pose, frame.camera, samples=samples)
+        rendering = renderer.render(pose, camera, samples=samples)
         drawn.append((rendering, rendering.normals(scene.mesh, pose)))
-    sheet = draw_overlay(frame.rgb(), *drawn[0], before=drawn[1] if coarse else None)
+    query = resize_image(frame.rgb(), camera.width, camera.height)
+    sheet = draw_overlay(query, *drawn[0], before=drawn[1] if coarse else None)
     return write_image(sheet, path, "PNG")
 
 
@@ -130,7 +143,7 @@ def draw_overlay(
     """
     shown = _rendered_colours(query, rendering)
     pictures = [query, shown, *_overlay_edges(query, rendering, normals)]
-    captions: tuple[str, ...] = CAPTIONS
+    captions = CAPTIONS
     if before is not None:
         pictures += _overlay_edges(query, *before)
         captions = (*CAPTIONS, *BEFORE)
@@ -139,12 +152,29 @@ def draw_overlay(
     band = round(1.7 * size)
     rows = len(pictures) // 2
     sheet = Image.new("RGB", (2 * width + GAP, rows * (height + band + GAP) - GAP), "white")
-    pen, font = ImageDraw.Draw(sheet), choose_face(captions).font(size)
-    for k, (picture, caption) in enumerate(zip(pictures, captions, strict=True)):
+    for k, (picture, (caption, key)) in enumerate(zip(pictures, captions, strict=True)):
         x, y = (k % 2) * (width + GAP), (k // 2) * (height + band + GAP)
-        pen.text((x + 0.4 * size, y + band / 2), caption, fill=(30, 30, 30), font=font, anchor="lm")
+        _write_caption(sheet, (x, y, width, band), caption, key)
         sheet.paste(Image.fromarray(picture), (x, y + band))
     return sheet
+
+
+def _write_caption(
+    sheet: Image.Image, box: tuple[int, int, int, int], caption: str, key: Key
+) -> None:
+    """Write a caption and its key into a box: left, top, width, height [px]; in small if it is long."""
+    x, y, width, height = box
+    pen, face, size = ImageDraw.Draw(sheet), choose_face([caption]), height / 1.7
+    words = (caption, *(word for _, word in key))
+    wanted = sum(face.width(word, size) for word in words) + size * (0.8 + 2.4 * len(key))
+    size *= min(1.0, width / wanted)
+    at, middle, font = x + 0.4 * size, y + height / 2, face.font(size)
+    pen.text((at, middle), caption, fill=(30, 30, 30), font=font, anchor="lm")
+    at += face.width(caption, size) + 0.8 * size
+    for colour, word in key:
+        pen.rectangle((at, middle - 0.2 * size, at + size, middle + 0.2 * size), fill=colour)
+        pen.text((at + 1.3 * size, middle), word, fill=(30, 30, 30), font=font, anchor="lm")
+        at += face.width(word, size) + 2.4 * size
 
 
 def _rendered_colours(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:

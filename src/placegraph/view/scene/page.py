@@ -10,7 +10,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Frame
 from placegraph.view.draw.painter import paint_picture
-from placegraph.view.scene.room_plan import NAMED, RoomPlan, paint_room, plain_words
+from placegraph.view.scene.room_plan import NAMED, RoomPlan, name_of, paint_room
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -56,7 +56,7 @@ def _describe_object(plan: RoomPlan, row: int) -> dict[str, Any]:
     return {
         "id": graph.ids[row],
         "label": label,
-        "name": room if is_room else plain_words(label) if named else "",
+        "name": room if is_room else name_of(label) if named else "",
         "box": [*low, *high],
         "room": is_room,
         "role": plan.role(row),

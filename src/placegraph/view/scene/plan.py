@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -39,10 +39,12 @@ from placegraph.view.draw.painter import (
     write_image,
 )
 from placegraph.view.draw.style import PALETTE
-from placegraph.view.scene.room_plan import RoomPlan, paint_room, plain_words
+from placegraph.view.scene.frame_marks import mark_agreement
+from placegraph.view.scene.room_plan import RoomPlan, name_of, paint_room
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.frame import Frame as CameraFrame
 
 POSE_COLOR = {Status.OK: "mode", Status.AMBIGUOUS: "amber", Status.LOST: "soft-ink"}
 """Colours of modes and ways."""
@@ -56,6 +58,8 @@ CELL, SECTOR = 0.4, np.pi / 6
 """Neighbourhood of a particle: distance [m] and rotation [rad]."""
 VERDICTS = ("for", "against")
 """Verdicts that are drawn; each is also the name of its colour."""
+SLIT = 5
+"""Of the 65 angles of a view, gaps between walls that are narrower are cracks of a scan."""
 OPENING = 1.1
 """Horizontal field of view where the camera is not known [rad]."""
 MAX_FRAMES = 5000
@@ -128,6 +132,10 @@ def view_ring(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH
     at = np.asarray(pose[:2], np.float64)
     angles = pose[3] + np.linspace(-opening / 2, opening / 2, 65)
     far = plan.view_range(at, angles, reach)
+    # a look through a crack in a scanned wall is none: grey opening over SLIT angles
+    for narrow in (np.min, np.max):
+        padded = np.pad(far, SLIT // 2, mode="edge")
+        far = narrow(np.lib.stride_tricks.sliding_window_view(padded, SLIT), axis=1)
     rim = at + far[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.concatenate([at[None], rim, at[None]])
 
@@ -203,13 +211,37 @@ def evidence_rows(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[i
     return list(found.items())[:most]
 
 
-def evidence_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
-    """Return lines from a mode to the objects that support it (solid) or contradict it (dashed)."""
+def evidence_marks(plan: RoomPlan, mode: PoseMode, opening: float) -> list[Item]:
+    """Return lines from a mode to the objects that support it (solid) or contradict it (dashed).
+
+    They end amid what a camera with a field of view `opening` [rad] sees of an object, on a disc: of
+    an object without a name in its colour in the map.
+    """
     marks: list[Item] = []
     for row, verdict in reversed(evidence_rows(plan, mode)):
-        ends = np.stack([mode.pose[:2], plan.middle(row)])
+        end, colour = plan.point_in_view(row, mode.pose, opening)
+        ends = np.stack([mode.pose[:2], end])
         marks.append(Stroke(ends, verdict, 1.4, (5.0, 4.0) if verdict == "against" else None))
-        marks.append(Disc(ends[1], 3.5, verdict))
+        marks.append(Disc(end, 3.5, verdict))
+        if plan.is_bare[row]:
+            marks.append(Disc(end, 7.0, colour, rim=verdict))
+    return marks
+
+
+READ_FRAMES = 3
+"""Frames that are compared with the map, the last among them."""
+
+
+def agreement_marks(
+    plan: RoomPlan, estimate: PoseEstimate, capture: Iterable[CameraFrame]
+) -> list[Disc]:
+    """Return dots where frames of a capture agree with the map at the poses of an estimate, or not."""
+    frame_of, count = {frame.index: frame for frame in capture}, len(estimate.frames)
+    marks: list[Disc] = []
+    for row in spread_evenly(count, READ_FRAMES) if frame_of else []:
+        frame = frame_of.get(int(estimate.frames[row]))
+        if frame is not None:
+            marks += mark_agreement(plan.scene, plan.floor, frame, estimate.trajectory[row])
     return marks
 
 
@@ -267,8 +299,9 @@ class Layout:
     def of(cls, bounds: Bounds, steps: Sequence[int], *, width: int | None = None) -> Layout:
         """Return the layout for a scene with these bounds and so many steps in each pass.
 
-        One pass stands above the large panel, several stand to its left: then rows and columns of
-        small panels and the large one are as high as each other.
+        One pass stands above the large panel; several, and one of few steps, which would leave a row
+        half empty, stand to its left: then rows and columns of small panels and the large one are as
+        high as each other.
 
         Raises `OptionError` where the width is no width of a picture.
         """
@@ -279,7 +312,7 @@ class Layout:
         passes = [k for k, count in enumerate(steps) if count]
         rows = tuple(passes[k] for k in spread_evenly(len(passes), MOST_ROWS))
         columns = min(MOST_COLUMNS + (len(rows) == 1), max((steps[k] for k in rows), default=0))
-        if len(rows) > 1:
+        if len(rows) > 1 or 0 < columns < MOST_COLUMNS:
             width = width or 1600
             unit = (width - columns * GAP) // (columns + len(rows))
             small = unit, round(unit / shape)
@@ -330,6 +363,7 @@ class Drawing:
         truth: Floats | None,
         title: str | None,
         camera: Camera | None,
+        capture: Iterable[CameraFrame] = (),
     ) -> None:
         best = estimate.best
         which = scene.scenes.index(best.scene) if best and best.scene in scene.scenes else 0
@@ -338,6 +372,7 @@ class Drawing:
         self.title = title
         self.truth = None if truth is None else np.asarray(truth, np.float64).reshape(-1, 4, 4)
         self.opening = field_of_view(camera)
+        self.agreement = agreement_marks(self.plan, estimate, capture) if best else []
 
     def passes(self, sheet: Sheet, layout: Layout) -> None:
         """Draw a row of panels for each pass, later passes enlarged."""
@@ -399,7 +434,8 @@ class Drawing:
         marked: dict[int, str] = {}
         if shown:
             marked = dict(evidence_rows(self.plan, estimate.modes[shown[0]]))
-            marks += evidence_marks(self.plan, estimate.modes[shown[0]])
+            marks += self.agreement
+            marks += evidence_marks(self.plan, estimate.modes[shown[0]], self.opening)
             marks += trajectory_marks(estimate.trajectory, color, width=2.4)
         for k in reversed(shown):
             marks += mode_marks(estimate, k, numbered=len(shown) > 1)
@@ -436,16 +472,20 @@ class Drawing:
             {verdict for _, verdict in evidence_rows(self.plan, best)} if best else set[str]()
         )
         keys: list[tuple[bool, str, Callable[..., float]]] = [
-            (result, "path and visible objects", partial(sheet.key_line, color=color)),
+            (result, "path and view", partial(sheet.key_line, color=color)),
             (self.truth is not None, "true way", partial(sheet.key_line, color=TRUTH)),
             (particles, "particles, darker where more likely", sheet.key_likely),
-            (result and "for" in verdicts, "agrees", partial(sheet.key_line, color="for")),
+            (result and "for" in verdicts, "object agrees", partial(sheet.key_line, color="for")),
             (
                 result and "against" in verdicts,
-                "disagrees",
+                "object disagrees",
                 partial(sheet.key_line, color="against", dashed=True),
             ),
         ]
+        dots = [mark.color for mark in self.agreement]
+        for verdict, words in zip(VERDICTS, ("agrees", "differs"), strict=True):
+            share = f"frame {words}: {dots.count(verdict) / max(1, len(dots)):.0%}"
+            keys.append((result and bool(dots), share, partial(sheet.key_disc, color=verdict)))
         x, y = 14.0, sheet.height - FOOT / 2
         end = draw_measures(sheet, frame)
         for wanted, words, draw in keys:
@@ -489,7 +529,7 @@ def place_names(
     small: bool = False,
 ) -> list[Item]:
     """Return names of the larger objects of a plan, or of all, where they fit; `marked` ones first."""
-    face = choose_face(plain_words(label) for label in plan.scene.graph.labels)
+    face = choose_face(name_of(label) for label in plan.scene.graph.labels)
     return [*plan.names(frame, face, occupied, marked, small=small)]
 
 
@@ -524,6 +564,7 @@ def write_plan(
     truth: Floats | None = None,
     title: str | None = None,
     camera: Camera | None = None,
+    capture: Iterable[CameraFrame] = (),
     width: int | None = None,
 ) -> Path:
     """Draw an estimate on the plan of its scene as a PNG.
@@ -542,8 +583,11 @@ def write_plan(
         What was localized, such as the name of the capture.
     camera
         Whose field of view is drawn; 63 degrees where not given.
+    capture
+        Frames that were localized. Dots show where their depth and colours agree with the map: at a
+        wrong place many differ.
     width
-        Of the picture [px]; 1600 with several passes, else 1200 where not given.
+        Of the picture [px]; 1600 with several passes or few frames, else 1200 where not given.
 
     Raises
     ------
@@ -551,7 +595,7 @@ def write_plan(
         The width is no width of a picture.
 
     """
-    drawing = Drawing(scene, estimate, truth, title, camera)
+    drawing = Drawing(scene, estimate, truth, title, camera, capture)
     steps = [len(record.steps) for record in estimate.history]
     layout = Layout.of(drawing.plan.bounds, steps, width=width)
     sheet = Sheet(layout.width, layout.height)

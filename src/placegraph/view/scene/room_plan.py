@@ -87,6 +87,16 @@ def plain_words(label: str) -> str:
     return " ".join(word for word in re.split(r"[\W_\d]+", apart.lower()) if word)
 
 
+MEANINGLESS = {"unknown", "unlabelled", "unlabeled", "unnamed", "object", "thing", "none"}
+"""Labels that do not say what a thing is."""
+
+
+def name_of(label: str) -> str:
+    """Return the name that a label gives a thing; empty: none."""
+    words = plain_words(label)
+    return "" if words in MEANINGLESS else words
+
+
 @cache
 def room_paint(label: str) -> str:
     """Paint of a thing with this label: its last word says what it is; a floor lamp is no floor."""
@@ -178,6 +188,23 @@ class RoomPlan:
                 paints[row] = SCAN
         return tuple(paints)
 
+    @cached_property
+    def is_bare(self) -> NDArray[np.bool_]:
+        """Whether each object of the map (N,) is shown in the map's own colours: labels say nothing.
+
+        So are scans that are one object, things whose labels are `MEANINGLESS`, and the floor where
+        no thing has a name.
+        """
+        scan = np.array([paint == SCAN for paint in self.paints])
+        if not self.scene.has_colours:
+            return scan
+        things = [row for row in self.rows if self.role(row) == "thing"]
+        nameless = [row for row in things if not name_of(self.scene.graph.labels[row])]
+        scan[nameless] = True
+        if nameless and len(nameless) == len(things):
+            scan[[row for row in self.rows if self.role(row) == "floor"]] = True
+        return scan
+
     def role(self, row: int) -> str:
         """Return the role of an object in the room style, or ``scan``."""
         paint = self.paints[row]
@@ -192,14 +219,37 @@ class RoomPlan:
         middle: Floats = self.boxes[row, :, :2].mean(axis=0)
         return middle
 
-    def colours(self, triangles: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return colours (M, 3), 0 to 255, of triangles (rows): mean of texture and corners."""
-        mesh = self.scene.mesh
-        tints = np.array([texture.reshape(-1, 3).mean(axis=0) for texture in mesh.textures])
-        rows = self.triangle_rows[triangles]
-        corners = mesh.colours[mesh.triangles[rows]].astype(np.float32).mean(axis=1)
-        colours: NDArray[np.float32] = corners * (tints[mesh.texture_of[rows]] / 255.0)
+    def colours(self, triangles: NDArray[np.int64], at: Floats) -> NDArray[np.float32]:
+        """Return colours (M, 3), 0 to 255, of triangles (rows) at points (M, 2) [m] seen from above."""
+        mesh, rows = self.scene.mesh, self.triangle_rows[triangles]
+        first, *ends = np.moveaxis(mesh.vertices[mesh.triangles[rows], :2].astype(np.float64), 1, 0)
+        (ax, ay), (bx, by), (px, py) = ((p - first).T for p in (*ends, at))
+        area = ax * by - ay * bx
+        upright = np.abs(area) < 1e-9  # has no inside from above: the middle stands for all of it
+        area = np.where(upright, 1.0, area)
+        u = np.where(upright, 1.0 / 3.0, np.clip((px * by - py * bx) / area, 0.0, 1.0))
+        v = np.where(upright, 1.0 / 3.0, np.clip((ax * py - ay * px) / area, 0.0, 1.0 - u))
+        colours = mesh.colour_at(rows.astype(np.int32), u.astype(np.float32), v.astype(np.float32))
         return colours.astype(np.float32)
+
+    def point_in_view(self, row: int, pose: Floats, opening: float) -> tuple[Floats, str]:
+        """Return the point (2,) [m] of an object amid what a camera sees of it, and its colour there.
+
+        `pose`: (4,) of the camera; `opening`: its field of view [rad]. Of an object beyond the view,
+        amid all of it.
+        """
+        own = np.flatnonzero(self.object_of == row)
+        if not own.size:
+            return self.middle(row), "soft-ink"
+        middles = self.scene.mesh.vertices[self.triangles[own], :2].mean(axis=1, dtype=np.float64)
+        way = middles - pose[:2]
+        aside = np.arctan2(way[:, 1], way[:, 0]) - pose[3]
+        ahead = np.abs((aside + np.pi) % (2.0 * np.pi) - np.pi) < opening / 2
+        if ahead.any():
+            own, middles = own[ahead], middles[ahead]
+        nearest = int(np.linalg.norm(middles - np.median(middles, axis=0), axis=1).argmin())
+        shown = self.colours(own, middles).mean(axis=0).round().astype(int).tolist()
+        return middles[nearest], "#{:02x}{:02x}{:02x}".format(*shown)
 
     @cached_property
     def cuts(self) -> dict[str, Floats]:
@@ -280,7 +330,7 @@ class RoomPlan:
         for row in sorted(self.rows, key=lambda row: (row not in marked, -areas[row])):
             if self.role(row) != "thing" or (self.hangs(row) and row not in marked):
                 continue
-            words = face.drawable(plain_words(self.scene.graph.labels[row]))
+            words = face.drawable(name_of(self.scene.graph.labels[row]))
             if not words:
                 continue
             ink = marked.get(row, "soft-ink")
@@ -337,8 +387,8 @@ def _fits_width(text: Text, width: float, frame: Frame) -> bool:
 
 WALL = 0.07
 """Surfaces that are cut and enclose nothing, as in a scan, are drawn this thick [m]."""
-VIVID = 0.5
-"""Share of a scan's own colours; the rest is paper, so that marks stand out."""
+VIVID = 0.7
+"""Share of a map's own colours; the rest is paper, so that marks stand out."""
 BAND = 256
 """Rows that are coloured at a time: as floats, all of them would take most of the memory."""
 
@@ -361,13 +411,14 @@ def paint_room(plan: RoomPlan, frame: Frame, *, dark: bool = False) -> Picture:
             height[mask] = CUT
     light = _shade(height.astype(np.float32), owner, frame.scale)
     fills = _object_colours(plan, dark=dark)
-    scanned = np.array([*(paint == SCAN for paint in plan.paints), False])
+    scanned = np.append(plan.is_bare, False)
     picture = np.empty((*owner.shape, 3), np.uint8)
     for top in range(0, len(owner), BAND):
         rows = slice(top, top + BAND)
         pixels, bare = fills[owner[rows]], scanned[owner[rows]]
         if bare.any():
-            own = plan.colours(view.triangle[rows][bare].astype(np.int64))
+            at = frame.to_map(np.argwhere(bare)[:, ::-1] + (0.5, top + 0.5))
+            own = plan.colours(view.triangle[rows][bare].astype(np.int64), at)
             pixels[bare] = VIVID * own + (1.0 - VIVID) * pixels[bare]
         pixels *= light[rows, :, None]
         picture[rows] = np.clip(pixels, 0.0, 255.0, out=pixels)
