@@ -1,14 +1,15 @@
-"""Does what people write find its place? 1,023 descriptions from Pittsburgh (RVS).
+"""Does what people write find its place? Descriptions of meeting places (RVS), and notes of a city.
 
-The union of all landmarks is the map. Developed on the
-even records only; the odd ones are reported beside them.
+The union of all landmarks is the map of Pittsburgh; all other texts are asked of real maps. Texts about
+Pittsburgh were developed on the even records, all others on the odd ones (the first, the third, ...).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,11 +17,15 @@ import numpy as np
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap, build_city
+from placegraph.outdoor.map.objects import LINE
 from placegraph_lab.tables.outdoor.metrics import HIT, distances
 from placegraph_lab.tables.outdoor.places import (
     Baselines,
+    Note,
     Record,
     landmarks,
+    plain,
+    read_notes,
     read_records,
     write_osm,
 )
@@ -41,7 +46,7 @@ class Guess:
     seconds: float = float("nan")
 
 
-def ask(city: CityMap, record: Record, listener: tuple[float, float] | None) -> Guess:
+def ask(city: CityMap, record: Record | Note, listener: tuple[float, float] | None) -> Guess:
     """Give a text, and where "you" stand, to the map."""
     start = time.perf_counter()
     try:
@@ -95,14 +100,100 @@ COLUMNS = (
 )  # fmt: skip
 
 
+SETS = {
+    "fountains, notes": ("vancouver_2015", "vancouver_places", "fountain", False),
+    "fountains, sentences": ("vancouver_2015", "vancouver_places", "fountain", True),
+    "works of art, notes": ("vancouver_2015", "vancouver_places", "art", False),
+    "works of art, sentences": ("vancouver_2015", "vancouver_places", "art", True),
+    "meeting places, Manhattan": ("manhattan_2025", "rvs_manhattan", "", False),
+    "meeting places, lower Manhattan": ("lower_manhattan_2024", "rvs_lower_manhattan", "", False),
+}
+"""Map, file, kind and form of the texts that are asked of real maps."""
+ON_MAPS = (
+    Col("within 100 m/250 m", "name"), Col("even texts", "even.records"),
+    Col("rarest name", "rarest.within", shares), Col("nearest crossing", "crossing.within", shares),
+    Col("odd (developed on)", "odd.within", shares), Col("even", "even.within", shares),
+    Col("even, `OK`", lambda r: r["even"]["status"].get("OK", 0.0), share),
+    Col("of these > 250 m", lambda r: 1.0 - r["even"]["right_within_250_m"].get("OK", 1.0), share),
+    Col("p50", "even.p50_ms", 0, "ms"),
+)  # fmt: skip
+
+
+def list_places(city: CityMap) -> list[tuple[str, float, float]]:
+    """List every name of a map with the centres of what bears it: name, longitude, latitude [deg]."""
+    o = city.objects
+    lonlat = city.plane.to_lonlat(o.center.astype(np.float64)).tolist()
+    return [
+        (o.names[value], *lonlat[row])
+        for row in range(len(o))
+        for value in o.name_values[o.name_starts[row] : o.name_starts[row + 1]].tolist()
+    ]
+
+
+def sample_streets(city: CityMap, simple: Baselines) -> dict[str, Floats]:
+    """Sample points (n, 2) [m] of streets, by their names and by these without the last word."""
+    o, found = city.objects, dict[str, list[Floats]]()
+    for row in np.flatnonzero((o.kind == LINE) & (np.diff(o.name_starts) > 0)).tolist():
+        if not o.label(row).startswith("highway="):
+            continue
+        name = plain(o.name(row))
+        for line in o.parts(row):
+            along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+            at = np.arange(0.0, along[-1] + 15.0, 15.0)
+            points = np.column_stack([np.interp(at, along, axis) for axis in line.T])
+            points = simple.plane.to_plane(city.plane.to_lonlat(points))
+            for spoken in {name, name.rpartition(" ")[0] or name}:
+                found.setdefault(spoken, []).append(points)
+    return {name: np.concatenate(points) for name, points in found.items()}
+
+
+def ask_sets(run: Run, *, quick: bool) -> Iterator[dict[str, Any]]:
+    """Ask the texts of every set of its map; yield a row each."""
+    cities: dict[str, tuple[CityMap, Baselines, dict[str, Floats]]] = {}
+    for name, (town, file, kind, sentences) in SETS.items():
+        if town not in cities:
+            city = build_city(run.osm / f"{town}.osm.pbf", run.cache / f"{town}.city")
+            simple = Baselines(list_places(city))
+            cities[town] = city, simple, sample_streets(city, simple)
+        city, simple, streets = cities[town]
+        path = run.data / f"text/{file}.jsonl"
+        notes: Sequence[Record | Note] = (
+            read_notes(path, kind, sentences=sentences) if kind else read_records(path)
+        )
+        notes = notes[: 10 if quick else None]
+        for note in notes[:4]:  # warm
+            ask(city, note, None)
+        found = [ask(city, note, None) for note in run.track(notes, name)]
+        row: dict[str, Any] = {
+            "name": name, "odd": summary(found[::2]), "even": summary(found[1::2]),
+        }  # fmt: skip
+        rules: dict[str, Callable[[Record | Note], Floats | None]]
+        rules = {"rarest": simple.rarest, "crossing": partial(simple.crossing, streets=streets)}
+        for rule, guess in rules.items():
+            off = [
+                np.inf if (at := guess(note)) is None else float(distances(at, *note.goal)[0])
+                for note in notes[1::2]
+            ]
+            row[rule] = {"within": [float(np.mean(np.array(off) <= r)) for r in (NEAR, WIDE)]}
+        yield row
+
+
 @table()
 def human_text(
     run: Run,
     *,
     baselines: Annotated[bool, option("Leave the map out.")] = False,
+    maps: Annotated[bool, option("Only texts about real maps, without Pittsburgh.")] = False,
     quick: Quick = False,
 ) -> None:
-    """Recall of 1,023 descriptions that people wrote in Pittsburgh (RVS)."""
+    """Recall of descriptions that people wrote: 1,023 in Pittsburgh (RVS), and of real maps."""
+    run.cache.mkdir(parents=True, exist_ok=True)
+    run.one_core()
+    asked = [] if baselines else list(ask_sets(run, quick=quick))
+    print(render(ON_MAPS, asked), "\n")
+    if maps:
+        run.save({"maps": asked})
+        return
     records = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
     places = landmarks(records)
     simple = Baselines(places)
@@ -119,10 +210,8 @@ def human_text(
         for name, rule in rules.items()
     }
     if not baselines:
-        run.cache.mkdir(parents=True, exist_ok=True)
         write_osm(places, run.cache / "pittsburgh.osm")
         city = build_city(run.cache / "pittsburgh.osm", run.cache / "pittsburgh.city")
-        run.one_core()
         for record in records[:10]:  # warm
             ask(city, record, record.start)
         for name, start in (("placegraph", False), ("placegraph, start known", True)):
@@ -134,4 +223,4 @@ def human_text(
         for name, g in answers.items()
     ]
     print(render(COLUMNS, rows))
-    run.save({"landmarks": len(places), "rows": rows})
+    run.save({"landmarks": len(places), "rows": rows, "maps": asked})

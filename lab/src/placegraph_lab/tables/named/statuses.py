@@ -11,6 +11,7 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,7 +38,7 @@ from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED
 from placegraph_lab.tables.outdoor.metrics import HIT, Protocol, distances, positions
-from placegraph_lab.tables.outdoor.places import landmarks, read_records, write_osm
+from placegraph_lab.tables.outdoor.places import landmarks, read_notes, read_records, write_osm
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import LAB, Quick, Run, Seed, markdown, option, share, table
 from placegraph_lab.tables.statistics import Reliability, reliability
@@ -47,7 +48,11 @@ if TYPE_CHECKING:
 
 TRAPS = Path(__file__).parents[1] / "data/traps.toml"
 MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}  # extracts that templates speak of
-TOLD = {"pittsburgh": "rvs_pittsburgh.jsonl", "manhattan": "rvs_manhattan.jsonl"}
+TOLD = {
+    "pittsburgh": "rvs_pittsburgh.jsonl",
+    "manhattan": "rvs_manhattan.jsonl",
+    "lower manhattan": "rvs_lower_manhattan.jsonl",
+}
 """Files of texts by people, by the map that they are about."""
 PROTOCOLS = (
     *(Protocol(6, s) for s in ("none", "replaced", "absent", "synonyms", "names", "speaker")),
@@ -127,6 +132,12 @@ def people(folder: Path) -> Iterator[TextSet]:
             name = f"{city.title()}{', start known' if start else ''}"
             for first, half in enumerate((TUNED, HELD_OUT)):
                 yield TextSet("people", name, city, half, texts[first::2])
+    for kind, sentences in product(("fountain", "art"), (False, True)):
+        notes = read_notes(folder / "vancouver_places.jsonl", kind, sentences=sentences)
+        texts = tuple(LabelledText(note.text, note.goal) for note in notes)
+        name = f"Vancouver, {kind}, {'sentences' if sentences else 'notes'}"
+        for first, half in enumerate((TUNED, HELD_OUT)):
+            yield TextSet("people", name, "vancouver", half, texts[first::2])
 
 
 def traps(
@@ -385,6 +396,7 @@ def maps(run: Run) -> dict[str, CityMap]:
     """Every map, made anew: its making is part of what is outcomes."""
     run.cache.mkdir(parents=True, exist_ok=True)
     sources = {name: run.osm / file for name, file in MADE.items()}
+    sources["lower manhattan"] = run.osm / "lower_manhattan_2024.osm.pbf"
     sources["pittsburgh"] = run.cache / "pittsburgh.osm"
     write_osm(
         landmarks(read_records(run.data / "text" / TOLD["pittsburgh"])), sources["pittsburgh"]

@@ -281,6 +281,33 @@ def read_records(path: str | Path) -> list[Record]:
     return records
 
 
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A text about a place of a real map."""
+
+    text: str
+    goal: tuple[float, float]  # longitude, latitude [deg]
+
+
+def read_notes(path: str | Path, kind: str, *, sentences: bool) -> list[Note]:
+    """Read where a city's fountains or works of art (`kind`) stand: as notes, or in a person's words."""
+    rows = [json.loads(line) for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    notes = []
+    for row in rows:
+        if row["set"] != kind:
+            continue
+        place = [row[key] for key in ("site", "address", "name") if row.get(key)]
+        if not sentences:
+            text = ". ".join(part.strip(" .") for part in (*place, row["location"])) + "."
+        elif kind == "fountain":
+            text = f"I'm at the drinking fountain in {place[0]}, {row['location']}."
+        else:
+            what, where = row["kind"].lower(), row["location"].rstrip(".")
+            text = f"I'm at the {what} at {', '.join(place)}. It is {where}."
+        notes.append(Note(text, (row["longitude"], row["latitude"])))
+    return notes
+
+
 def landmarks(records: Sequence[Record]) -> list[tuple[str, float, float]]:
     """Distinct landmarks of all records, sorted: name, longitude, latitude [deg]."""
     return sorted({place for record in records for place in record.landmarks})
@@ -317,7 +344,7 @@ class Baselines:
         self._points = {name: east_north[rows] for name, rows in points.items()}
         self._rarity = {name: len(_apart(p)) for name, p in self._points.items()}
 
-    def rarest(self, record: Record) -> Floats | None:
+    def rarest(self, record: Record | Note) -> Floats | None:
         """First place of the rarest landmark named in the text; longitude, latitude [deg]."""
         points = self._named(record.text)
         return None if points is None else self.plane.to_lonlat(points[0])
@@ -337,6 +364,27 @@ class Baselines:
             step = np.sum([_COMPASS[w.lower()] for w in stated.groups() if w], axis=0)
             here = here + WALK * step / np.hypot(*step)
         return self.plane.to_lonlat(here)
+
+    def crossing(self, record: Record | Note, streets: Mapping[str, Floats]) -> Floats | None:
+        """Crossing of two streets named in the text that is nearest to its rarest name, else that name.
+
+        `streets` holds points (n, 2) [m] along each street, by its name and by its name without a type.
+        """
+        spoken = f" {plain(record.text)} "
+        named = [points for name, points in streets.items() if f" {name} " in spoken]
+        here = self._named(record.text)
+        met = []
+        for i, one in enumerate(named):
+            for other in named[:i]:
+                low, high = other.min(axis=0) - 20.0, other.max(axis=0) + 20.0
+                inside = one[((one >= low) & (one <= high)).all(axis=1)]
+                off = np.hypot(*(inside[:, None] - other[None]).transpose(2, 0, 1))
+                met.append(inside[(off < 20.0).any(axis=1)])
+        points = np.concatenate([np.zeros((0, 2)), *met])
+        if not len(points):
+            return None if here is None else self.plane.to_lonlat(here[0])
+        at = points[0] if here is None else points[np.hypot(*(points - here[0]).T).argmin()]
+        return self.plane.to_lonlat(at)
 
     def _named(self, text: str) -> Floats | None:
         """Places (n, 2) [m] of the rarest landmark named; of two as rare, the longer name."""
