@@ -362,8 +362,8 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
     if status is Status.OK and refined.loose > LOOSE:
         status = Status.AMBIGUOUS
         reason = f"One place fits, but the scale of depth is unsure, and the pose by {refined.loose:.1f} m."
-    undecided = diagnostics_of(estimate).undecided
-    one_scene = len({mode.scene for mode in estimate.modes}) == 1
+    found, one_scene = diagnostics_of(estimate), len({m.scene for m in estimate.modes}) == 1
+    undecided = found.undecided and found.searched > FITS_NOWHERE
     if refined.landmarks is not None and undecided and refined.accepted and one_scene:
         # they were looked for in the whole map, and led to where the likelihood is largest
         status = Status.OK
