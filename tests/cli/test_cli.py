@@ -26,6 +26,7 @@ HELP = {
                        "Example:"),
     "scene refine": ("--pose", "--estimate", "--matcher", "--overlay", "AMBIGUOUS", "Example:"),
     "scene render": ("--pose", "--tum", "--estimate", "--capture", "overlay.png", "Example:"),
+    "capture init": ("--axes", "--depth-unit", "world-to-camera", "Example:"),
     "scene export": ("placegraph scene export house.scene",),
     "scene view": ("placegraph scene view house.scene",),
     "locate": ("placegraph locate town/",),

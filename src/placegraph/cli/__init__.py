@@ -87,6 +87,12 @@ BAG = Group(
     {},
     partial(extensions, "bag"),
 )
+CAPTURE = Group(
+    "capture",
+    "Recordings: write capture folders from any layout.",
+    {"init": f"{_HERE}.capture:init"},
+    partial(extensions, "capture"),
+)
 
 
 def main() -> NoReturn:
@@ -170,6 +176,7 @@ APP = Group(
         "library": LIBRARY,
         "world": WORLD,
         "bag": BAG,
+        "capture": CAPTURE,
     },
     partial(extensions, ""),
     params=[

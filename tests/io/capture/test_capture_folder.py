@@ -134,7 +134,7 @@ def test_odometry_of_another_length_or_none(folder):
         with pytest.raises(InputError, match=message):
             open_capture(folder.path)
     folder.remove("odometry.tum")
-    with pytest.raises(InputError, match="create it with one row `stamp tx ty tz"):
+    with pytest.raises(InputError, match=r"it lacks odometry.tum\. `placegraph capture init"):
         open_capture(folder.path)
 
 
@@ -168,7 +168,7 @@ def test_what_is_no_camera_file(text, folder):
     with pytest.raises(InputError, match=r"camera\.json"):
         open_capture(folder.path)
     folder.remove("camera.json")
-    with pytest.raises(InputError, match=r"camera.json does not exist"):
+    with pytest.raises(InputError, match=r"lacks .*camera.json"):
         open_capture(folder.path)
 
 
@@ -277,17 +277,17 @@ def test_folders(folder, tmp_path_factory):
         open_capture(folder.path / "no")
     empty = tmp_path_factory.mktemp("empty")
     for nothing in (folder.path / "camera.json", empty):
-        with pytest.raises(InputError, match=r"is not a capture of a known.*Polycam.*odometry.tum"):
+        with pytest.raises(InputError, match=r"is not a capture of a known"):
             open_capture(nothing)
     map_file = empty / "flat.scene"
     map_file.write_bytes(b"")
     with pytest.raises(InputError, match=r"flat.scene is a map, not a capture"):
         open_capture(map_file)
     (empty / "rgb").mkdir()
-    with pytest.raises(InputError, match=r"camera.json does not exist"):
+    with pytest.raises(InputError, match=r"lacks .*camera.json"):
         open_capture(empty)
     folder.remove("rgb")
-    with pytest.raises(InputError, match="contains no image"):
+    with pytest.raises(InputError, match=r"lacks colour images in rgb/\."):
         open_capture(folder.path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -161,7 +162,7 @@ def capture_formats() -> tuple[Format | AbsentFormat, ...]:
 
 
 def find_format(path: Path) -> Format | AbsentFormat:
-    """Return the format of a capture; `InputError`, which lists all formats, where none matches."""
+    """Return the format of a capture; `InputError`, which describes the folder, where none matches."""
     if not path.exists():
         raise InputError(f"{path} does not exist; a capture is a folder that a recorder wrote.")
     for format_ in capture_formats():
@@ -169,8 +170,37 @@ def find_format(path: Path) -> Format | AbsentFormat:
             return format_
     if path.suffix in {".scene", ".city", ".library"}:
         raise InputError(f"{path} is a map, not a capture; check the order of map and capture.")
-    known = "; ".join(map(str, capture_formats()))
-    raise InputError(f"{path} is not a capture of a known format. Known formats are: {known}.")
+    raise InputError(describe_unknown(path))
+
+
+_LISTED = 8  # kinds of files that a message lists
+
+
+def describe_unknown(path: Path) -> str:
+    """Describe a folder that no reader knows: its files, the nearest reader, and what to do."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for p in sorted([*path.glob("*"), *path.glob("*/*")]):
+        if p.is_file():
+            file = p.relative_to(path)
+            kinds.setdefault((str(file.parent), p.suffix), []).append(str(file))
+    listed = ", ".join(
+        files[0] if len(files) == 1 else f"{len(files)} x *{suffix} in {folder}/"
+        for (folder, suffix), files in [*kinds.items()][:_LISTED]
+    )
+    held = "is one file" if path.is_file() else f"contains {listed or 'no files'}"
+    best, lacks, name = 0.0, ["rgb/", "camera.json", "odometry.tum"], str(_OWN[1])
+    for format_ in capture_formats():
+        wanted = re.findall(r"[\w*]+/|[\w*]*\.\w+", getattr(format_, "contents", ""))
+        lacking = [w for w in wanted if not next(path.glob(w if w[0] != "." else f"*{w}"), None)]
+        if wanted and 1.0 - len(lacking) / len(wanted) > best:
+            best, lacks, name = 1.0 - len(lacking) / len(wanted), lacking, str(format_)
+    more = "" if "io" in plugins(CAPTURES) else " Other recorders: install the extra `io`."
+    return (
+        f"{path} is not a capture of a known format; it {held}.\n"
+        f"The nearest format is {name}; {', '.join(lacks)} missing.{more}\n"
+        f"`placegraph capture init {path}` writes a capture folder from images, poses and "
+        "intrinsics."
+    )
 
 
 def is_capture(path: Path) -> bool:

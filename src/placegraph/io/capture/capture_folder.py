@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import (
     Capture,
@@ -25,6 +26,7 @@ from placegraph.io.capture.frame import (
 )
 from placegraph.io.capture.images import image_size, list_images
 from placegraph.io.capture.json_files import read_camera, read_json
+from placegraph.io.capture.posed import make_camera
 from placegraph.io.capture.tum import Trajectory, read_table, read_tum
 
 _GRAVITY_COLUMNS = ("stamp", "gx", "gy", "gz")
@@ -38,11 +40,19 @@ def is_capture_folder(path: Path) -> bool:
 
 def read_capture_folder(path: Path, *, labels: str | None = "auto") -> Capture:
     """Read a capture folder; `labels` is "auto", "labels", "instances" or None (`open_capture`)."""
+    colours, depths = list_images(path / "rgb"), list_images(path / "depth")
+    has = {
+        "colour images in rgb/": bool(colours),
+        "camera.json": (path / "camera.json").exists(),
+        "odometry.tum": (path / "odometry.tum").exists(),
+    }
+    if not all(has.values()):
+        lacking = " and ".join(name for name, exists in has.items() if not exists)
+        raise InputError(
+            f"{path} is not a complete capture folder: it lacks {lacking}. `placegraph capture init "
+            f"{path}` writes one from images, poses and intrinsics in other layouts."
+        )
     cameras = read_camera(path / "camera.json")
-    colours = list_images(path / "rgb")
-    if not colours:
-        raise InputError(f"{path / 'rgb'} contains no image; a capture needs colour images there.")
-    depths = list_images(path / "depth")
     kind = _label_kind(path, labels)
     label_images = list_images(path / kind) if kind else {}
     for folder, images in (("depth", depths), (kind, label_images)):
@@ -53,6 +63,8 @@ def read_capture_folder(path: Path, *, labels: str | None = "auto") -> Capture:
                 "their colour images."
             )
     odometry, gravity = _read_motion(path, len(colours))
+    focused = _read_intrinsics(path / "intrinsics.txt", cameras.camera, len(colours))
+    follows = cameras.depth == cameras.camera.resize(cameras.depth.width, cameras.depth.height)
     names = _read_label_names(path / "labels.json")
     label_camera = table = None
     if kind and label_images:
@@ -77,10 +89,16 @@ def read_capture_folder(path: Path, *, labels: str | None = "auto") -> Capture:
             ids = label_file(label_images[stem], label_camera, cameras.offsets[kind], table)
         return LazyImages(colour_file(colours[stem], cameras.camera), metres, ids, unit)
 
+    def focused_depth(camera: Camera) -> dict[str, Camera]:
+        depth = camera.resize(cameras.depth.width, cameras.depth.height)
+        return {"camera": camera} | ({"depth_camera": depth} if depths and follows else {})
+
     frames = tuple(
-        Frame(i, float(stamp), pose, down, images=lazy_images(stem), **shared)
-        for i, (stem, stamp, pose, down) in enumerate(
-            zip(colours, odometry.stamps, odometry.poses, gravity, strict=True)
+        Frame(
+            i, float(stamp), pose, down, images=lazy_images(stem), **shared | focused_depth(camera)
+        )
+        for i, (stem, stamp, pose, down, camera) in enumerate(
+            zip(colours, odometry.stamps, odometry.poses, gravity, focused, strict=True)
         )
     )
     return Capture(path, frames, **shared)
@@ -124,12 +142,6 @@ def _read_motion(path: Path, count: int) -> tuple[Trajectory, NDArray[np.float64
     Without `gravity.txt` it is the odometry's -z.
     """
     file = path / "odometry.tum"
-    if not file.exists():
-        raise InputError(
-            f"{file} does not exist; create it with one row `stamp tx ty tz qx qy qz qw` "
-            f"for each of the {count} images (single image: `0 0 0 0 0 0 0 1`, and "
-            "gravity.txt)."
-        )
     odometry = read_tum(file)
     _check_count(file, len(odometry), count)
     if not (path / "gravity.txt").exists():
@@ -148,6 +160,19 @@ def _read_motion(path: Path, count: int) -> tuple[Trajectory, NDArray[np.float64
             "as a unit vector.",
         )
     return odometry, _read_only(vectors / lengths[:, None])
+
+
+def _read_intrinsics(path: Path, camera: Camera, count: int) -> list[Camera]:
+    """Return the camera of each image: with a row of `intrinsics.txt`, if it exists, else as it is."""
+    if not path.exists():
+        return [camera] * count
+    table = read_table(path, ("stamp", "fx", "fy", "cx", "cy"))
+    _check_count(path, len(table.values), count)
+    size = camera.width, camera.height
+    return [
+        make_camera(table.locations[i], size, row[1:], camera.distortion, camera.model)
+        for i, row in enumerate(table.values.tolist())
+    ]
 
 
 def _check_count(path: Path, rows: int, images: int) -> None:

@@ -115,6 +115,19 @@ def _entry_camera(path: Path, entry: dict[str, Any], kind: str, camera: Camera) 
 
 
 def _camera(path: Path, content: dict[str, Any], prefix: str) -> Camera:
+    faults = [
+        f"{prefix}{name} is missing"
+        for name in ("width", "height", *_INTRINSICS)
+        if content.get(name) is None
+    ]
+    faults += [
+        f"{prefix}{name} is {value:g}, so the camera's axes are not OpenCV's: flip that axis of the "
+        "poses, too, as `placegraph capture init` does"
+        for name in ("fx", "fy")
+        if isinstance(value := content.get(name), int | float) and value < 0
+    ]
+    if faults:
+        raise InputError(f"{path}: {'; '.join(faults)}.")
     width, height = _size(path, content, prefix)
     fx, fy, cx, cy = (_number(path, content.get(n), prefix + n) for n in _INTRINSICS)
     distortion = content.get("distortion") or []

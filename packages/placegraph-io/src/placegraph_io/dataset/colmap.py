@@ -43,7 +43,7 @@ from placegraph.io.capture.posed import (
     read_text,
     resize_camera,
 )
-from placegraph_io.up import estimated_up, surface_normals, upright
+from placegraph.io.capture.up import estimated_up, surface_normals, upright
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),

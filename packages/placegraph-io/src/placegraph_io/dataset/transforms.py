@@ -31,7 +31,7 @@ from placegraph.io.capture.posed import (
     read_number,
     resize_camera,
 )
-from placegraph_io.up import upright
+from placegraph.io.capture.up import upright
 
 _FILE = "transforms.json"
 _DISTORTION = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}

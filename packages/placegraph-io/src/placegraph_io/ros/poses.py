@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import cross_matrix, rotation_from_quaternion
 from placegraph.errors import InputError
+from placegraph.io.capture.up import upright
 from placegraph_io.ros.containers import Bag, Topic, read_messages
 from placegraph_io.ros.decode import HEAD, decode, frame_name, header_stamp, read_stamps
-from placegraph_io.up import upright
 
 if TYPE_CHECKING:
     from placegraph_io.ros.topics import ImageTopic, TopicChoice

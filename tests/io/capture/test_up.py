@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import Camera, level_from_camera, rotation_from_vector, rotation_z
 from placegraph.errors import InputError
 from placegraph.io.capture.capture import open_capture
-from placegraph_io.up import estimated_up, surface_normals, upright
+from placegraph.io.capture.up import estimated_up, surface_normals, upright
 
 NONE = np.zeros((0, 3))
 

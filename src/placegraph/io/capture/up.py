@@ -44,11 +44,11 @@ def estimated_up(
     level = axes[:, 0] * np.sign(axes[:, 0] @ up)
     if spread[1] > _MIN_SPREAD and level @ up > np.cos(np.pi / 6):
         up, how = level, "the cameras' x axes are level to it"
-    voted = _vote_for_up(normals[np.isfinite(normals).all(axis=1)], up)
+    voted = vote_for_up(normals[np.isfinite(normals).all(axis=1)], up)
     return (up, how) if voted is None else (voted, "horizontal and vertical surfaces show")
 
 
-def _vote_for_up(
+def vote_for_up(
     normals: NDArray[np.float64], about: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """Return the direction (3,) near `about` with most parallel or perpendicular surfaces, or None."""
