@@ -425,7 +425,7 @@ def locate(
 
 def _prompt(question: Question) -> Answer | None:
     """Ask on stderr, stdout is for the estimate; None where nobody answers any more."""
-    options = " / ".join((*question.options, "don't know"))
+    options = " / ".join(question.choices)
     while True:
         try:
             return question.answer(click.prompt(f"{question.text} [{options}]", err=True))

@@ -1,3 +1,6 @@
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,6 +8,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
+from placegraph.outdoor.language.answers import read_answers, translate
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
@@ -298,3 +302,42 @@ def test_names_of_the_same_words_are_one_choice():
     merged = _Surroundings([], around.pairs, around.expected, names[1:], named)
     (same,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), merged)
     assert question.gain == pytest.approx(same.gain)
+
+
+LANGUAGES = ("ar", "es", "fr", "pt", "ru", "zh")
+
+
+def test_the_table_of_answers_is_whole():
+    table = read_answers()
+    assert sorted(table) == sorted(LANGUAGES)
+    slots = re.compile(r"\{\d?\}")
+    for code, sentences in table.items():
+        assert sentences.keys() == table["es"].keys(), code
+        for english, said in sentences.items():
+            assert len(slots.findall(said)) == english.count("{}"), (code, english)
+
+
+def test_a_reason_has_several_sentences_and_the_text_keeps_its_names():
+    english = "The best place holds only 42% of the probability; others fit as well. Not understood: “f.o?”."
+    assert translate(english, "es") == (
+        "El mejor lugar solo tiene el 42% de la probabilidad; también encajan otros. No entendido: “f.o?”."
+    )
+    assert translate(english, "de") == english
+    assert translate("One place holds 90% of the probability within 250 m.", "zh") == (
+        "一个地点在250米内占90%的概率。"
+    )
+
+
+def test_questions_are_asked_and_answered_in_the_language_of_the_text(harbour):
+    estimate = harbour.locate("Estoy en una plaza. Hay una fuente al norte.")
+    assert "probabilidad" in estimate.reason
+    question = estimate.next_question(harbour)
+    assert question.text.startswith("¿")
+    assert question.choices[-1] == "no sé"
+    assert question.answer("no sé").option == UNKNOWN
+    again = harbour.locate(
+        "Estoy en una plaza. Hay una fuente al norte.", answers=[question.answer("no sé")]
+    )
+    assert again.next_question(harbour).text != question.text
+    yes = replace(BENCH, language="es")
+    assert (yes.answer("sí").option, yes.answer("n").option) == (YES, NO)

@@ -120,7 +120,7 @@ def describe_question(question: Question) -> dict[str, Any]:
     things = [{"words": t.words, "label": t.label, "wind": t.wind} for t in question.subjects]
     return {
         "text": question.text,
-        "options": list(question.options),
+        "options": list(question.choices[:-1]),
         "things": things,
         "gain": question.gain,
     }

@@ -19,6 +19,7 @@ from placegraph.core.estimate import CityEstimate, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.language.text import IgnoredText
+from placegraph.outdoor.language.answers import read_answers, translate, translate_option
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -67,6 +68,13 @@ class Question:
     """One of a yes/no question; one for each option but the last of a choice question."""
     gain: float
     """Expected information gain [nat]."""
+    language: str = "en"
+    """Code of the language in which it is asked."""
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Options and "don't know" as a person reads them, in the language of the question."""
+        return tuple(translate_option(known, self.language) for known in (*self.options, UNKNOWN))
 
     def answer(self, option: str) -> Answer:
         """Choose an answer; raises `OptionError` where the question does not offer it.
@@ -77,10 +85,10 @@ class Question:
         short = {"y": YES, "n": NO}.get(given, given)
         if NONE in self.options and short in (NO, "none"):
             short = NONE
-        for known in (*self.options, UNKNOWN):
-            if short == known.lower():
+        for known, shown in zip((*self.options, UNKNOWN), self.choices, strict=True):
+            if short == known.lower() or given == shown.lower():
                 return Answer(self, known)
-        options = ", ".join((*self.options, UNKNOWN))
+        options = ", ".join(self.choices)
         raise OptionError(f"{option!r} is not a valid answer; choose one of: {options}.")
 
 
@@ -151,12 +159,14 @@ def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
     weights = weights / weights.sum()
     around = _Surroundings.of_positions(city, city.plane.to_plane(estimate.support[heaviest, :2]))
     understood = estimate.understood or Description("")
+    code = understood.language if understood.language in read_answers() else "en"
     asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
     ranked = heapq.merge(
-        _rank_yes_no_questions(weights, around), _make_choice_question(weights, around),
+        _rank_yes_no_questions(weights, around, code), _make_choice_question(weights, around),
         key=lambda q: -q.gain,
     )  # fmt: skip
-    return (q for q in ranked if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"})
+    spoken = (replace(q, text=translate(q.text, code), language=code) for q in ranked)
+    return (q for q in spoken if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"})
 
 
 @dataclass(frozen=True)
@@ -214,9 +224,9 @@ def _renumber(keys: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArra
     return there, number[keys]
 
 
-def _rank_yes_no_questions(weights: Floats, around: _Surroundings) -> Iterator[Question]:
-    """Rank questions whether an object is around."""
-    vocabulary = Vocabulary.default()
+def _rank_yes_no_questions(weights: Floats, around: _Surroundings, code: str) -> Iterator[Question]:
+    """Rank questions whether an object is around, called in the language of a code."""
+    vocabulary, tongue = Vocabulary.default(), {"zh": "zh-CN"}.get(code, code)
     label, place = around.pairs
     yes = ERROR_RATE + (1.0 - 2.0 * ERROR_RATE) * -np.expm1(-2.0 * around.expected)
     # where nothing is expected, yes is answered by mistake alone
@@ -231,10 +241,11 @@ def _rank_yes_no_questions(weights: Floats, around: _Surroundings) -> Iterator[Q
     winds = ("", *COMPASS)
     for j, i in zip(*np.unravel_index(np.argsort(-gains, axis=None), gains.shape), strict=True):
         if there[j, i]:
-            words, wind = vocabulary.name_label(around.labels[i]), winds[j]
+            words, wind = vocabulary.name_label(around.labels[i], language=tongue), winds[j]
             article = "an" if words[:1].lower() in "aeiou" else "a"
+            called = f"{article} {words}" if code == "en" else words
             where = f"within sight to your {wind}" if wind else "within sight"
-            text = f"Is there {article} {words} {where}?"
+            text = f"Is there {called} {where}?"
             subject = Subject(words, around.labels[i], wind)
             yield Question(text, (YES, NO), (subject,), float(gains[j, i]))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place
 from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.errors import OptionError
+from placegraph.outdoor.language.answers import translate
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -134,12 +135,14 @@ def decide_estimate(
     heaviest = np.argsort(-posterior.probabilities, kind="stable")[:MAX_SUPPORT]
     lonlat = city.plane.to_lonlat(posterior.positions[heaviest])
     support = np.column_stack([lonlat, posterior.probabilities[heaviest]])
+    reason = translate(reason, understood.language if understood else "en")
     return CityEstimate(status, tuple(places), reason, understood, support, map=city)
 
 
 def make_lost_estimate(obstacle: str, understood: Description | None = None) -> CityEstimate:
     """Make the estimate without a place of a search that an obstacle forbids."""
     status, reason = decide(Diagnostics(obstacle=obstacle))
+    reason = translate(reason, understood.language if understood else "en")
     return CityEstimate(status, (), reason, understood)
 
 
