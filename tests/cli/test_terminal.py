@@ -10,11 +10,13 @@ from placegraph.cli.common import (
     bare,
     console,
     echo_json,
+    evidence_cells,
     guard_streams,
     harmless,
     show_facts,
     table,
 )
+from placegraph.core.estimate import Evidence
 
 NAMES = (
     "Caf\x1b[31mé",
@@ -56,3 +58,14 @@ def test_other_text_stays_and_streams_come_back(capsys):
             sys.stdout.write(b"bytes")
     assert (sys.stdout, sys.stderr) == before
     assert capsys.readouterr().out == text + text
+
+
+@pytest.mark.parametrize(
+    ("verdict", "weight", "sign", "ratio"),
+    [
+        ("for", 9.2, "+", "+9.2"), ("against", -1.1, "-", "-1.1"), ("against", 9.2, "-", ""),
+        ("silent", 0.1, " ", "+0.1"),
+    ],
+)  # fmt: skip
+def test_evidence_against_a_place_shows_no_ratio_that_speaks_for_it(verdict, weight, sign, ratio):
+    assert evidence_cells(Evidence("it", verdict, weight)) == (sign, "it", ratio)
