@@ -114,7 +114,7 @@ def test_gain_of_yes_or_no_counts_the_places_where_nothing_is_expected():
     sparse = np.zeros((5, len(pairs[0])))
     sparse[0] = expected[tuple(pairs)]
     around = _Surroundings(["amenity=bench", "amenity=bank"], pairs, sparse, [], np.zeros((0, 3)))
-    for question in _rank_yes_no_questions(weights, around):
+    for question in _rank_yes_no_questions(weights, around, "en"):
         row = expected[around.labels.index(question.subjects[0].label)]
         yes = 0.05 + 0.9 * -np.expm1(-2.0 * row)
         assert question.gain == pytest.approx(compute_gain(weights, np.stack([yes, 1.0 - yes])))
