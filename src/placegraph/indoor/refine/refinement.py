@@ -30,7 +30,6 @@ from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, tim
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import (
     DULL,
-    LEAST,
     OFF,
     SUSPECT,
     find_camera_correction,
@@ -275,15 +274,10 @@ def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -
     with time_stage(refiner.seconds, "check"):
         way, against = _choose_candidate(refiner, coarse, ways)
         factor = measure_scale_error(refiner, way.candidate)
-        if len(refiner.frames) < LEAST:  # too few to tell a camera from a place
-            objection, camera = "", ""
-            way = _widen_by_scale(refiner, way, factor)
-        else:
-            objection, camera = _diagnose_camera(refiner, way, factor)
+        way, camera = _widen_by_scale(refiner, way, factor), _suspect_camera(refiner, way, factor)
         way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
-    against = objection or against
     if against:
-        return replace(way, accepted=False, reason=f"Not refined: {against}.", objection=objection)
+        return replace(way, accepted=False, reason=f"Not refined: {against}.")
     reason = f"{way.reason}{_describe_lags(refiner, way.candidate)}"
     return replace(way, reason=reason, candidate=refiner.add_held_back(way.candidate))
 
@@ -410,13 +404,13 @@ def _evidence(
 
 
 def _widen_by_scale(refiner: Refiner, way: FitCheck, factor: float) -> FitCheck:
-    """Widen the covariance for a scale of few frames that is off by a logarithm `factor`.
+    """Widen the covariance for a scale of depth that is off by a logarithm `factor`.
 
     The pose may then be off along the last frame's optical axis by that share of its median depth.
     """
     read, fit = refiner.readings()[-1], way.candidate
     depths = np.zeros(0) if read is None else read.depth[read.depth > 0]
-    if not factor or not len(depths):
+    if abs(factor) <= OFF or not len(depths):
         return way
     off = factor * float(np.median(depths)) * fit.poses[-1, :3, 2]
     covariance = fit.covariance.copy()
@@ -425,23 +419,15 @@ def _widen_by_scale(refiner: Refiner, way: FitCheck, factor: float) -> FitCheck:
     return replace(way, candidate=widened, loose=float(np.linalg.norm(off)))
 
 
-def _diagnose_camera(refiner: Refiner, way: FitCheck, factor: float) -> tuple[str, str]:
-    """Diagnose the camera: objection, and hint for `find_camera_correction`; empty: none.
+def _suspect_camera(refiner: Refiner, way: FitCheck, factor: float) -> str:
+    """Return a hint for `find_camera_correction` by a scale's logarithm `factor`; empty: none.
 
-    Rows *focal length*, *depth scale* and *depth aside*. `factor`: of `measure_scale_error`.
+    Rows *focal length*, *depth scale* and *depth aside*.
     """
-    hint = ""
     if abs(factor) > SUSPECT:
-        hint = f"the scale seems {factor:+.1%} off"
-    elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
-        hint = "images and depth disagree"
-    if abs(factor) <= OFF:
-        return "", hint
-    how = "larger" if factor > 0 else "smaller"
-    return (
-        f"the map fits clearly better if the depth readings or their image are some {abs(factor):.0%} "
-        f"{how}; check scale and intrinsics in camera.json"
-    ), hint
+        return f"the scale seems {factor:+.1%} off"
+    dull = refiner.has_depth and way.correlation is not None and way.correlation < DULL
+    return "images and depth disagree" if dull else ""
 
 
 def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
