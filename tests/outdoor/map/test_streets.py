@@ -1,5 +1,15 @@
+import re
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
+from tests.cities import PLANE
+
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.locate import find_evidence
+from placegraph.outdoor.search.request import parse
+from placegraph.outdoor.search.status import find_uncertainty
 
 MAIN, BROADWAY, OAK, TENTH, ELEVENTH = (
     "Main Street", "West Broadway", "Oak Street", "West 10th Avenue", "West 11th Avenue",
@@ -98,3 +108,38 @@ def test_a_text_is_located_at_a_crossing(city):
         np.hypot(*(city.plane.to_plane([found.best.longitude, found.best.latitude]) - goal)) < 30.0
     )
     assert found.best.evidence[0].verdict == "for"
+
+
+@pytest.mark.parametrize(
+    ("width", "text", "reason"),
+    [
+        (60.0, "I'm in Elm Park.", ""),
+        (60.0, "I'm in Elm Park. Quill and Page is north of me.", "“Quill and Page” does not fit"),
+        (900.0, "I'm in Elm Park.", "“Elm Park” is more than .* m wide; say where in it."),
+    ],
+)
+def test_unique_names_that_forbid_ok(build_world, width, text, reason):
+    park, shop = (
+        {"leisure": "park", "name": "Elm Park"},
+        {"shop": "books", "name": "Quill and Page"},
+    )
+    corners = [(e, n, {}) for e, n in ((0.0, 0.0), (width, 0.0), (width, 60.0), (0.0, 60.0))]
+    city = build_world([*corners, (900.0, 900.0, shop)], [((0, 1, 2, 3, 0), park)])
+    best = city.locate("I'm in Elm Park.").best
+    query = compile_query(parse(city, text), city)
+    at = city.plane.to_plane((best.longitude, best.latitude))
+    best = replace(best, explain=partial(find_evidence, at, city, query))
+    assert re.match(reason or "$", find_uncertainty(best, query, city))
+
+
+def test_what_a_map_lacks_does_not_drown_a_name(build_world):
+    """A fountain far away is no reason to leave the park that is named."""
+    park = {"leisure": "park", "name": "Elm Park"}
+    corners = [(e, n, {}) for e, n in ((0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0))]
+    far = [(900.0, 900.0, {"amenity": "drinking_water"}), (905.0, 905.0, {"amenity": "bench"})]
+    city = build_world([*corners, *far], [((0, 1, 2, 3, 0), park)])
+    found = city.locate("I'm at the drinking fountain in Elm Park. There is a bench.")
+    east, north = city.plane.to_plane(
+        (found.best.longitude, found.best.latitude)
+    ) - city.plane.to_plane(PLANE.to_lonlat((30.0, 30.0)))
+    assert np.hypot(east, north) < 60.0

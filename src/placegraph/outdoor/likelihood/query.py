@@ -251,7 +251,7 @@ NAMED_NOISE = 0.04
 """Share of wrong statements that the speaker is at a place that is named exactly."""
 MENTIONED = 0.7
 """Largest certainty of a thing that is only named, and not said to be in sight."""
-MAPPED = 0.5
+MAPPED = 0.15
 """Share of things of a kind that a map has where it has none of that kind near a named place."""
 VAGUE = ("name=", "place=", "natural=bay", "natural=water", "leisure=park", "leisure=garden")
 """Beginnings of labels of things that are wide even where a map draws them as points ..."""
