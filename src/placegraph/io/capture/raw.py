@@ -37,7 +37,7 @@ from placegraph.io.capture.posed import (
     resize_camera,
 )
 from placegraph.io.capture.tum import write_tum
-from placegraph.io.capture.up import estimated_up, surface_normals, upright, vote_for_up
+from placegraph.io.capture.up import MEAN_UP, estimated_up, surface_normals, upright, vote_for_up
 
 _COLOUR, _DEPTH = (".jpg", ".jpeg", ".png", ".ppm"), (".png", ".pgm", ".depth")
 _TABLES = (".txt", ".log", ".freiburg", ".tum", ".sim", ".csv")
@@ -59,6 +59,8 @@ _UNITS = (1000.0, 5000.0, 10000.0, 256.0, 100.0, 1.0)
 _PAIRS, _POINTS = 24, 1500  # whose depth is compared
 _TURN, _MOVE = 0.2, 0.3  # between frames of a pair, about [rad, m]
 _REACH = 0.2, 20.0  # median depth of a plausible camera [m]
+_FAR, _UNLIKELY = 6.0, 0.9  # median depth from which a unit is doubted [m], and its factor
+_OVERLAP = 0.1  # share of points that other frames show, at least
 _AGREES = 0.03  # relative difference of depth of one surface
 _FITS, _CLEARLY = 0.45, 0.1  # share of points that agree, and lead over other conventions
 _SNAP = np.radians(5.0)  # from an axis of the world to estimated up
@@ -343,7 +345,7 @@ def measure_agreement(recording: Recording, how: RawOptions) -> float:
     """Return the share of points of some frames that lie where the depth of later ones has a surface."""
     poses, camera, stored = recording.poses(how), recording.depth_camera, recording.depth_samples
     metre = recording.units_in_metre(how)
-    shares, medians = [], []
+    depths, near, known = [np.zeros(0)], 0, 0
     for i, j in recording.pairs:
         seen = np.flatnonzero(np.isfinite(stored[i]))
         seen = seen[:: len(seen) // _POINTS + 1]
@@ -354,11 +356,14 @@ def measure_agreement(recording: Recording, how: RawOptions) -> float:
         inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         x, y, z = x[inside], y[inside], points[inside, 2]
         read = stored[j][y, x] / metre[y, x]
-        known = np.isfinite(read).sum()
-        shares.append((np.abs(z - read) < _AGREES * z).sum() / max(known, 0.2 * len(points), 1))
-        medians.append(np.median(depth))
-    plausible = _REACH[0] < np.median(medians) < _REACH[1]
-    return float(np.mean(shares)) if plausible else 0.0
+        known += np.isfinite(read).sum()
+        near += (np.abs(z - read) < _AGREES * z).sum()
+        depths.append(depth)
+    every = np.concatenate(depths)
+    if not len(every) or not _REACH[0] < (median := np.median(every)) < _REACH[1]:
+        return 0.0
+    share = float(near / max(known, _OVERLAP * len(every)))
+    return share if median < _FAR else _UNLIKELY * share
 
 
 def find_conventions(recording: Recording, given: RawOptions) -> tuple[RawOptions, str]:
@@ -417,9 +422,11 @@ def read_raw(path: Path, given: RawOptions) -> Capture:
         voted = vote_for_up(votes, axis)
         if voted is not None and voted @ axis > np.cos(_SNAP):
             up, way = axis, "horizontal and vertical surfaces agree with this axis"
+        elif way == MEAN_UP:
+            up, way = axis, "the axis next to the mean up direction of the images"
     level = np.eye(4)
     level[:3, :3] = upright(up / np.linalg.norm(up), np.eye(3)[0])
-    notes = (note, f"Up is {' '.join(f'{v:.3g}' for v in up)} there: {way}.")
+    notes = (note, f"Up is {' '.join(f'{v:.3g}' for v in up)} there: {way}; --up gives another.")
 
     def stored_frame(i: int, colour: Path, depth: Path | None) -> StoredFrame:
         read = partial(_read_metres, recording, depth, how) if depth else None

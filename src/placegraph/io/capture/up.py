@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 
+MEAN_UP = "according to the mean up direction of the images"
+"""Reason of `estimated_up` where neither cameras nor surfaces tell more."""
 _WINDOWS_ACROSS = 20  # windows along an image's width: some 20 cm at 3 m, which averages noise
 _MIN_SIDE = 4  # of a window [px]
 _MIN_READ = 0.8  # share of a window that must have readings
@@ -38,7 +40,7 @@ def estimated_up(
             "The cameras have no common up direction; give `up` in the frame of their poses."
         )
     up /= np.linalg.norm(up)
-    how = "according to the mean up direction of the images"
+    how = MEAN_UP
     right = rotations[:, :, 0]
     spread, axes = np.linalg.eigh(right.T @ right / len(right))
     level = axes[:, 0] * np.sign(axes[:, 0] @ up)
