@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import cos, sin
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ from placegraph.outdoor.map.directions_kernels import TABLE, direction_table
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import POINT
 
+if TYPE_CHECKING:
+    from placegraph.outdoor.map.city import City
+
 
 class LabelledObjects(Protocol):
     """Map objects by row; `CityObjects` is one."""
@@ -48,15 +51,8 @@ class LabelledObjects(Protocol):
     def kind(self) -> NDArray[np.uint8]:
         """(N,) POINT, LINE or AREA."""
 
-    @property
-    def center(self) -> NDArray[np.float32]:
-        """(N, 2) east, north [m]."""
-
     def label(self, i: int) -> str:
         """Return the most specific label of an object."""
-
-    def parts(self, i: int) -> list[NDArray[np.float32]]:
-        """Return the lines or rings of an object, each (n, 2) east, north [m]."""
 
 
 class Lexicon(Protocol):
@@ -291,7 +287,7 @@ class Query:
     unique: frozenset[int] = frozenset()
     """Mentions by names that one place of the map bears, and `sites`."""
 
-    def find_extent(self, node: int, position: Floats, city: Lexicon) -> float:
+    def find_extent(self, node: int, position: Floats, city: City) -> float:
         """Return the distance [m] to the far end of what a unique name means.
 
         Maps draw quarters, bays and gardens as points, too: their extent is `UNKNOWN_EXTENT`.
@@ -455,34 +451,43 @@ def _find_named(
         if node > LISTENER and description.mentions[node].name
     }
     boxes: dict[int, Floats] = {}
+    streets = city.name_index.streets  # a world in shards holds no geometry
     for node in nodes:
         tokens, weights = mentions[node - 2]
         exact = tokens[(weights >= 1.0) & (tokens >= len(city.objects.labels))]
         if node in sites:
             boxes[node] = np.tile(sites[node], 2)
         elif len(exact) and city.count_bearers(exact).sum() <= MAX_DISTANT:
-            rows = np.concatenate(city.bearers(exact)).tolist()
-            points = [np.concatenate(city.objects.parts(row)) for row in rows]
+            rows = np.concatenate(city.bearers(exact)).tolist() if streets else []
+            points = [np.concatenate(streets.objects.parts(row)) for row in rows if streets]
             boxes[node] = np.array([[*p.min(axis=0), *p.max(axis=0)] for p in points])
     if not boxes:
         return None
+    if streets is None:
+        return NamedPlaces(frozenset(boxes), frozenset())
     around = np.concatenate(list(boxes.values()))
     lacking = {
         m.id
         for m, tokens in zip(description.mentions[2:], mentions, strict=True)
-        if not m.name and not _has_near(tokens, around, city)
+        if not m.name and not _has_near(tokens, around, city, streets.objects.center)
     }
     return NamedPlaces(frozenset(boxes), frozenset(lacking))
 
 
 def _has_near(
-    mention: tuple[NDArray[np.int32], NDArray[np.float32]], boxes: Floats, city: Lexicon
+    mention: tuple[NDArray[np.int32], NDArray[np.float32]],
+    boxes: Floats,
+    city: Lexicon,
+    center: NDArray[np.float32],
 ) -> bool:
-    """Tell whether an object that a mention means lies in or near one of some boxes (K, 4) [m]."""
+    """Tell whether an object that a mention means lies in or near one of some boxes (K, 4) [m].
+
+    `center` (N, 2) holds the places of all objects [m].
+    """
     count = city.count_bearers(mention[0]).sum()
     if not 0 < count < MAX_KIND:
         return bool(count)
-    at = city.objects.center[np.concatenate(city.bearers(mention[0]))]
+    at = center[np.concatenate(city.bearers(mention[0]))]
     low, high = boxes[:, :2] - NEAR_NAMED, boxes[:, 2:] + NEAR_NAMED
     return bool(((at[:, None] >= low) & (at[:, None] <= high)).all(axis=2).any())
 

@@ -341,8 +341,8 @@ def _translate(shard: Shard, shard_query: ShardQuery) -> tuple[City, Query]:
         before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
         anchors = at[far.anchors]
         far = DistantObjects(
-            before[far.starts], at[far.objects][there], far.weights[there], far.scale, far.share,
-            anchors[anchors >= 0],
+            before[far.starts], at[far.objects][there], far.weights[there], far.sites, far.scale,
+            far.share, anchors[anchors >= 0],
         )  # fmt: skip
     return city, replace(query, mentions=mentions, distant=far)
 
