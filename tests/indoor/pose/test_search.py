@@ -1,4 +1,4 @@
-"""First particles of a pass: around seeds or a prior, or everywhere."""
+"""Seeds of the search; first particles of a pass: around seeds or a prior, or everywhere."""
 
 import math
 from dataclasses import replace
@@ -6,13 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import between, split_pose
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.options import FilterOptions, Pass
+from placegraph.indoor.options import FilterOptions, Pass, PoseSearchOptions
 from placegraph.indoor.pose.particle_filter import _later, draw_uniform_start
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.pose.search import draw_near_prior, scatter_poses
-from placegraph.indoor.pose.window import PoseQuery, Window
+from placegraph.indoor.pose.search import (
+    draw_near_prior,
+    make_rig,
+    scatter_poses,
+    search,
+    select_distinct,
+)
+from placegraph.indoor.pose.search_kernels import Rig, align_poses
+from placegraph.indoor.pose.window import PoseQuery, Window, observe
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()
@@ -94,3 +102,45 @@ def test_poses_fill_a_box_around_each_seed(rng):
         np.testing.assert_allclose(own.std(axis=0), limits / math.sqrt(3), rtol=0.05)
     assert scatter_poses(np.zeros((0, 4)), 5, 1.0, 1.0, rng).shape == (0, 4)
     np.testing.assert_array_equal(scatter_poses(seeds, 1, 0.4, 0.1, rng), seeds)
+
+
+def test_depth_aligns_poses_from_beyond_a_cell(flat, flat_walk, truth, rng):
+    frames = [flat_walk[i] for i in (0, 2)]
+    window = window_of_frames(flat, frames)
+    steps = between(window.poses[-1], window.poses)
+    rig = make_rig(window.views(10.0), steps)
+    true = split_pose(truth(flat_walk)[2])[0]
+    way = rng.normal(size=(60, 4)) * np.array([1.0, 1.0, 0.4, 0.0])
+    way *= 0.4 / np.linalg.norm(way, axis=1, keepdims=True)
+    starts = true + way + np.radians([0, 0, 0, 6.0]) * rng.choice([-1.0, 1.0], (60, 1))
+    aligned, covariances = align_poses(
+        flat.caster.tracer, flat.normals, starts, rig, np.array([0.3, 0.2, 0.1, 0.2, 0.1, 0.05])
+    )
+    off = np.linalg.norm(aligned[:, :3] - true[:3], axis=1)
+    assert np.mean((off < 0.1) & (np.abs(aligned[:, 3] - true[3]) < 0.03)) > 0.6
+    close = covariances[off.argmin()]
+    np.testing.assert_allclose(close, close.T, atol=1e-9)
+    assert (np.sqrt(np.diag(close)) < 0.06).all()
+    blind = Rig(rig.origins, rig.directions, np.zeros_like(rig.depths))
+    still, free = align_poses(flat.caster.tracer, flat.normals, starts, blind, np.array([0.1]))
+    np.testing.assert_array_equal(still, starts)
+    np.testing.assert_allclose(free[0], np.diag([0.09, 0.09, 0.04, 0.01]))
+
+
+def test_one_frame_is_found_to_a_few_centimetres(flat, flat_walk, truth):
+    poses, near, ranks = split_pose(truth(flat_walk))[0], [], []
+    for i in range(0, len(flat_walk), 3):
+        window = window_of_frames(flat, [flat_walk[i]])
+        seeds = search(window, np.random.default_rng(0))
+        off = np.linalg.norm(seeds[:, :3] - poses[i, :3], axis=1)
+        near.append(off.min())
+        ranks.append(off.argmin())
+        apart = [select_distinct(seeds, -np.arange(len(seeds)), 99, apart=0.2, turned=0.1)]
+        assert len(apart[0]) == len(seeds), "no seed twice"
+    assert np.median(near) < 0.06
+    assert np.mean(np.array(ranks) < 10) > 0.8
+
+
+def window_of_frames(scene, frames):
+    options = PoseSearchOptions().only(depth=True, colour=True)
+    return observe(PoseQuery.of(scene, frames, options=options))

@@ -31,6 +31,8 @@ WIDENED = 3.0
 """Factor on the covariance of samples that calibrates normalized errors (benchmark)."""
 GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
+_GAP_OF_ONE = 150.0  # the same of one frame; it grows with the root of their number
+_FEW = 2  # frames all of whose rays the fine level needs
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
 _SAMPLES = 56
 _COUNTED = 10
@@ -180,12 +182,13 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
 
 def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
     """Fit the last frame's pose from `starts` (M, 4) to all frames of a window; best first."""
+    gap = min(GAP, _GAP_OF_ONE * len(window) ** 0.5)
     with time_stage(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
             fit_level(window, COARSE, rounds=2, samples=32, most=10, frames=5),
             fit_level(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
-            fit_level(window, FINE, rounds=4, samples=40, most=3, gap=GAP),
+            fit_level(window, FINE, rounds=4, samples=40, most=3, gap=gap),
         ]
         return fit_modes(window.scorer, starts, levels, rng)
 
@@ -203,16 +206,17 @@ def fit_level(
     """Make a level of the fit.
 
     Coarse levels use frames of the whole window, the newest above all; fine levels the newest alone. With
-    depth in all frames fewer samples and half of the rays suffice; steps of colour need all of them.
+    depth in all frames fewer samples and half of the rays suffice; steps of colour need all of them, and
+    so does the fine level of one frame or two.
     """
     fine = stride == FINE
     looked = window.newest if fine else recent(len(window), frames)
     views = [window.views(stride)[i] for i in looked]
     # small images have no rays to spare
-    if all(view.terms[DEPTH] and len(view.patch) >= _RICH * LANES for view in views):
-        views = [thin_view(view, 2, i) for view, i in zip(views, looked, strict=True)]
-    else:
+    if not all(view.terms[DEPTH] and len(view.patch) >= _RICH * LANES for view in views):
         samples = _SAMPLES
+    elif len(window) > _FEW or not fine:
+        views = [thin_view(view, 2, i) for view, i in zip(views, looked, strict=True)]
     return FitLevel(window.chain, looked, views, rounds, most, gap, samples)
 
 

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import COARSE, Noise, View, spread
+from placegraph.indoor.likelihood.score_kernels import DEPTH
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.map_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.prior import LogPrior, Prior
+from placegraph.indoor.pose.search_kernels import Rig, align_poses, select_rows
 from placegraph.indoor.pose.window import Window, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 
@@ -31,6 +33,11 @@ SCREENED = 10
 _POOL = 6000  # best cells among which distinct seeds are looked for
 _UNTOLD = 0.3  # share of seeds without the description
 _FEWEST = 3  # seeds of a merged scene, however small its share
+
+
+_ALIGNED = 96  # seeds from the table where depth aligns them
+_TILES, _FINEST = 9, 5.0  # of samples that align a frame, and least stride to get as many [px]
+_SAME = {"apart": 0.2, "turned": 0.1}  # aligned seeds nearer than this are one
 
 
 class _SearchRound(NamedTuple):
@@ -55,11 +62,32 @@ _TRIES = (
 """From a cell of the table to a hand's breadth: many tries by few rays, then few by many."""
 
 
+class _AlignmentRound(NamedTuple):
+    """One round in which seeds are moved onto the map's surfaces by depth."""
+
+    each: int
+    """Poses drawn around each seed where depth leaves it free; the best is aligned."""
+    deviations: tuple[float, ...]
+    """Of the steps of the alignment: distances up to which readings count in full [m]."""
+    frames: int
+    thinned: int
+    """Every so many tiles of a view take part."""
+    most: int
+    """Seeds that go on."""
+
+
+_ALIGNMENTS = (
+    _AlignmentRound(1, (0.3, 0.2, 0.1), LOOKS, 3, 32),
+    _AlignmentRound(8, (0.2, 0.1, 0.05), SCREENED, 2, 24),
+)
+"""From wherever in a cell of the table to a few centimetres."""
+
+
 def search(window: Window, rng: Generator) -> Floats:
     """Seeds (K, 4): poses of the last frame that explain several frames at once, best first.
 
     Drawn around a prior, if there is one, else looked up in the table; none where the start is the
-    paper's.
+    paper's. Depth then aligns them with the map's surfaces, which reaches farther than tries do.
 
     Raises
     ------
@@ -81,12 +109,20 @@ def search(window: Window, rng: Generator) -> Floats:
         last, noise = len(window) - 1, window.scorer.model.noise
         table, log_prior, prior = window.table, window.log_prior, window.query.prior
         first, *rounds = _TRIES
+        aligned = any(views[i].terms[DEPTH] for i in spread(len(window), LOOKS))
         if prior is None:
-            seeds, _ = table_seeds(table, views, window.poses, noise, last, log_prior=log_prior)
+            most = _ALIGNED if aligned else SEEDS
+            seeds, _ = table_seeds(
+                table, views, window.poses, noise, last, most, log_prior=log_prior
+            )
         else:
             drawn = draw_near_prior(prior, window, first.each * SEEDS, rng)
             seeds = compose(drawn, between(window.poses[0], window.poses[-1]))
             first = first._replace(each=1)  # they lie as dense as tries
+            if aligned:
+                seeds = _move_seeds(window, seeds, first._replace(most=_ALIGNED), rng)
+        if aligned:
+            return _align_seeds(window, seeds, rng)
         for round_ in (first, *rounds):
             seeds = _move_seeds(window, seeds, round_, rng)
         return seeds
@@ -94,14 +130,70 @@ def search(window: Window, rng: Generator) -> Floats:
 
 def _move_seeds(window: Window, seeds: Floats, round_: _SearchRound, rng: Generator) -> Floats:
     """Move each seed (K, 4) to the best of poses drawn around it; best first."""
-    poses, last = window.poses, len(window) - 1
     tries = scatter_poses(seeds, round_.each, round_.box, round_.turn, rng)
+    steps, views = _select_views(window, round_)
+    best, values = _best_tries(window, tries.reshape(len(seeds), round_.each, 4), views, steps)
+    return np.asarray(best[np.argsort(-values, kind="stable")[: round_.most]])
+
+
+def _align_seeds(window: Window, seeds: Floats, rng: Generator) -> Floats:
+    """Align seeds (K, 4) with the map's surfaces by depth; best first, distinct ones alone.
+
+    Along a corridor, or above a bare floor, depth fixes no pose: there the other senses choose.
+    """
+    scene, spreads, stride = window.scene, np.zeros((len(seeds), 4, 4)), COARSE
+    while stride > _FINEST and len(window.views(stride)[-1].patch) < _TILES * LANES:
+        stride /= 2.0  # small images have few samples
+    for round_ in _ALIGNMENTS:
+        steps, views = _select_views(window, round_, stride)
+        drawn = rng.normal(size=(len(seeds), round_.each, 4))
+        drawn[:, 0] = 0.0
+        tries = seeds[:, None] + np.einsum("kij,knj->kni", spreads, drawn)
+        best, _ = _best_tries(window, tries, views, steps)
+        aligned, covariances = align_poses(
+            scene.caster.tracer, scene.normals, best, make_rig(views, steps),
+            np.array(round_.deviations),
+        )  # fmt: skip
+        seeds = np.concatenate([aligned, best])
+        values = window.scorer.together(seeds, views, steps)
+        order = np.argsort(-values, kind="stable")
+        rows = order[select_rows(seeds[order], round_.most, **_SAME)]
+        seeds, spreads = seeds[rows], np.linalg.cholesky(covariances[rows % len(best)])
+    return seeds
+
+
+def _select_views(
+    window: Window, round_: _SearchRound | _AlignmentRound, stride: float = COARSE
+) -> tuple[Floats, list[View]]:
+    """Return steps (T, 4) from the last frame to those of a round, and their thinned views."""
     looked = spread(len(window), round_.frames)
-    steps = between(poses[last], poses[looked])
-    views = [thin_view(window.views(COARSE)[i], round_.thinned, i) for i in looked]
-    values = window.scorer.together(tries, views, steps).reshape(len(seeds), round_.each)
-    best = tries.reshape(len(seeds), round_.each, 4)[np.arange(len(seeds)), values.argmax(axis=1)]
-    return np.asarray(best[np.argsort(-values.max(axis=1), kind="stable")[: round_.most]])
+    views = window.views(stride)
+    return between(window.poses[-1], window.poses[looked]), [
+        thin_view(views[i], round_.thinned, i) for i in looked
+    ]
+
+
+def _best_tries(
+    window: Window, tries: Floats, views: Sequence[View], steps: Floats
+) -> tuple[Floats, Floats]:
+    """Return the best (K, 4) of tries (K, N, 4) around each seed, and their log-likelihoods (K,)."""
+    count, each, _ = tries.shape
+    values = window.scorer.together(tries.reshape(-1, 4), views, steps).reshape(count, each)
+    return tries[np.arange(count), values.argmax(axis=1)], values.max(axis=1)
+
+
+def make_rig(views: Sequence[View], steps: Floats) -> Rig:
+    """Return the readings of depth of views whose frames are `steps` (T, 4) from a reference frame."""
+    origins, directions, depths = [], [], []
+    for view, step in zip(views, steps, strict=True):
+        c, s = np.cos(step[3]), np.sin(step[3])
+        turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        if view.terms[DEPTH]:
+            origins.append(np.broadcast_to(step[:3], view.directions.shape))
+            directions.append(view.directions @ turned)
+            depths.append(np.where(view.patch >= 0, view.depth, 0.0))
+    rig = (np.concatenate(column).astype(np.float32) for column in (origins, directions, depths))
+    return Rig(*rig)
 
 
 def thin_view(view: View, step: int, offset: int) -> View:
@@ -154,9 +246,10 @@ def _best(
     """Return distinct poses (K, 4) of some positions, best first, and their ranks."""
     flat = ranks[rows].ravel()
     pool = np.argpartition(-flat, min(_POOL, flat.size - 1))[:_POOL]
+    pool = pool[np.argsort(-flat[pool], kind="stable")]
     position, heading = np.divmod(pool, HEADINGS)
     found = np.column_stack([table.positions[rows[position]], heading * (2.0 * np.pi / HEADINGS)])
-    kept = select_distinct(found, flat[pool].astype(np.float64), most, apart=0.45, turned=0.3)
+    kept = select_rows(found, most, apart=0.45, turned=0.3)
     return found[kept], flat[pool][kept].astype(np.float64)
 
 
@@ -194,15 +287,8 @@ def select_distinct(
     turned: float = TURNED,
 ) -> NDArray[np.int64]:
     """Select at most `most` of poses (N, 4), best score (N,) first, no two near each other."""
-    left = np.argsort(-scores, kind="stable")
-    kept: list[int] = []
-    while len(left) and len(kept) < most:
-        best = left[0]
-        kept.append(int(best))
-        close = are_near(poses[left], poses[best], apart, turned)
-        close[0] = True
-        left = left[~close]
-    return np.array(kept, np.int64)
+    order = np.argsort(-scores, kind="stable")
+    return np.asarray(order[select_rows(poses[order], most, apart, turned)])
 
 
 def are_near(
