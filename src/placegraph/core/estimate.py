@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import EarthPose
-from placegraph.core.geojson import GeoExport
+from placegraph.core.geojson import GeoExport, line_geometry, make_feature
 from placegraph.core.pickling import HtmlRepr
 
 
@@ -296,6 +296,8 @@ class CityEstimate(Estimate[Place]):
     """(N, 3) float64: longitude, latitude [deg], probability of the posterior's heaviest points."""
     ranked: bool = False
     """Whether modes were only ranked (by cosines, edits); their probability is then the prior's."""
+    way: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    """(N, 2) float64: longitude, latitude [deg] of the way to the best mode, where the text tells one."""
 
     def next_question(self, city: Any) -> Any:  # noqa: ANN401  # a CityMap, which lies above
         """Return the `outdoor.search.ask.Question` whose answer is expected to separate the modes best.
@@ -307,7 +309,15 @@ class CityEstimate(Estimate[Place]):
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and strings, ready for `json.dumps`."""
         understood = self.understood.to_dict() if self.understood else None
-        return super().to_dict() | {"understood": understood}
+        way = {"way": self.way.tolist()} if len(self.way) else {}
+        return super().to_dict() | {"understood": understood} | way
+
+    def geojson(self) -> dict[str, Any]:
+        """Return the features of `GeoExport.geojson`, and the line of kind ``way`` if there is one."""
+        collection = super().geojson()
+        if len(self.way):
+            collection["features"].append(make_feature(line_geometry([self.way]), {"kind": "way"}))
+        return collection
 
 
 @dataclass(frozen=True, repr=False)

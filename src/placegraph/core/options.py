@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
-from math import isfinite, radians
+from math import fmod, isfinite, radians
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -149,9 +149,15 @@ def reject_unknown(given: Iterable[str], allowed: Iterable[str], function: str) 
 
 
 def in_radians(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that are not None, with angles named ``*_deg`` in radians and named without it."""
+    """Return the values that are not None, with angles named ``*_deg`` in radians and named without it.
+
+    Whole turns of a heading are left out.
+    """
     return {
-        name.removesuffix("_deg"): radians(value) if name.endswith("_deg") else value
+        name.removesuffix("_deg"): (
+            radians(fmod(value, 360.0) if name == "heading_deg" else value)
+            if name.endswith("_deg") else value
+        )
         for name, value in values.items() if value is not None
     }  # fmt: skip
 

@@ -49,6 +49,7 @@ from placegraph.outdoor.map.objects import (
     index_of,
     of_name,
 )
+from placegraph.outdoor.map.street_graph import StreetGraph
 from placegraph.outdoor.map.streets import Streets
 
 if TYPE_CHECKING:
@@ -227,6 +228,11 @@ class City(PickleFields):
     def blocks(self) -> Blocks:
         """Length of a block; derived on first use."""
         return Blocks.measure(self.objects)
+
+    @cached_property
+    def street_graph(self) -> StreetGraph:
+        """Graph of the streets; derived on first use."""
+        return StreetGraph.of_objects(self.objects)
 
     def block_length(self, bearing: float | None) -> float:
         """Return the length of a block [m] in a direction [rad], or in any where that is None."""

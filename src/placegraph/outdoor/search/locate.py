@@ -65,6 +65,11 @@ def locate(
     if not is_count(top):
         raise OptionError(f"top is {top!r}; give at least 1.")
     request = make_request(city, text, hints, matching)
+    if isinstance(text, str) and not matching.ranks_cells:
+        from placegraph.outdoor.track.route_answer import locate_route, read_instructions
+
+        if steps := read_instructions(text, city):
+            return locate_route(city, text, steps, request.prior, hints.heading, top)
     query, understood = request.query, request.understood
     obstacle = find_obstacle(query, understood, tells_way=bool(request.prior.routes))
     if obstacle := obstacle or find_off_map(request, hints):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from math import isfinite, nan
+from math import isfinite, nan, pi
 from typing import Any, Literal, NamedTuple, Protocol, Self, TypedDict, Unpack
 
 import numpy as np
@@ -177,6 +177,17 @@ def check_finite(value: object, name: str, what: str) -> float:
     """Convert a value to a finite number; raises `OptionError` otherwise."""
     if not isfinite(found := to_number(value)):
         raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
+    return found
+
+
+def check_heading(value: object) -> float:
+    """Convert a heading to a number [rad]; raises `OptionError` where it is none, or in degrees."""
+    found = check_finite(value, "heading", "an angle")
+    if abs(found) > 2.0 * pi + 1e-6:
+        raise OptionError(
+            f"heading is {value!r}, but headings are in radians, clockwise from north; if these are "
+            f"degrees, give numpy.deg2rad({value!r})."
+        )
     return found
 
 
@@ -471,7 +482,7 @@ def parse(
 def make_request(city: City, text: str | Description, hints: Hints, matching: Matching) -> Request:
     """Check all options, read the text, and compile it; raises `OptionError`, `DescriptionError`."""
     prior = LocationPrior.around(city, hints.near, hints.radius)
-    heading = None if hints.heading is None else check_finite(hints.heading, "heading", "an angle")
+    heading = None if hints.heading is None else check_heading(hints.heading)
     listener = None if hints.listener is None else to_position(city, hints.listener, "listener")
     understood = parse(
         city, text, heading=heading, language=hints.language, answers=hints.answers or ()

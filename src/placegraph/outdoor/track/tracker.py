@@ -14,12 +14,13 @@ from math import atan2, hypot, pi
 import numpy as np
 
 from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
-from placegraph.core.geometry import Floats
+from placegraph.core.geometry import Floats, bearing
 from placegraph.errors import OptionError
 from placegraph.language.text import check_text
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.search.ask import Answer
 from placegraph.outdoor.search.locate import (
     MAX_SUPPORT,
@@ -30,6 +31,7 @@ from placegraph.outdoor.search.locate import (
 from placegraph.outdoor.search.posterior import SPACING, find_modes
 from placegraph.outdoor.search.request import (
     check_finite,
+    check_heading,
     check_nonnegative,
     is_count,
     parse,
@@ -45,13 +47,17 @@ from placegraph.outdoor.track.belief import (
     MotionKernel,
     PastMeasurement,
     TrackGrid,
+    add_mass,
     inject_uniform,
     make_displacement_kernel,
     make_walk_kernel,
     odometry_sigma,
     propagate,
 )
-from placegraph.outdoor.track.motion import Leg, split_legs
+from placegraph.outdoor.track.motion import TURN_SIGMA, Leg, split_legs
+from placegraph.outdoor.track.route import Route
+from placegraph.outdoor.track.route_answer import estimate_end, read_instructions
+from placegraph.outdoor.track.route_text import Step
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,8 @@ def find_track_evidence(
     return (*here, *(e for m in reversed(memory) for e in m.find_evidence(position, city)))
 
 
+MAX_STARTS = 1000
+"""Largest number of places where a told way may begin."""
 MAX_MEMORIES = 6
 """Largest number of earlier places in the evidence."""
 
@@ -116,9 +124,7 @@ class CityTracker:
         self.city = city
         self._top = int(top)
         self._grid = TrackGrid.of_views(city.views)
-        self._first_heading = (
-            None if heading is None else check_finite(heading, "heading", "an angle")
-        )
+        self._first_heading = None if heading is None else check_heading(heading)
         self._shares = None if near is None else share_views(city, near, radius)
         self.reset()
 
@@ -166,12 +172,33 @@ class CityTracker:
             why = self._update(text)
             return self._record(text.text or "a description", why)
         check_text(text)
+        if steps := read_instructions(text, self.city):
+            return self._follow(text.strip(), steps)
         for part in split_legs(text):
             if isinstance(part, Leg):
                 self._apply_leg(part)
             else:
                 why = self._update(part)
         return self._record(text.strip(), why)
+
+    def _follow(self, text: str, steps: list[Step]) -> CityEstimate:
+        """Follow a way along the streets from where the speaker is."""
+        here = self._measurement
+        start = here.to_posterior(self._grid, MAX_STARTS)
+        sharp = self._heading is not None and self._heading[1] < 1.0
+        route = Route(self.city, start, self.heading if sharp else None, STRIDE)
+        ends = route.follow(steps)
+        estimate = estimate_end(route, ends, text, self._top)
+        if estimate.best is not None:
+            mass = np.zeros_like(here.current.mass)
+            add_mass(mass, self._grid, ends.positions, ends.probabilities)
+            self._measurement = Measurement(Belief(mass, 1.0 - float(mass.sum(dtype=np.float64))))
+            self._memory, self._understood = (), True
+            last = self.city.plane.to_plane(estimate.way[-2:])
+            self._heading = float(bearing(last[-1] - last[0])), TURN_SIGMA
+        self._estimate = estimate
+        self._history += (TrackStep(text, estimate.status, estimate.best),)
+        return estimate
 
     def answer(self, answer: Answer) -> CityEstimate:
         """Update by the answer to a question about the last estimate, with the texts at this place."""
