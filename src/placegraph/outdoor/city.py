@@ -86,7 +86,7 @@ class CityMap(HtmlRepr, City):
         heading
             Where the speaker looks [rad], clockwise from north: gives "left of me" a meaning.
         listener
-            Longitude and latitude [deg] of "you", where that is known.
+            Longitude and latitude [deg] of "you", where that is known; a told way begins there.
         answers
             Answers to earlier questions of `CityEstimate.next_question`.
         matching
