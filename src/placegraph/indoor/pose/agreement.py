@@ -242,6 +242,8 @@ _SEARCHED = 4.0
 """Log odds of a pose against all places that were not searched, in a map of which half repeats itself."""
 _COLOURS = 1.5
 """Number of independent senses that steps, tones and correlation are together."""
+_COLOURLESS = 3.0
+"""Log odds less without colours: nothing else tells places of one shape."""
 _REPEATS = (0.1, 0.8)
 """Least and largest share of a map that repeats itself."""
 
@@ -263,7 +265,7 @@ def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np
     if np.isnan(depth) and not len(colours):
         return np.inf
     off = repeats * np.nan_to_num(depth) ** 2
-    off += _COLOURS * float(np.mean(colours**2)) if len(colours) else 0.0
+    off += _COLOURS * float(np.mean(colours**2)) if len(colours) else 2.0 * _COLOURLESS
     return float(_SEARCHED - log_odds(repeats, 0.0) - 0.5 * off)
 
 
