@@ -110,16 +110,21 @@ class CityMap(HtmlRepr, City):
 
         """
         from placegraph.outdoor.search.locate import locate
-        from placegraph.outdoor.search.request import Hints, Matching, MatchingOptions
+        from placegraph.outdoor.search.request import Hints, Matching, MatchingOptions, is_count
+        from placegraph.outdoor.track.route_answer import locate_route, read_instructions
 
         known = {"top", *Hints.__annotations__, *MatchingOptions.__annotations__}
         reject_unknown(matching, known, "CityMap.locate")
         language = matching.pop("language", None)
+        if not is_count(top):
+            raise OptionError(f"top is {top!r}; give at least 1.")
         hints = Hints(near, radius, heading, listener, answers, language)
         chosen = Matching.preset(matching.pop("preset", "default"), **matching)
         if chosen.uses_network and chosen.encoded is None:
             encoded = self.encoded_as_printed if chosen.printed else self.encoded
             chosen = replace(chosen, encoded=encoded)
+        if not chosen.ranks_cells and (steps := read_instructions(text, self)):
+            return locate_route(self, text, steps, hints=hints, matching=chosen, top=top)
         return locate(self, text, top=top, hints=hints, matching=chosen)
 
     def track(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place
 from placegraph.core.geometry import Floats, angle_between, bearing
-from placegraph.errors import OptionError
 from placegraph.outdoor.language.answers import translate
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -43,7 +42,6 @@ from placegraph.outdoor.search.request import (
     Matching,
     Request,
     find_off_map,
-    is_count,
     make_request,
 )
 from placegraph.outdoor.search.status import (
@@ -62,14 +60,7 @@ def locate(
     city: City, text: str | Description, *, top: int, hints: Hints, matching: Matching
 ) -> CityEstimate:
     """Locate a description in a city; see `CityMap.locate`."""
-    if not is_count(top):
-        raise OptionError(f"top is {top!r}; give at least 1.")
     request = make_request(city, text, hints, matching)
-    if isinstance(text, str) and not matching.ranks_cells:
-        from placegraph.outdoor.track.route_answer import locate_route, read_instructions
-
-        if steps := read_instructions(text, city):
-            return locate_route(city, text, steps, request.prior, hints.heading, top)
     query, understood = request.query, request.understood
     obstacle = find_obstacle(query, understood, tells_way=bool(request.prior.routes))
     if obstacle := obstacle or find_off_map(request, hints):

@@ -18,7 +18,7 @@ from placegraph.outdoor.search.locate import (
     make_lost_estimate,
 )
 from placegraph.outdoor.search.posterior import Posterior, find_modes
-from placegraph.outdoor.search.request import LocationPrior
+from placegraph.outdoor.search.request import Hints, Matching, find_off_map, make_request
 from placegraph.outdoor.search.status import Calibration, Claim, diagnose
 from placegraph.outdoor.track.route import Route, RouteEnds
 from placegraph.outdoor.track.route_text import JUNCTION, TURN, Move, Step, read_route
@@ -52,11 +52,15 @@ def read_instructions(text: str | Description, city: City) -> list[Step]:
 
 
 def locate_route(
-    city: City, text: str, steps: list[Step], prior: LocationPrior, heading: float | None, top: int
+    city: City, text: str, steps: list[Step], *, hints: Hints, matching: Matching, top: int
 ) -> CityEstimate:
-    """Estimate where a way ends that begins at the listener of the prior, or anywhere."""
+    """Estimate where a way ends that begins at the listener, or anywhere."""
+    request = make_request(city, text, hints, matching)
+    prior = request.prior
+    if obstacle := find_off_map(request, hints):
+        return make_lost_estimate(obstacle, request.understood)
     start = None if prior.listener is None else Posterior(prior.listener[None], np.ones(1), 0.0)
-    route = Route(city, start, heading)
+    route = Route(city, start, hints.heading)
     ends = route.follow(steps)
     if prior.near is not None or prior.inside is not None:
         log = replace(prior, listener=None).evaluate(ends.positions)
