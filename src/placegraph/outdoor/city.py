@@ -123,7 +123,11 @@ class CityMap(HtmlRepr, City):
         if chosen.uses_network and chosen.encoded is None:
             encoded = self.encoded_as_printed if chosen.printed else self.encoded
             chosen = replace(chosen, encoded=encoded)
-        if not chosen.ranks_cells and (steps := read_instructions(text, self)):
+        if (
+            isinstance(text, str)
+            and not chosen.ranks_cells
+            and (steps := read_instructions(text, self))
+        ):
             return locate_route(self, text, steps, hints=hints, matching=chosen, top=top)
         return locate(self, text, top=top, hints=hints, matching=chosen)
 

@@ -78,7 +78,7 @@ _MODIFIER = "|".join((
 ))  # fmt: skip
 _MODIFIERS = rf"(?:(?:{_MODIFIER})\s+)*"
 TURN = re.compile(
-    rf"""\b(?P<verb>turn(?:ing)?|mak(?:e|ing)|tak(?:e|ing)|hang|bear|veer|keep|stay|go|head|then|and|another)
+    rf"""\b(?P<verb>turn(?:ing)?|make|making|take|taking|hang|bear|veer|keep|stay|go|head|then|and|another)
     \s+(?P<mods>(?:to\s+(?:the|your)\s+)?{_MODIFIERS})(?P<side>left|right|around)
     (?!\s+(?:corners?|side|near|far)\b)(?P<fork>\s+(?:at\s+the\s+)?fork)?""",
     re.VERBOSE | re.IGNORECASE,
