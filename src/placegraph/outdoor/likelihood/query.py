@@ -34,7 +34,7 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.likelihood.match_kernels import ME
 from placegraph.outdoor.map.directions_kernels import TABLE, direction_table
 from placegraph.outdoor.map.names import NameIndex
-from placegraph.outdoor.map.objects import POINT
+from placegraph.outdoor.map.objects import POINT, CityObjects
 
 if TYPE_CHECKING:
     from placegraph.outdoor.map.city import City
@@ -257,6 +257,8 @@ MAX_UNIQUE = 2
 """Largest number of objects that bear a unique name: a shop is a building and a point in it."""
 NEAR_NAMED, MAX_KIND = 60.0, 20_000
 """What stands nearer to a named place is there [m]; a kind with more objects is everywhere."""
+WIDE, MAX_DRAWN = 30.0, 50
+"""Median extent from which on maps hold nearly all things of a kind [m], of this many of them."""
 SITE_SCALE = 35.0
 """Scale of distances to a crossing or a house [m]."""
 QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
@@ -469,27 +471,32 @@ def _find_named(
     lacking = {
         m.id
         for m, tokens in zip(description.mentions[2:], mentions, strict=True)
-        if not m.name and not _has_near(tokens, around, city, streets.objects.center)
+        if not m.name and _may_lack(tokens, around, city, streets.objects)
     }
     return NamedPlaces(frozenset(boxes), frozenset(lacking))
 
 
-def _has_near(
+def _may_lack(
     mention: tuple[NDArray[np.int32], NDArray[np.float32]],
     boxes: Floats,
     city: Lexicon,
-    center: NDArray[np.float32],
+    objects: CityObjects,
 ) -> bool:
-    """Tell whether an object that a mention means lies in or near one of some boxes (K, 4) [m].
+    """Tell whether a map may lack what a mention means in or near boxes (K, 4) [m], and holds none there.
 
-    `center` (N, 2) holds the places of all objects [m].
+    Maps lack many benches, fountains and statues, but few cemeteries: what they draw wide is mapped.
     """
     count = city.count_bearers(mention[0]).sum()
     if not 0 < count < MAX_KIND:
-        return bool(count)
-    at = center[np.concatenate(city.bearers(mention[0]))]
+        return not count
+    rows = np.concatenate(city.bearers(mention[0]))
+    at = objects.center[rows]
     low, high = boxes[:, :2] - NEAR_NAMED, boxes[:, 2:] + NEAR_NAMED
-    return bool(((at[:, None] >= low) & (at[:, None] <= high)).all(axis=2).any())
+    if ((at[:, None] >= low) & (at[:, None] <= high)).all(axis=2).any():
+        return False
+    few = rows[:: -(-len(rows) // MAX_DRAWN)].tolist()
+    wide = [np.ptp(np.concatenate(objects.parts(row)), axis=0).max() for row in few]
+    return bool(np.median(wide) < WIDE)
 
 
 def _find_distant(
