@@ -1,6 +1,7 @@
 """Views: what was seen where, whatever cameras saw it; ratios against knowing nothing."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -242,7 +243,7 @@ def test_nothing_is_read_that_is_not_asked_for():
             raise AssertionError("read the labels")
 
     seen = frame()
-    torn = Frame(*(getattr(seen, name) for name in Frame.__slots__[:-1]), images=Torn())
+    torn = replace(seen, images=Torn())
     for cue, says in (("depth", "the depth"), ("colour", "the colours")):
         with pytest.raises(AssertionError, match=says):
             observe_frame(torn, None, OPTIONS.only(**{cue: True}))

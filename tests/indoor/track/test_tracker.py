@@ -185,7 +185,7 @@ def test_what_no_tracker_can_follow(room, film):
         with pytest.raises(OptionError, match="tracker starts from the table"):
             room.tracker(film.camera, options=options)
     with pytest.raises(OptionError, match="camera"):
-        room.tracker(Camera(160, 90, 120.0, 120.0, 80.0, 45.0)).update(film[0])
+        room.tracker(Camera(160, 90, 240.0, 240.0, 80.0, 45.0)).update(film[0])
     blind = Frame.from_arrays(film[0].rgb(), film.camera, gravity=film[0].gravity)
     with pytest.raises(OptionError, match="cannot be compared"):
         room.tracker(film.camera, options=PoseSearchOptions().only(depth=True)).update(blind)
@@ -199,7 +199,7 @@ def test_a_torn_image_changes_nothing(film, following):
         depth = labels = rgb
 
     frame = film[5]
-    torn = Frame(*(getattr(frame, name) for name in Frame.__slots__[:-1]), images=Torn())
+    torn = replace(frame, images=Torn())
     whole, broken = following(5), following(5)
     with pytest.raises(InputError, match="000005"):
         broken.update(torn)
