@@ -7,7 +7,7 @@ import placegraph
 from placegraph.core.estimate import Status
 
 ROOT = Path(placegraph.__file__).parent
-MOST = 36
+MOST = 37
 
 
 def modules_of(work):

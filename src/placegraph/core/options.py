@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
-from math import fmod, isfinite, radians
+from math import isfinite, radians
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -155,7 +155,7 @@ def in_radians(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     return {
         name.removesuffix("_deg"): (
-            radians(fmod(value, 360.0) if name == "heading_deg" else value)
+            radians(value % 360.0 if name == "heading_deg" else value)
             if name.endswith("_deg") else value
         )
         for name, value in values.items() if value is not None

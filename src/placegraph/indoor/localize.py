@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.labels import explain_foreign_ids
-from placegraph.indoor.likelihood.observe import observe_frame
+from placegraph.indoor.likelihood.observe import FINE, observe_frame, suspect_unit_factor
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
 from placegraph.indoor.pose.agreement import find_image_fault, undo_faults
@@ -138,7 +138,8 @@ def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     if query.shares is not None or estimate.status is Status.OK:  # other scenes may be right
         return estimate
     searched = query.options.tracked and len(query.frames) <= WINDOW
-    if needs_fault_search(estimate) and searched and estimate.modes:
+    unit = suspect_unit_factor(window.judging.views(FINE), window.table.background)
+    if (needs_fault_search(estimate) or unit is not None) and searched and estimate.modes:
         with time_stage(window.seconds, "faults"):
             fault = _find_fault(window)
         seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
