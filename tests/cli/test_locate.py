@@ -30,7 +30,7 @@ def world(tmp_path_factory):
 def test_words_find_a_building(run, world):
     told = run("locate", world, "I am in the Stadtbibliothek", "--json")
     assert told.code == 0
-    assert told.json["status"] == "OK"
+    assert told.json["modes"][0]["probability"] > 0.5  # a map of four objects makes nothing sure
     plain = run("locate", world, "I am in the Stadtbibliothek")
     assert "I am in the Stadtbibliothek" in plain.out
     assert plain.err == ""
