@@ -16,11 +16,12 @@ def _read_pairs(text: str) -> dict[str, str]:
     return dict(pair.replace("_", " ").split(">") for pair in text.split())
 
 
-def _read_words(text: str) -> frozenset[str]:
+def read_words(text: str) -> frozenset[str]:
+    """Return the words of a list written with spaces."""
     return frozenset(text.split())
 
 
-ARTICLES = _read_words("""
+ARTICLES = read_words("""
     a an the some any der die das den dem des ein eine einen einem le la les l un une du el los
     las una unos unas il lo gli i uno o os as um uma de het een en et det els
 """)
@@ -50,7 +51,7 @@ _IRREGULAR = _read_pairs("""
     shelves>shelf buses>bus busses>bus gases>gas heroes>hero potatoes>potato quizzes>quiz
     mice>mouse geese>goose
 """)
-_UNCHANGED = _read_words("""
+_UNCHANGED = read_words("""
     news series species swiss chess canvas christmas lens perhaps always across texas kansas les
     paris reis mars gross
 """)
@@ -237,21 +238,21 @@ ROADS = frozenset(
     ("st", "ave", "rd", "blvd", "ln", "dr", "hwy", "pl", "ter", "alley", "pkwy", "sokak", "caddesi")
 )
 """Last words of names of roads, as `tokens` writes them."""
-TYPES = ROADS | _read_words("""
+TYPES = ROADS | read_words("""
     way court crescent cres cir circle sq square mews quay walk row highway expressway rue calle via
     viale corso piazza avenida rua ulica ul улица ул проспект вулиця plaza paseo strasse weg gasse
     straat cad jalan alameda carrer rambla רחוב שדרות דרך شارع
 """)
 """Words in names of streets that say that it is one."""
-JOINS = _read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con")
+JOINS = read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con")
 """Words between the names of two streets that cross."""
-BETWEEN = _read_words("between zwischen entre tra fra mellan tussen")
-CORNERS = _read_words("""
+BETWEEN = read_words("between zwischen entre tra fra mellan tussen")
+CORNERS = read_words("""
     corner intersection crossing junction crossroads corners ecke kreuzung coin angle carrefour
     esquina cruce cruzamento angolo incrocio hoek kruising korsning kulma risteys rog kosesi угол
     перекресток
 """)
-SMALL = _read_words("""
+SMALL = read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
     e der die das dem den von vom zu zum zur am im van het רחוב شارع
 """)

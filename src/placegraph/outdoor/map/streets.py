@@ -32,6 +32,8 @@ APART = 60.0
 """Crossings of two streets nearer than this are one, such as those of two carriageways [m]."""
 MAX_SITES = 6
 """Words that stand for more places than this stand for none."""
+MAX_KEPT = 10_000
+"""Largest number of sites that are kept for later texts."""
 MAX_GAP = 400
 """Largest difference of house numbers between which one is interpolated."""
 NEIGHBOURS, SURE_NUMBER = 800.0, 40.0
@@ -126,12 +128,9 @@ class Streets:
 
     def resolve(self, words: str) -> NDArray[np.float64]:
         """Return the places (K, 2) [m] that words of one site mean; none for other words."""
-        key = ("words", words)
-        if key not in self.sites:
-            sites = self.find_sites(words)
-            whole = len(sites) == 1 and sites[0].end >= len(words.rstrip(" ."))
-            self.sites[key] = sites[0].positions if whole else _NOWHERE
-        return self.sites[key]
+        sites = self.find_sites(words)
+        whole = len(sites) == 1 and sites[0].end >= len(words.rstrip(" ."))
+        return sites[0].positions if whole else _NOWHERE
 
     def _find_streets(self, tokens: list[_Token]) -> Iterator[_StreetMatch]:
         """Yield streets in a text, the longest name at each word."""
@@ -153,7 +152,7 @@ class Streets:
                 following = tokens[last + 1] if last + 1 < len(tokens) else None
                 if not typed and following is not None and _continues(tokens[last], following):
                     continue  # "Hudson Yards" is another place than Hudson Street
-                if typed is False and last + 1 < len(tokens) and tokens[last + 1].word in TYPES:
+                if not typed and last + 1 < len(tokens) and tokens[last + 1].word in TYPES:
                     last += 1  # "Knight street" of "Knight Road": another type, loosely
                     typed = True
                 yield _StreetMatch(i, last, (*ids[0], *ids[1]), bool(ids[0]), typed)
@@ -207,13 +206,14 @@ class Streets:
     def find_crossings(self, one: Sequence[int], other: Sequence[int]) -> NDArray[np.float64]:
         """Find where one of some streets crosses one of others: (K, 2) [m]; none if too many."""
         key = (tuple(one), tuple(other))
-        if key not in self.sites:
+        at = self.sites.get(key)
+        if at is None:
             found = [
                 self._cross(a, b) for a in one[:MAX_SITES] for b in other[:MAX_SITES] if a != b
             ]
             at = _merge(np.concatenate([_NOWHERE, *found]))
-            self.sites[key] = at if len(at) <= MAX_SITES else at[:0]
-        return self.sites[key]
+            at = self._keep(key, at if len(at) <= MAX_SITES else at[:0])
+        return at
 
     def find_block(
         self, street: Sequence[int], one: Sequence[int], other: Sequence[int]
@@ -230,11 +230,19 @@ class Streets:
     def find_address(self, number: int, streets: Sequence[int]) -> NDArray[np.float64]:
         """Find the places (K, 2) [m] of a house number: as mapped, else between its neighbours."""
         key = ("number", number, tuple(streets))
-        if key not in self.sites:
+        at = self.sites.get(key)
+        if at is None:
             found = [self._place_number(number, street) for street in streets[:MAX_SITES]]
             sure = [at for at, rank in found if rank == 2] or [at for at, rank in found if rank]
-            self.sites[key] = _merge(np.concatenate([_NOWHERE, *sure]))[:MAX_SITES]
-        return self.sites[key]
+            at = self._keep(key, _merge(np.concatenate([_NOWHERE, *sure]))[:MAX_SITES])
+        return at
+
+    def _keep(self, key: tuple[object, ...], at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Keep places (K, 2) [m] for later texts, of at most `MAX_KEPT` sites: texts may name any number."""
+        if len(self.sites) >= MAX_KEPT:
+            self.sites.clear()
+        self.sites[key] = at
+        return at
 
     def _place_number(self, number: int, street: int) -> tuple[NDArray[np.float64], int]:
         """Return the place (K, 2) [m] of a number on a street; 2 as mapped, 1 interpolated, 0 none."""

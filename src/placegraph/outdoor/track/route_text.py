@@ -13,7 +13,7 @@ from enum import StrEnum
 
 from placegraph.language.text import MEASURE, metres
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.words import _read_words
+from placegraph.outdoor.language.words import read_words
 from placegraph.outdoor.map.city import City
 
 
@@ -70,7 +70,7 @@ ORDINALS, COUNTS = (
     {word: n for n, words in enumerate(table.split(","), 1) for word in words.split()}
     for table in (_ORDINALS, _COUNTS)
 )
-NEW = _read_words("next following another more last other final upcoming available")
+NEW = read_words("next following another more last other final upcoming available")
 _MODIFIER = "|".join((
     *ORDINALS, *COUNTS, *NEW, "the", "your", "an?", "of", "sets?", "traffic", "very", "same",
     "immediate", "cross", "side", "small", "big", "quick", "sharp", "slight", "only", "these", "this",
@@ -115,10 +115,10 @@ GOING = re.compile(
     r"\b(?:go|going|continue|walk|head|proceed|pass|passing|past|stop|stopping|follow|after|and|then)\b",
     re.IGNORECASE,
 )
-VERBS = _read_words("""head go pass stop turn continue walk make take keep follow start begin cross once when
+VERBS = read_words("""head go pass stop turn continue walk make take keep follow start begin cross once when
     at the there you in on after before if your and destination then exit travel move proceed to a with
     this that it as do just stay step come from halfway past look""")
-BLIND = _read_words("""block street building store restaurant way road side step place door hand middle end
+BLIND = read_words("""block street building store restaurant way road side step place door hand middle end
     half stop area front set shop avenue traffic entrance walk left right path first second""")
 
 
