@@ -95,7 +95,7 @@ class RefinementDiagnostics:
     camera: str = ""
     """Hint that the camera is wrong, for a closer look; empty: none."""
     loose: float = 0.0
-    """Way that an unsure scale of depth may move the pose [m]."""
+    """Distance by which a wrong scale of depth may move the pose [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -361,7 +361,10 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
         )
     if status is Status.OK and refined.loose > LOOSE:
         status = Status.AMBIGUOUS
-        reason = f"One place fits, but the scale of depth is unsure, and the pose by {refined.loose:.1f} m."
+        reason = (
+            "One place fits, but the scale of depth may be wrong, which moves the pose by up to "
+            f"{refined.loose:.1f} m."
+        )
     found, one_scene = diagnostics_of(estimate), len({m.scene for m in estimate.modes}) == 1
     undecided = found.undecided and found.searched > FITS_NOWHERE
     if refined.landmarks is not None and undecided and refined.accepted and one_scene:

@@ -251,10 +251,11 @@ _REPEATS = (0.1, 0.8)
 def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np.nan) -> float:
     """Return the log odds that a pose is right, and not of a place that was not searched or not mapped.
 
-    A right pose agrees as the frames that the map was made of, with normal errors; a wrong one anyhow, the
-    likelier, the more the map repeats itself. Colours count by the mean square of the shortfalls of steps,
-    tones, and correlation. Depth counts as far as the map repeats itself: elsewhere a moved chair proves
-    nothing. `own`: (2 K + 1,), a row of `Scene.own_agreement`; if it is unknown, the odds are infinite.
+    At a right pose, frames agree as well as those that the map was made of, with normal errors. At a wrong
+    pose they agree by any amount. The more the map repeats itself, the likelier is a wrong pose. Colours
+    count by the mean square of the shortfalls of steps, tones, and correlation. Depth counts by the share
+    of the map that repeats itself: elsewhere a moved chair lowers it, too. `own`: (2 K + 1,), a row of
+    `Scene.own_agreement`; if it is unknown, the odds are infinite.
     """
     if own is None or np.isnan(own[-1]):
         return np.inf

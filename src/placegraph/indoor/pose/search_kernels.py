@@ -50,6 +50,23 @@ def align_poses(tracer, normals, poses, rig, deviations):
 
 
 @kernel(error_model="numpy")
+def _invert(h, out):
+    """Invert a positive definite matrix h (4, 4), which is used up, by Gauss-Jordan; no SciPy needed."""
+    out[:] = np.eye(4)
+    for i in range(4):
+        scale = 1.0 / h[i, i]
+        for b in range(4):
+            h[i, b] *= scale
+            out[i, b] *= scale
+        for a in range(4):
+            if a != i:
+                share = h[a, i]
+                for b in range(4):
+                    h[a, b] -= share * h[i, b]
+                    out[a, b] -= share * out[i, b]
+
+
+@kernel(error_model="numpy")
 def _align(tracer, normals, rig, deviations, poses, covariances, first, last):
     origins, directions, depths = rig.origins, rig.directions, rig.depths
     packet, ints, valid = new_packet()
@@ -101,8 +118,10 @@ def _align(tracer, normals, rig, deviations, poses, covariances, first, last):
                 for b in range(4):
                     h[a, b] *= scale
                 h[a, a] += 1.0 / (_HELD[a] * _HELD[a])
-            covariances[k] = np.linalg.inv(h)
-            pose += covariances[k] @ g
+            _invert(h, covariances[k])
+            for a in range(4):
+                for b in range(4):
+                    pose[a] += covariances[k, a, b] * g[b]
 
 
 @kernel

@@ -255,7 +255,7 @@ class FitCheck:
     camera: str = ""
     """Hint that the camera is wrong; empty: none."""
     loose: float = 0.0
-    """Way that an unsure scale of depth may move the pose [m]."""
+    """Distance by which a wrong scale of depth may move the pose [m]."""
 
 
 def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
