@@ -1,5 +1,6 @@
 """Compiled kernels: found again, kept, and compiled before they are called."""
 
+import ast
 import importlib.util
 import inspect
 import resource
@@ -402,3 +403,18 @@ def test_the_list_is_complete(shared):
     today = list_kernels(shared / "data", lambda _: None)
     listed = files("placegraph").joinpath("kernels.txt").read_text("utf-8")
     assert set(today.splitlines()) <= set(listed.splitlines())
+
+
+def test_no_kernel_needs_scipy():
+    """Numba compiles `numpy.linalg` and products of matrices only with SciPy, which the core lacks."""
+    root = Path(str(files("placegraph")))
+    for path in root.rglob("*_kernels.py"):
+        tree = ast.parse(path.read_text("utf-8"))
+        kernels = [
+            f for f in ast.walk(tree)
+            if isinstance(f, ast.FunctionDef) and any("kernel" in ast.unparse(d) for d in f.decorator_list)
+        ]  # fmt: skip
+        for f in kernels:
+            needs = [n for n in ast.walk(f) if isinstance(getattr(n, "op", None), ast.MatMult)]
+            assert not needs, f"{path.name}: {f.name}"
+            assert "linalg" not in ast.unparse(f), f"{path.name}: {f.name}"
