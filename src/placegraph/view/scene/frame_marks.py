@@ -25,8 +25,9 @@ HIGHEST = 1.9
 """Height above the floor of the highest mark [m]: ceilings would hide the room."""
 ON_MAP = (0.08, 0.02)
 """A depth reading lies on the map if this near to its surface [m], and this share of its depth."""
-LIKE = 40.0
-"""Colours agree if no channel differs by more [of 255], once the frame's exposure is the map's."""
+LIKE, LIT = 25.0, 60.0
+"""Colours agree if no channel differs by more from the mean of the three, and the mean by no more, which
+shadows change [of 255], once the frame's exposure is the map's."""
 DARKEST = 8.0
 
 
@@ -63,7 +64,7 @@ def mark_agreement(
         agrees &= ~has_depth | (off < ON_MAP[0] + ON_MAP[1] * read)
         seen = map_from_camera[:3, 3] + turned * read[:, None]
         points = np.where(has_depth[:, None], seen, points)
-    if scene.has_colours:
+    if scene.has_colours and frame.has_colour:
         shown = resize_image(frame.rgb(), camera.width, camera.height).astype(np.float64)
         pairs = [
             picture[np.clip(v + y, 0, camera.height - 1), np.clip(u + x, 0, camera.width - 1)]
@@ -72,7 +73,9 @@ def mark_agreement(
         ]
         ours, of_map = np.stack(pairs).reshape(2, BLUR * BLUR, len(v), 3).mean(axis=1)
         exposure = np.median(of_map / np.maximum(ours, DARKEST), axis=0)
-        agrees &= (np.abs(ours * exposure - of_map) < LIKE).all(axis=1)
+        differs = ours * exposure - of_map
+        lit = differs.mean(axis=1, keepdims=True)
+        agrees &= (np.abs(differs - lit) < LIKE).all(axis=1) & (np.abs(lit[:, 0]) < LIT)
     low = points[:, 2] < floor + HIGHEST
     return [
         Disc(point, 1.0, verdict, rim=verdict)

@@ -166,15 +166,17 @@ def _write_caption(
     x, y, width, height = box
     pen, face, size = ImageDraw.Draw(sheet), choose_face([caption]), height / 1.7
     words = (caption, *(word for _, word in key))
-    wanted = sum(face.width(word, size) for word in words) + size * (0.8 + 2.4 * len(key))
+    wanted = sum(pen.textlength(word, font=face.font(size)) for word in words) + size * (
+        0.8 + 2.4 * len(key)
+    )
     size *= min(1.0, width / wanted)
     at, middle, font = x + 0.4 * size, y + height / 2, face.font(size)
     pen.text((at, middle), caption, fill=(30, 30, 30), font=font, anchor="lm")
-    at += face.width(caption, size) + 0.8 * size
+    at += pen.textlength(caption, font=font) + 0.8 * size
     for colour, word in key:
         pen.rectangle((at, middle - 0.2 * size, at + size, middle + 0.2 * size), fill=colour)
         pen.text((at + 1.3 * size, middle), word, fill=(30, 30, 30), font=font, anchor="lm")
-        at += face.width(word, size) + 2.4 * size
+        at += pen.textlength(word, font=font) + 2.4 * size
 
 
 def _rendered_colours(query: NDArray[np.uint8], rendering: Rendering) -> NDArray[np.uint8]:
