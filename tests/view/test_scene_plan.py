@@ -529,7 +529,7 @@ def shown_at(scene, pose, *, depth=True):
     read = np.where(drawn.mask, drawn.depth, np.nan).astype(np.float32) if depth else None
     return SimpleNamespace(
         index=10, camera=CAMERA, depth_camera=CAMERA if depth else None,
-        rgb=lambda: drawn.colour, depth=lambda: read,
+        has_colour=True, rgb=lambda: drawn.colour, depth=lambda: read,
     )  # fmt: skip
 
 
@@ -543,6 +543,8 @@ def test_a_wrong_place_looks_wrong(bare, depth):
     assert verdicts.count("against") < 0.03 * len(verdicts)
     verdicts = [dot.color for dot in mark_agreement(bare, 0.0, frame, wrong)]
     assert verdicts.count("against") > 0.15 * len(verdicts)
+    frame.has_colour, frame.rgb = False, None  # a frame of depth alone
+    assert len(mark_agreement(bare, 0.0, frame, right)) == pytest.approx(len(verdicts), rel=0.5)
 
 
 def test_frames_are_compared_with_the_map_where_they_are_given(bare, tmp_path):
