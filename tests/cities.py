@@ -10,9 +10,10 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
-from placegraph.outdoor.network.network import list_weight_shapes as sizes_of
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph.outdoor.network.network_kernels import MAX_OBJECTS
+from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.weights import list_weight_shapes as sizes_of
 from placegraph_learn.city.descriptions import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)

@@ -21,7 +21,7 @@ from tests.indoor.conftest import render, room_world  # noqa: F401  # fixtures
 import placegraph as pg
 from placegraph.indoor.options import Likelihood, MotionNoise
 from placegraph.indoor.refine import RefineOptions
-from placegraph.outdoor.network.network import Shape
+from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.search.request import Matching
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,7 +11,8 @@ from placegraph.core import plugins
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, StoreError
 from placegraph.maps import open_map
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
+from placegraph.outdoor.network.weights import Shape
 from placegraph.vectors import EmbeddedStore, Origin, Region, Vectors, list_stores, open_store
 from placegraph.vectors.stores import GRAIN, checked_queries, is_uri, unit
 

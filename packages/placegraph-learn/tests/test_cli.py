@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.network.network import read_weights
+from placegraph.outdoor.network.weights import read_weights
 from placegraph_lab.worlds.home.lessons import homes
 from placegraph_learn.cli import ShownProgress, choose_worlds
 

@@ -222,7 +222,7 @@ def scannet(folder, _):
 
 
 def weights(path, _):
-    from placegraph.outdoor.network.network import Weights, write_weights
+    from placegraph.outdoor.network.weights import Weights, write_weights
 
     module = writer("cities")
     arrays = module.adding(module.random_arrays(module.SMALL), 0.3)

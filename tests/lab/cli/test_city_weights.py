@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from placegraph.maps import open_map
-from placegraph.outdoor.network.network import (
-    EncodedCity,
-    GraphTransformer,
-    Shape,
-    round_weights,
-    write_weights,
-)
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
+from placegraph.outdoor.network.weights import Shape, round_weights, write_weights
 
 TEXT = "I am on Speicherweg. The museum is south of me."
 

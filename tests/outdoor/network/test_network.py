@@ -20,9 +20,8 @@ from placegraph.outdoor.network.graphs import (
     find_word_weights,
     make_word_fits,
 )
-from placegraph.outdoor.network.network import (
-    GraphTransformer,
-    MatchScores,
+from placegraph.outdoor.network.network import GraphTransformer, MatchScores
+from placegraph.outdoor.network.weights import (
     Shape,
     find_shipped_weights,
     read_weights,

@@ -42,7 +42,7 @@ def train_city(  # options of a command
     out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.weights.")],
     work: WorkFolder,
     options: Annotated[dict[str, Any], Fields("placegraph_learn.city.train:TrainOptions")],
-    shape: Annotated[dict[str, Any], Fields("placegraph.outdoor.network.network:Shape")],
+    shape: Annotated[dict[str, Any], Fields("placegraph.outdoor.network.weights:Shape")],
     device: TrainingDevice = "auto",
     pools: Annotated[
         Path | None, Option(help="Folder of descriptions, shared by several trainings.")
@@ -58,7 +58,7 @@ def train_city(  # options of a command
     """
     from placegraph.core.mapfile import map_writer
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.network import Shape
+    from placegraph.outdoor.network.weights import Shape
     from placegraph_learn.city.train import TrainOptions, train
 
     chosen = TrainOptions(**options, shape=Shape(**shape))

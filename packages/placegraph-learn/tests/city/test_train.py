@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from placegraph.errors import InputError, OptionError
-from placegraph.outdoor.network.network import GraphTransformer, Shape
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.batches import Lessons
 from placegraph_learn.city.network import Network

@@ -8,7 +8,8 @@ import pytest
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.outdoor.network.label_graphs import LabelGraphs
-from placegraph.outdoor.network.network import GraphTransformer, Shape
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.weights import Shape
 from placegraph_lab.datasets.kitti360pose import WORLD, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.graphs import OSM, Names, description_of
 from placegraph_lab.tables.kitti.kitti360pose import MATCHERS, TRANSFORMER, Split, evaluate

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.network.label_graphs import LabelGraphs
-from placegraph.outdoor.network.network import Shape, Weights, round_weights, write_weights
+from placegraph.outdoor.network.weights import Shape, Weights, round_weights, write_weights
 from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
 from placegraph_lab.tables.kitti.graphs import EDGE_DISTANCE, Names, Reading
 from placegraph_lab.tables.kitti.kitti360pose import Split

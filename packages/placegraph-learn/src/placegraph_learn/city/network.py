@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from placegraph.outdoor.network.network import Shape
 from placegraph.outdoor.network.network_kernels import BUCKETS, CHANNELS, LITERAL
+from placegraph.outdoor.network.weights import Shape
 
 R = len(CHANNELS)
 EPSILON = 1e-5

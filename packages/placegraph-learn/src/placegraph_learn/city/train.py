@@ -25,13 +25,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.graphs import TextGraphs, WordVectors, WordWeights
 from placegraph.outdoor.network.graphs import split_label as words_of
 from placegraph.outdoor.network.label_graphs import LabelGraphs
-from placegraph.outdoor.network.network import (
-    NETWORK,
-    Shape,
-    Weights,
-    round_weights,
-    write_weights,
-)
+from placegraph.outdoor.network.weights import NETWORK, Shape, Weights, round_weights, write_weights
 from placegraph.outdoor.search.posterior import NUM_RERANKED
 from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.cell_lessons import CellLessons, cell_recalls, make_cell_lessons
