@@ -12,7 +12,7 @@ from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network import network as module
+from placegraph.outdoor.network import weights as module
 from placegraph.outdoor.network.graphs import (
     PlaceGraphs,
     TextGraphs,
