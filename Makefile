@@ -5,9 +5,10 @@ BIN := $(VENV)/bin
 CORE := $(VENV)/.core
 TOOLS := $(VENV)/.tools
 # Bytecode is written when a module is first imported, and most of what is installed never is.
+unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 PLUGINS := io serve ros scale learn
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadgroup
+PYTEST := $(BIN)/python -m pytest -n auto
 
 # Debian's browser for the tests of pages, where it may be installed without a password.
 AS_ROOT := $$(test "$$(id -u)" = 0 || echo "sudo -n")

@@ -21,6 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadScopeScheduling
 
 import placegraph as pg
 from placegraph import cli
@@ -39,12 +40,21 @@ TESTS = Path(__file__).parent / "tests"
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Run the tests of one folder in one worker, which builds their maps and servers once."""
-    for item in items:
-        top = item.path.parent == TESTS
-        item.add_marker(pytest.mark.xdist_group(str(item.path if top else item.path.parent)))
+class FolderScheduling(LoadScopeScheduling):
+    """Run the tests of one folder in one worker, which builds their maps and servers once.
+
+    xdist's groups do nothing under pytest 9.2: they are written into ids that it reads no more.
+    """
+
+    def _split_scope(self, nodeid):
+        path = nodeid.partition("::")[0]
+        folder = path.rpartition("/")[0]
+        return path if folder == TESTS.name else folder
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    return FolderScheduling(config, log)
 
 
 @pytest.fixture(scope="session")

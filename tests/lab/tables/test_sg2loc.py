@@ -244,7 +244,6 @@ def published_network(timm, tmp_path_factory):  # noqa: F811  # the fixture
 
 
 @pytest.mark.all
-@pytest.mark.xdist_group("published_network")
 @pytest.mark.parametrize("name", TABLES)
 def test_every_table_with_scenegraphloc_of_the_true_size(name, asked, cells, published_network):
     """Random weights know nothing: what counts is that every table of the paper can be run."""
