@@ -227,6 +227,7 @@ def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
     taken(localizer, later)
     assert localizer.topics == {
         "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw", "/odom", "/tf_static",
+        "/camera/color/camera_info", "/camera/aligned_depth_to_color/camera_info",
     }  # fmt: skip
     assert not localizer.summary.lacks
     localizer.close()

@@ -79,6 +79,7 @@ def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
     sent(world, shell, packets)
     assert {s.topic for s in world.node.subscriptions if s.raw} == {
         "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw", "/odom", "/tf_static",
+        "/camera/color/camera_info", "/camera/aligned_depth_to_color/camera_info",
     }  # fmt: skip
     told = world.node.told
     assert len(told["/localization/pose"]) > 0.4 * FRAMES

@@ -276,6 +276,9 @@ def test_a_camera_is_followed(client, walk, truth):
             told = socket.receive_json()
         assert told["estimate"]["status"] == "OK"
         assert off(told["estimate"]["modes"][0], truth[-1]) < 0.15
+        wide = INTRINSICS | {"fx": 3 * INTRINSICS["fx"]}
+        socket.send_json(step | {"stamp": f.stamp + 1.0, "camera": wide})
+        assert "camera differs" in socket.receive_json()["detail"]
         socket.send_json({"text": "hello"})
         assert socket.receive_json()["mend"] == "Give one in base64, JPEG or PNG."
     assert client.delete(f"/v1/sessions/{session}").status_code == 204

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.io.damage import DAMAGE, damaged, refusing
 
-from placegraph.core.geometry import rotation_from_quaternion
+from placegraph.core.geometry import rotation_from_quaternion, rotation_from_vector
 from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.posed import interpolate_poses
 from placegraph.io.capture.tum import read_camera_path, read_table, read_tum, write_tum
 
 GOOD = "# stamp and pose\n\n0.0 1 2 3 0 0 0 1\n0.5 1 2 4 0 0 1 0  # turned\n"
@@ -23,6 +24,21 @@ def write(tmp_path):
         return path
 
     return written
+
+
+def test_poses_between_stamps(rng):
+    stamps, start = np.array([0.0, 0.1, 0.4]), rotation_from_quaternion([0.5, 0.5, 0.5, 0.5])
+
+    def poses(times):  # a steady turn and a steady way
+        out = np.tile(np.eye(4), (len(times), 1, 1))
+        out[:, :3, :3] = start @ rotation_from_vector(np.outer(times, [1.0, -2.0, 3.0]))
+        out[:, :3, 3] = np.outer(times, [4.0, 5.0, 6.0])
+        return out
+
+    wanted = np.array([-1.0, 0.0, *rng.uniform(0, 0.4, 5), 0.4, 9.0])
+    found = interpolate_poses(stamps, poses(stamps), wanted)
+    np.testing.assert_allclose(found, poses(np.clip(wanted, 0, 0.4)), atol=1e-12)
+    np.testing.assert_array_equal(interpolate_poses([1.0], np.eye(4)[None], [5.0]), [np.eye(4)])
 
 
 def test_rows_become_stamps_and_poses(write):

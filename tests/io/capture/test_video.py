@@ -50,7 +50,7 @@ def test_rows_of_another_rate_by_their_stamps(recorded, tmp_path):
     write(tmp_path, world, start=1000.0)
     moments = 1000.0 + np.arange(len(world)) / 2
     wild = np.broadcast_to(np.eye(4), world.poses.shape)
-    stamps = np.concatenate([moments + 0.01, moments + 0.26])
+    stamps = np.concatenate([moments, moments + 0.26])
     poses = np.concatenate([world.poses, wild])
     order = np.argsort(stamps)[:-2]
     write_tum(tmp_path / "odometry.tum", stamps[order], poses[order])

@@ -56,9 +56,10 @@ def describe_bag(path: Path, topics: Mapping[str, Any] | None = None) -> dict[st
 def _find_roles(plan: CapturePlan) -> dict[str, list[str]]:
     """Return the roles of the topics by name."""
     roles: list[tuple[str, Topic | None]] = [
-        ("colour", plan.colour.topic if plan.colour else None), ("camera", plan.camera_topic),
+        ("colour", plan.colour.topic if plan.colour else None),
+        ("camera", plan.camera_reader.topic if plan.camera_reader else None),
         ("depth", plan.depth.topic if plan.depth else None),
-        ("depth_camera", plan.depth_camera_topic),
+        ("depth_camera", plan.depth_camera_reader.topic if plan.depth_camera_reader else None),
     ]  # fmt: skip
     if plan.pose_reader:
         roles += [("odometry", plan.pose_reader.odometry), ("imu", plan.pose_reader.imu)]

@@ -20,11 +20,12 @@ def write(path, world, save, *, camera=True, late=0.012):
             lists[kind].append(f"{at:.6f} {name}")
     for kind, rows in lists.items():
         (path / f"{kind}.txt").write_text("\n".join(rows) + "\n")
-    # poses at 100 Hz; those between the frames are wild
-    stamps = np.concatenate([world.stamps - 0.004, world.stamps + 0.006])
-    wild = np.broadcast_to(np.eye(4), world.poses.shape)
+    # poses at 100 Hz, none at the moment of a frame
+    stamps, way = np.concatenate([world.stamps - 0.004, world.stamps + 0.006]), np.zeros((4, 4))
+    way[:3, 3] = (5.0, -2.0, 3.0)
+    poses = np.concatenate([world.poses - 0.004 * way, world.poses + 0.006 * way])
     order = np.argsort(stamps)
-    write_tum(path / "groundtruth.txt", stamps[order], np.concatenate([world.poses, wild])[order])
+    write_tum(path / "groundtruth.txt", stamps[order], poses[order])
     if camera:
         content = world.cameras[0].to_dict() | {"depth": world.depth_cameras[0].to_dict()}
         (path / "camera.json").write_text(json.dumps(content))

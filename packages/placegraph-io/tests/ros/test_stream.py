@@ -1,5 +1,6 @@
 import io
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,17 @@ def test_frames_of_a_stream_are_those_of_its_capture(container, layout, bag):
     assert (assembly.odometry, assembly.base, assembly.camera) == ("odom", "base_link", OPTICAL)
     np.testing.assert_allclose(assembly.base_from_camera(), BASE_FROM_CAMERA, atol=1e-9)
     assert not assembly.left_out
+
+
+@pytest.mark.parametrize("container", ["mcap", "rosbag1"])
+def test_a_lens_that_refocuses(container, tmp_path, clip):
+    path = tmp_path / ("walk.bag" if container == "rosbag1" else "walk")
+    wanted = [replace(f.camera, fx=(1 + 0.01 * i) * f.camera.fx) for i, f in enumerate(clip)]
+    frames = [replace(f, camera=c) for f, c in zip(clip.frames, wanted, strict=True)]
+    with BagWriter(path, container) as writer:
+        write_capture(writer, replace(clip, frames=tuple(frames)))
+    assert [f.camera for f in pg.open_capture(path)] == wanted
+    same(frames_of(*of_bag(path)), pg.open_capture(path))
 
 
 def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):

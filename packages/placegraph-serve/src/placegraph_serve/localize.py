@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Camera
 from placegraph.core.options import in_radians
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.options import FilterOptions
@@ -238,15 +239,22 @@ def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, 
     if kind == "city":
         tracker: Any = dispatcher.places.city(name).track(**options_in(request))
     else:
-        camera = camera_of(request["camera"], None)
+        camera = _session_camera(request)
         if camera is None:
             raise OptionError("camera: missing; give fx, width and height of the following images.")
-        check_focal(camera, "camera")
         scene = dispatcher.places.scene(name)
-        camera = camera.resize(*fit_size((camera.width, camera.height)))
         tracker = scene.tracker(camera, seed=request["seed"], description=request["description"])
     dispatcher.trackers[request["session"]] = name, tracker
     return {"map": name}
+
+
+def _session_camera(request: dict[str, Any]) -> Camera | None:
+    """Return the camera of a request in the size of read images; None: it has none."""
+    camera = camera_of(request["camera"], None)
+    if camera is None:
+        return None
+    check_focal(camera, "camera")
+    return camera.resize(*fit_size((camera.width, camera.height)))
 
 
 def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
@@ -259,7 +267,9 @@ def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     if isinstance(tracker, CityTracker):
         estimate: Any = _walked(tracker, request)
         return describe_answer(name, estimate, estimate.next_question(tracker.city))
-    estimate = tracker.update(_frame(dispatcher, tracker.camera, request))
+    estimate = tracker.update(
+        _frame(dispatcher, _session_camera(request) or tracker.camera, request)
+    )
     return {
         "map": name,
         "estimate": estimate.to_dict(),
@@ -293,7 +303,7 @@ def _walked(tracker: CityTracker, request: dict[str, Any]) -> Any:  # noqa: ANN4
     return estimate
 
 
-def _frame(dispatcher: Dispatcher, camera: Any, request: dict[str, Any]) -> Frame:  # noqa: ANN401  # Camera
+def _frame(dispatcher: Dispatcher, camera: Camera, request: dict[str, Any]) -> Frame:
     if request["image"] is None:
         raise OptionError("image: missing; give one in base64, JPEG or PNG.")
     photo: Photo = read_photo(image_bytes(request["image"]), "image", dispatcher.options)

@@ -172,6 +172,7 @@ class Step(_Body):
     distance: Finite | None = None
     bearing_deg: Finite | None = None
     image: str | None = Field(None, description="JPEG or PNG in base64.")
+    camera: Intrinsics | None = Field(None, description="Intrinsics, where the lens refocused.")
     depth: str | None = Field(None, description="16-bit PNG in base64.")
     depth_scale: Positive = 1000.0
     odometry: list[list[Finite]] | None = Field(

@@ -24,7 +24,7 @@ from placegraph.io.capture.frame import (
     LazyImages,
     quarter_turn,
 )
-from placegraph.io.capture.posed import SAME_MOMENT, match_stamps
+from placegraph.io.capture.posed import SAME_MOMENT, interpolate_poses, match_stamps
 from placegraph.io.capture.tum import read_tum
 from placegraph.io.formats import Format
 
@@ -211,26 +211,27 @@ def is_capture(path: Path) -> bool:
 def replace_poses(capture: Capture, path: Path) -> Capture:
     """Return the capture with the poses of a TUM file; gravity is -z of these poses.
 
-    Rows belong to frames in order if there are as many, else to frames whose stamps differ by 20 ms at
-    most. Frames without a row are left out and counted. Raises `InputError` where no row belongs to a
+    Rows belong to frames in order if there are as many; else poses are interpolated. Frames without a row
+    within 20 ms are left out and counted. Raises `InputError` where no row belongs to a
     frame.
     """
     trajectory = read_tum(path)
-    rows = np.arange(len(capture))
+    poses, known = trajectory.poses, np.ones(len(capture), bool)
     if len(trajectory) != len(capture):
-        rows = match_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT)
-    if (rows < 0).all():
+        known = match_stamps(trajectory.stamps, capture.stamps, SAME_MOMENT) >= 0
+        poses = interpolate_poses(trajectory.stamps, poses, capture.stamps)
+    if not known.any():
         raise InputError(
             f"{path} has {len(trajectory)} rows for {len(capture)} images, and none has an "
             f"image's stamp (from {capture.stamps[0]:.6g}) within {SAME_MOMENT * 1000:.0f} "
             "ms; give one row per image, or stamps of the same clock."
         )
     frames = tuple(
-        _with_pose(frame, trajectory.poses[row])
-        for frame, row in zip(capture, rows, strict=True)
-        if row >= 0
+        _with_pose(frame, pose)
+        for frame, pose, kept in zip(capture, poses, known, strict=True)
+        if kept
     )
-    missing = int((rows < 0).sum())
+    missing = int((~known).sum())
     left_out = capture.left_out + Counter({f"no pose in {path.name}": missing})
     return replace(capture, frames=frames, left_out=left_out)
 

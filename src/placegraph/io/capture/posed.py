@@ -17,7 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.files import check_regular
-from placegraph.core.geometry import Camera, rotation_from_quaternion
+from placegraph.core.geometry import (
+    Camera,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import Capture, LazyImages, posed_frame, upright_turns
 
@@ -155,6 +160,26 @@ def match_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> NDAr
     is_near = np.abs(ascending[best] - wanted) <= tolerance
     rows: NDArray[np.intp] = np.where(is_near, order[best], -1).astype(np.intp)
     return rows
+
+
+def interpolate_poses(
+    stamps: ArrayLike, poses: ArrayLike, wanted: ArrayLike
+) -> NDArray[np.float64]:
+    """Return poses (n, 4, 4) at moments (n,) between poses (m, 4, 4) at ascending stamps (m,).
+
+    Positions are interpolated, and rotations at an even rate; before the first and after the last
+    stamp these hold.
+    """
+    times, known = np.asarray(stamps, np.float64), np.asarray(poses, np.float64)
+    at = np.clip(np.asarray(wanted, np.float64), times[0], times[-1])
+    after = np.searchsorted(times, at)
+    before = np.maximum(after - 1, 0)
+    share = ((at - times[before]) / np.where(after, times[after] - times[before], 1.0))[:, None]
+    found: NDArray[np.float64] = known[before].copy()
+    found[:, :3, 3] += share * (known[after] - known[before])[:, :3, 3]
+    turn = known[before, :3, :3].swapaxes(1, 2) @ known[after, :3, :3]
+    found[:, :3, :3] = found[:, :3, :3] @ rotation_from_vector(share * vector_from_rotation(turn))
+    return found
 
 
 def make_camera(

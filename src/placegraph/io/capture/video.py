@@ -25,6 +25,7 @@ from placegraph.io.capture.json_files import read_camera, read_json
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
     StoredFrame,
+    interpolate_poses,
     make_capture,
     match_stamps,
     orthonormalize_pose,
@@ -134,10 +135,11 @@ def read_video_folder(path: Path) -> Capture:
     start = read_number(cameras.path, content, "start") if "start" in content else 0.0
     body_from_camera = _read_matrix(cameras.path, content)
     moments = start + np.arange(len(video)) / video.rate
-    rows = np.arange(len(video))
+    known = np.ones(len(video), bool)
     if len(stamps) != len(video):
-        rows = match_stamps(stamps, moments, SAME_MOMENT)
-        if (rows < 0).all():
+        known = match_stamps(stamps, moments, SAME_MOMENT) >= 0
+        poses = interpolate_poses(stamps, poses, moments)
+        if not known.any():
             raise InputError(
                 f"{path}: the video lasts from {moments[0]:.6g} to {moments[-1]:.6g} s, but "
                 f"the trajectory begins at {stamps[0]:.6g} and has no row near a frame; "
@@ -147,14 +149,13 @@ def read_video_folder(path: Path) -> Capture:
         moments = stamps
     frames = [
         StoredFrame(
-            f"{path}, trajectory row {row + 1}",
+            f"{path}, trajectory at {moments[i]:.6g}",
             float(moments[i]),
-            poses[row] @ body_from_camera,
+            poses[i] @ body_from_camera,
             cameras.camera,
             LazyImages(partial(video.picture, i, cameras.camera)),
         )
-        for i, row in enumerate(rows.tolist())
-        if row >= 0
+        for i in np.flatnonzero(known).tolist()
     ]
     left_out = Counter({"no pose": len(video) - len(frames)})
     return make_capture(path, frames, left_out=+left_out)

@@ -206,20 +206,24 @@ def _triangulated(
     reader.camera_params = ",".join(map(str, camera.params))
     path = folder / "colmap.db"
     colmap.extract_features(
-        path, folder / "images", names, colmap.CameraMode.SINGLE, reader,
+        path, folder / "images", names, colmap.CameraMode.PER_IMAGE, reader,
         device=colmap.Device.cpu,
     )  # fmt: skip
-    colmap.match_sequential(path, device=colmap.Device.cpu)
     database = colmap.Database.open(path)
     model = colmap.Reconstruction()
-    kept = database.read_all_cameras()[0]
-    model.add_camera_with_trivial_rig(kept)
-    for image in database.read_all_images():
+    images = database.read_all_images()
+    for image in images:
+        camera = colmap_camera(frames[names.index(image.name)].camera)
+        camera.camera_id = image.camera_id
+        database.update_camera(camera)
+        model.add_camera_with_trivial_rig(camera)
+    colmap.match_sequential(path, device=colmap.Device.cpu)
+    for image in images:
         camera_from_map = np.linalg.inv(poses[names.index(image.name)])
         its = colmap.Image(
             name=image.name,
             keypoints=np.asarray(database.read_keypoints(image.image_id))[:, :2].astype(float),
-            camera_id=kept.camera_id,
+            camera_id=image.camera_id,
             image_id=image.image_id,
         )
         model.add_image_with_trivial_frame(its, colmap.Rigid3d(camera_from_map[:3]))

@@ -1,8 +1,8 @@
 """Sequences of the TUM RGB-D benchmark, and what is recorded in its layout.
 
 `rgb.txt`, `depth.txt`: rows `stamp file`; depth in 1/5000 m. `groundtruth.txt`: rows `stamp tx ty
-tz qx qy qz qw`, world_from_camera, z up, camera axes as OpenCV's. Stamps are associated within
-20 ms. `accelerometer.txt` is left alone: its axes are not the camera's, and written nowhere.
+tz qx qy qz qw`, world_from_camera, z up, camera axes as OpenCV's, interpolated. Stamps are associated
+within 20 ms. `accelerometer.txt` is left alone: its axes are not the camera's, and written nowhere.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from placegraph.io.capture.json_files import read_camera
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
     StoredFrame,
+    interpolate_poses,
     make_capture,
     match_stamps,
     read_text,
@@ -62,14 +63,15 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
     colours, depths = _read_list(path, "rgb.txt"), _read_list(path, "depth.txt")
     stamps = [stamp for stamp, _ in colours]
     depth_of = match_stamps([stamp for stamp, _ in depths], stamps, SAME_MOMENT)
-    pose_of = match_stamps(trajectory.stamps, stamps, SAME_MOMENT)
+    lost = match_stamps(trajectory.stamps, stamps, SAME_MOMENT) < 0
+    known = interpolate_poses(trajectory.stamps, trajectory.poses, stamps)
     if poses and len(trajectory) == len(colours):
-        pose_of = np.arange(len(colours))
+        known, lost = trajectory.poses, np.zeros(len(colours), bool)
     left_out: Counter[str] = Counter()
     frames = []
     unit = DepthUnit(unit_source, per_metre)
     for i, (stamp, file) in enumerate(colours):
-        if depth_of[i] < 0 or pose_of[i] < 0:
+        if depth_of[i] < 0 or lost[i]:
             left_out[f"no {'depth' if depth_of[i] < 0 else 'pose'} within 20 ms"] += 1
             continue
         depth = depth_file(depths[depth_of[i]][1], depth_camera, per_metre)
@@ -77,7 +79,7 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
             StoredFrame(
                 name=f"rgb.txt, {file.name}",
                 stamp=stamp,
-                pose=trajectory.poses[pose_of[i]],
+                pose=known[i],
                 camera=camera,
                 images=LazyImages(colour_file(file, camera), depth, unit=unit),
                 depth_camera=depth_camera,

@@ -18,12 +18,24 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
-from placegraph.io.capture.posed import SAME_MOMENT, StoredFrame, make_capture, match_stamps
+from placegraph.io.capture.posed import (
+    SAME_MOMENT,
+    StoredFrame,
+    interpolate_poses,
+    make_capture,
+    match_stamps,
+)
 from placegraph.io.capture.tum import read_tum
-from placegraph_io.ros.containers import Message, Topic, is_bag, open_bag
-from placegraph_io.ros.decode import Registration, decode_colour, decode_depth, decode_message
+from placegraph_io.ros.containers import Message, Topic, is_bag, open_bag, read_messages
+from placegraph_io.ros.decode import (
+    Registration,
+    decode_colour,
+    decode_depth,
+    decode_message,
+    read_stamps,
+)
 from placegraph_io.ros.poses import PoseReader
-from placegraph_io.ros.topics import CapturePlan, plan_capture, read_topic_choice
+from placegraph_io.ros.topics import CameraReader, CapturePlan, plan_capture, read_topic_choice
 
 __all__ = [
     "MessageSource",
@@ -68,19 +80,25 @@ def capture_of_plan(plan: CapturePlan, poses: Path | None = None) -> Capture:
 def _given_poses(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
     """Return the poses (T, 4, 4) of the images by a trajectory's rows or stamps; NaN where it has none."""
     trajectory, stamps = read_tum(poses), pose_reader.stamps[pose_reader.rows]
-    row_of = np.arange(len(stamps))
-    if len(trajectory) != len(stamps):
-        row_of = match_stamps(trajectory.stamps, stamps, SAME_MOMENT)
-    return np.where((row_of >= 0)[:, None, None], trajectory.poses[row_of], np.nan)
+    if len(trajectory) == len(stamps):
+        return trajectory.poses
+    known = match_stamps(trajectory.stamps, stamps, SAME_MOMENT) >= 0
+    found = interpolate_poses(trajectory.stamps, trajectory.poses, stamps)
+    return np.where(known[:, None, None], found, np.nan)
 
 
 def _stored_frames(
     plan: CapturePlan, pose_reader: PoseReader, poses: NDArray[np.float64], missing: str
 ) -> list[StoredFrame]:
     """Return the colour images with a pose, and with depth where the bag has any."""
-    colour, depth, camera = pose_reader.colour, pose_reader.depth, plan.camera
-    assert camera is not None  # noqa: S101  # else it would lack
-    stamps = pose_reader.stamps[pose_reader.rows]
+    colour, depth, stamps = (
+        pose_reader.colour,
+        pose_reader.depth,
+        pose_reader.stamps[pose_reader.rows],
+    )
+    views = _read_cameras(plan.camera, plan.camera_reader, pose_reader)
+    reader = plan.depth_camera_reader if plan.registration is None else None
+    depth_views = _read_cameras(plan.depth_camera, reader, pose_reader)
     lost = np.full(len(stamps), "", object)
     depth_of, moved = np.full(len(stamps), -1), None
     if depth is not None:
@@ -104,14 +122,33 @@ def _stored_frames(
                 read_depth, depth.topic[int(depth_of[i])], MessageSource.from_topic(depth.topic), depth.size,
                 plan.choice.depth_scale, plan.registration, None if moved is None else moved[i],
             )  # fmt: skip
+        camera = views[i]
+        assert camera is not None  # noqa: S101  # else it would lack
         images = LazyImages(
             partial(read_colour, colour.topic[row], source, camera), metres, unit=unit
         )
         name = f"{plan.bag.path}, {colour.topic.name}, message {row}"
-        frames.append(
-            StoredFrame(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera)
-        )
+        frames.append(StoredFrame(name, float(stamps[i]), poses[i], camera, images, depth_views[i]))
     return frames
+
+
+_SAMPLES = 16  # messages of a CameraInfo topic that tell whether it changes
+
+
+def _read_cameras(
+    camera: Camera | None, reader: CameraReader | None, pose_reader: PoseReader
+) -> list[Camera | None]:
+    """Return the camera of each image: the given one, or that of the nearest CameraInfo if they change."""
+    stamps = pose_reader.stamps[pose_reader.rows]
+    if reader is None:
+        return [camera] * len(stamps)
+    topic = reader.topic
+    some = np.unique(np.linspace(0, len(topic) - 1, _SAMPLES).astype(np.intp))
+    if len({reader.read(data) for data in read_messages([(topic, some, None)])[0]}) == 1:
+        return [camera] * len(stamps)
+    (messages,) = read_messages([(topic, None, None)])
+    of = 1e-9 * topic.times if pose_reader.recorded else read_stamps(messages, topic)
+    return [reader.read(messages[i]) for i in match_stamps(of, stamps, np.inf)]
 
 
 def depth_unit(plan: CapturePlan) -> DepthUnit | None:

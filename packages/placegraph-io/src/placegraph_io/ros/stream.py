@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.frame import Frame, LazyImages, posed_frame, quarter_turn, upright_turns
 from placegraph.io.capture.posed import SAME_MOMENT
@@ -46,7 +47,7 @@ from placegraph_io.ros.poses import (
     is_static,
     pose_numbers,
 )
-from placegraph_io.ros.topics import IMAGES, CapturePlan, TopicChoice, plan_capture
+from placegraph_io.ros.topics import IMAGES, CameraReader, CapturePlan, TopicChoice, plan_capture
 from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
 
@@ -219,6 +220,11 @@ class FrameAssembly:
         self.base = self._base(plan.pose_reader.tree)
         self._colour = plan.colour.topic
         self._depth = plan.depth.topic if plan.depth is not None else None
+        depth_reader = plan.depth_camera_reader if plan.registration is None else None
+        self._readers = {r.topic.name: r for r in (plan.camera_reader, depth_reader) if r}
+        self._cameras: dict[str, deque[tuple[float, Camera]]] = {
+            name: deque(maxlen=_DEPTHS) for name in self._readers
+        }
         self._odometry_topic = plan.pose_reader.odometry
         self._edges = self._needed_edges(plan.pose_reader.tree)
         self._upright = np.eye(4)
@@ -246,6 +252,7 @@ class FrameAssembly:
             self._depth,
             self._odometry_topic,
             *self.plan.pose_reader.transform_topics,
+            *(reader.topic for reader in self._readers.values()),
         )
         return frozenset(topic.name for topic in parts if topic is not None)
 
@@ -255,6 +262,9 @@ class FrameAssembly:
             self._take_image(packet)
         elif self._depth is not None and packet.topic == self._depth.name:
             self._depths.append((self._stamp(packet), packet))
+        elif packet.topic in self._readers:
+            camera = self._readers[packet.topic].read(packet.data)
+            self._cameras[packet.topic].append((self._stamp(packet), camera))
         elif packet.topic in self.topics:
             self._take_transforms(packet)
             yield from self._move()
@@ -326,7 +336,8 @@ class FrameAssembly:
         return any(s > stamp - SAME_MOMENT for s, _ in self._depths)
 
     def _frame(self, stamp: float, packet: Packet) -> Frame | None:
-        pose_reader, camera = self.plan.pose_reader, self.plan.camera
+        pose_reader = self.plan.pose_reader
+        camera = self._camera(stamp, self.plan.camera, self.plan.camera_reader)
         assert pose_reader is not None and camera is not None  # noqa: S101, PT018
         found = self._tree.lookup(pose_reader.frame, self.camera, np.array([stamp]))
         if found is None or np.isnan(found).any():
@@ -350,8 +361,17 @@ class FrameAssembly:
         self._count += 1
         return posed_frame(
             self._count - 1, stamp, pose, camera, LazyImages(colour, metres, unit=depth_unit(self.plan)),
-            depth_camera=None if metres is None else self.plan.depth_camera, turns=self._turns,
+            depth_camera=None if metres is None else
+            self._camera(stamp, self.plan.depth_camera, self.plan.depth_camera_reader),
+            turns=self._turns,
         )  # fmt: skip
+
+    def _camera(
+        self, stamp: float, camera: Camera | None, reader: CameraReader | None
+    ) -> Camera | None:
+        """Return the camera of the CameraInfo nearest to a moment; the given one without any."""
+        held = self._cameras.get(reader.topic.name) if reader else None
+        return min(held, key=lambda h: abs(h[0] - stamp))[1] if held else camera
 
     def _metres(self, stamp: float, packet: Packet) -> partial[NDArray[np.float32]] | None:
         """Return the function that reads a depth image; None, and counted, without its transform."""

@@ -23,6 +23,7 @@ from placegraph_io.ros.decode import (
     DEPTHS,
     GREYS,
     Registration,
+    decode,
     decode_message,
     frame_name,
     is_colour,
@@ -31,6 +32,7 @@ from placegraph_io.ros.decode import (
 from placegraph_io.ros.poses import PoseReader, Samples
 
 IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+_STAMP_END = 12  # bytes of a message up to its header's stamp
 _RECTIFIED = re.compile(r"(^|[/_])rect([/_]|$)")
 
 
@@ -149,10 +151,31 @@ def camera_info_names(view: ImageTopic) -> tuple[str, str]:
     return f"{view.base.rpartition('/')[0]}/camera_info", f"{view.base}/camera_info"
 
 
+@dataclass(eq=False)
+class CameraReader:
+    """Cameras of an image topic, as its CameraInfo messages have them: a lens may refocus."""
+
+    path: Path
+    view: ImageTopic
+    topic: Topic
+    _last: tuple[bytes, Camera] | None = None
+
+    def read(self, data: bytes) -> Camera:
+        """Return the camera of a message; decode it only if it differs from the last one."""
+        content = data[_STAMP_END:]
+        if self._last is None or self._last[0] != content:
+            name = f"{self.path}, {self.topic.name}"
+            info = decode(data, name, self.topic.type, self.topic.encoding)
+            rectified = _RECTIFIED.search(self.view.base.rpartition("/")[2]) is not None
+            camera = camera_from_info(info, self.view.size, name, rectified=rectified)
+            self._last = content, camera
+        return self._last[1]
+
+
 def find_camera(
     bag: Bag, view: ImageTopic, given: str | dict[str, Any] | None, role: str
-) -> tuple[Camera, Topic | None]:
-    """Return the camera of an image topic, and the CameraInfo topic that describes it.
+) -> tuple[Camera, CameraReader | None]:
+    """Return the first camera of an image topic, and the reader of its CameraInfo topic.
 
     `given` is a topic or intrinsics, `role` their key in the file beside the bag. Raises `InputError`
     where there is no camera.
@@ -175,10 +198,8 @@ def find_camera(
             f'record it, or write {bag.path}.json with {{"{role}": {{"fx": ..., "fy": ..., '
             '"cx": ..., "cy": ...}}.'
         )
-    info = decode_message(topic[0], topic.name, topic.type, topic.encoding)
-    rectified = _RECTIFIED.search(view.base.rpartition("/")[2]) is not None
-    name = f"{bag.path}, {topic.name}"
-    return camera_from_info(info, view.size, name, rectified=rectified), topic
+    reader = CameraReader(bag.path, view, topic)
+    return reader.read(topic[0].read()), reader
 
 
 def _is_of(topic: Topic, view: ImageTopic) -> bool:
@@ -354,10 +375,10 @@ class CapturePlan:
     views: list[ImageTopic] = field(default_factory=list)
     colour: ImageTopic | None = None
     camera: Camera | None = None
-    camera_topic: Topic | None = None
+    camera_reader: CameraReader | None = None
     depth: ImageTopic | None = None
     depth_camera: Camera | None = None  # Camera of the depth images of the capture
-    depth_camera_topic: Topic | None = None
+    depth_camera_reader: CameraReader | None = None
     registration: Registration | None = None  # Set where depth was measured by another camera
     pose_reader: PoseReader | None = None
     missing: dict[str, str] = field(default_factory=dict)
@@ -399,7 +420,7 @@ def _choose_topics(plan: CapturePlan) -> None:
 def _find_camera(plan: CapturePlan) -> None:
     assert plan.colour is not None  # noqa: S101  # chosen before
     found = find_camera(plan.bag, plan.colour, plan.choice.camera, "camera")
-    plan.camera, plan.camera_topic = found
+    plan.camera, plan.camera_reader = found
 
 
 def _find_depth(plan: CapturePlan) -> None:
@@ -409,11 +430,11 @@ def _find_depth(plan: CapturePlan) -> None:
     same = depth.frame == colour.frame
     try:
         found = find_camera(plan.bag, depth, choice.depth_camera, "depth_camera")
-        camera, plan.depth_camera_topic = found
+        camera, plan.depth_camera_reader = found
     except InputError:
         if not (same and plan.camera is not None and depth.size == colour.size):
             raise
-        camera = plan.camera
+        camera, plan.depth_camera_reader = plan.camera, plan.camera_reader
     plan.depth_camera = camera
     if same or plan.camera is None:
         return
