@@ -3,7 +3,8 @@ from math import radians
 import numpy as np
 import pytest
 
-from placegraph.outdoor.map.objects import LINE, USUAL, Blocks, CityObjects
+from placegraph.outdoor.map.objects import LINE, CityObjects
+from placegraph.outdoor.map.street_graph import USUAL, Blocks, StreetGraph
 
 
 def grid(north, east, turned, n=8):
@@ -25,7 +26,7 @@ def grid(north, east, turned, n=8):
 
 @pytest.mark.parametrize("turned", [0.0, radians(29.0), radians(-29.0)])
 def test_blocks_have_the_spacing_of_the_streets(turned):
-    blocks = Blocks.measure(grid(80.0, 250.0, turned))
+    blocks = Blocks.measure(StreetGraph.of_objects(grid(80.0, 250.0, turned)))
     assert blocks.axis == pytest.approx(turned, abs=0.03)
     for bearing, length in ((0.0, 80.0), (90.0, 250.0), (180.0, 80.0), (280.0, 250.0)):
         assert blocks.length(radians(bearing) + turned) == pytest.approx(length, abs=15.0)
@@ -34,5 +35,5 @@ def test_blocks_have_the_spacing_of_the_streets(turned):
 
 def test_without_streets_a_block_is_what_it_usually_is(harbour):
     alone = grid(80.0, 250.0, 0.0, n=1)
-    assert Blocks.measure(alone).length(0.0) == USUAL
+    assert Blocks.measure(StreetGraph.of_objects(alone)).length(0.0) == USUAL
     assert harbour.block_length(None) > 0.0

@@ -40,7 +40,6 @@ from placegraph.outdoor.map.objects import (
     AREA,
     GRAIN,
     LINE,
-    Blocks,
     CityColumns,
     CityObjects,
     centers,
@@ -49,7 +48,7 @@ from placegraph.outdoor.map.objects import (
     index_of,
     of_name,
 )
-from placegraph.outdoor.map.street_graph import StreetGraph
+from placegraph.outdoor.map.street_graph import Blocks, StreetGraph
 from placegraph.outdoor.map.streets import Streets
 
 if TYPE_CHECKING:
@@ -227,7 +226,7 @@ class City(PickleFields):
     @cached_property
     def blocks(self) -> Blocks:
         """Length of a block; derived on first use."""
-        return Blocks.measure(self.objects)
+        return Blocks.measure(self.street_graph)
 
     @cached_property
     def street_graph(self) -> StreetGraph:

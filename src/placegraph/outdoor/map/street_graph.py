@@ -1,4 +1,4 @@
-"""Graph of the streets of a map: junctions, and directed edges between them.
+"""Graph of the streets of a map: junctions, directed edges between them, and blocks.
 
 Streets lose their common points when a map is built. The graph is derived from their geometry: streets
 are cut where they cross or touch. A map file stores nothing of it.
@@ -7,6 +7,7 @@ are cut where they cross or touch. A map file stores nothing of it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,54 @@ SAMPLE = 5.0
 """Distance of the samples of an edge [m]."""
 STRAIGHT, SAME_STREET = np.deg2rad(50.0), np.deg2rad(20.0)
 """Largest turn of somebody who goes straight on, and the advantage of an edge of the same name [rad]."""
+
+
+class Lines(NamedTuple):
+    """Lines of objects, one behind the other: a place on them is one number, its distance along all."""
+
+    points: Floats
+    """(V, 2) [m]"""
+    along: Floats
+    """(V,) [m], ascending; one line begins 1 m after the end of the one before."""
+    ends: Floats
+    """(L, 2) distances of the ends of every line [m]."""
+    row: Rows
+    """(L,) row of its object."""
+
+    @classmethod
+    def of_objects(cls, objects: CityObjects, rows: Rows) -> Lines:
+        """Take the lines and outlines of objects (n,)."""
+        own, part = expand(objects.part_starts[rows], np.diff(objects.part_starts)[rows])
+        count = np.diff(objects.point_starts)[part]
+        at = expand(objects.point_starts[part], count)[1]
+        points = objects.points[at].astype(np.float64)
+        step = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T)
+        last = np.cumsum(count) - 1
+        step[last + 1 - count] = 1.0
+        along = np.cumsum(step)
+        ends = np.column_stack([along[last + 1 - count], along[last]])
+        return cls(points, along, ends, rows[own])
+
+    def locate(self, at: Floats) -> Floats:
+        """Return the points (n, 2) [m] at distances (n,)."""
+        return np.column_stack([np.interp(at, self.along, axis) for axis in self.points.T])
+
+    def find_line(self, at: Floats) -> Rows:
+        """Find the line of distances (n,)."""
+        return np.searchsorted(self.ends[:, 0], at, "right") - 1
+
+    def sample(self, step: float, ends: Floats | None = None) -> tuple[Rows, Floats, Floats]:
+        """Sample lines, or stretches with ends (E, 2), at most `step` [m] apart.
+
+        Returns the stretch of every sample, its position (K, 2) [m], and the direction there (K, 2).
+        """
+        begin, end = (self.ends if ends is None else ends).T
+        count = np.ceil((end - begin) / step).astype(np.int64) + 1
+        own, k = expand(np.zeros(len(count), np.int64), count)
+        points = self.locate(begin[own] + (end - begin)[own] * k / np.maximum(count[own] - 1, 1))
+        each = np.arange(len(own))
+        ahead = points[each + (k < count[own] - 1)] - points[each - (k > 0)]
+        return own, points, ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,42 +124,30 @@ class StreetGraph:
     def of_objects(cls, objects: CityObjects) -> StreetGraph:
         """Derive the graph from the streets among the objects of a map."""
         walked, apart = find_labelled(objects, WALKED), find_labelled(objects, APART)
-        rows = walked[objects.kind[walked] == LINE]
-        parts = [
-            (row, line.astype(np.float64)) for row in rows.tolist() for line in objects.parts(row)
-        ]
-        street = np.array([row for row, line in parts if len(line) > 1], np.int64)
-        lines = [line for _, line in parts if len(line) > 1]
-        along = [np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T)))) for p in lines]
-        owner, where = _cut(lines, along, np.isin(street, apart))
-        at = [_interpolate(lines[i], along[i], s) for i, s in zip(owner, where, strict=True)]
-        ends = np.array(at).reshape(-1, 2)
+        lines = Lines.of_objects(objects, walked[objects.kind[walked] == LINE])
+        where = _cut(lines, np.isin(lines.row, apart))
+        line, ends = lines.find_line(where), lines.locate(where)
         node = _components(*join(ends, ends, TOUCH), len(ends))
         count = np.bincount(node)
         nodes = np.column_stack([np.bincount(node, c) / count for c in ends.T])
-        k = np.flatnonzero((np.diff(owner, append=-1) == 0) & (np.diff(node, append=-1) != 0))
+        k = np.flatnonzero((np.diff(line, append=-1) == 0) & (np.diff(node, append=-1) != 0))
         tail = np.column_stack([node[k], node[k + 1]]).reshape(-1)
         head = np.column_stack([node[k + 1], node[k]]).reshape(-1)
         length = np.repeat(where[k + 1] - where[k], 2)
-        own = np.repeat(street[owner[k]], 2)
+        own = np.repeat(lines.row[line[k]], 2)
         named = np.diff(objects.name_starts)[own] > 0
         name = np.full(len(own), -1, np.int64)
         name[named] = objects.name_values[objects.name_starts[own[named]]]
-        samples = [
-            _interpolate(lines[i], along[i], np.linspace(a, b, int(np.ceil((b - a) / SAMPLE)) + 1))
-            for i, a, b in zip(owner[k], where[k], where[k + 1], strict=True)
-        ]
-        ahead = [np.gradient(p, axis=0) for p in samples]
-        near = [min(len(p) - 1, 3) for p in samples]  # some metres give the direction of an end
-        leaving = [
-            d for p, n in zip(samples, near, strict=True) for d in (p[n] - p[0], p[-1 - n] - p[-1])
-        ]
+        edge, points, ahead = lines.sample(SAMPLE, np.column_stack([where[k], where[k + 1]]))
+        starts = np.searchsorted(edge, np.arange(len(k) + 1))
+        first, last = starts[:-1], starts[1:] - 1
+        near = np.minimum(last - first, 3)  # some metres give the direction of an end
+        leaving = [points[first + near] - points[first], points[last - near] - points[last]]
         junction = _group(tail, head, length, name, len(nodes))
         return cls(
             nodes, junction, _find_lights(objects, nodes, junction), tail, head, length, name,
-            *_continue(tail, head, name, bearing(np.array(leaving).reshape(-1, 2))),
-            np.cumsum([0, *map(len, samples)]), np.concatenate([np.zeros((0, 2)), *samples]),
-            np.concatenate([np.zeros((0, 2)), *ahead]),
+            *_continue(tail, head, name, bearing(np.stack(leaving, axis=1).reshape(-1, 2))),
+            starts, points, ahead,
         )  # fmt: skip
 
     def sample(self, edges: Rows) -> tuple[Rows, Rows, Floats]:
@@ -157,19 +194,15 @@ def find_labelled(objects: CityObjects, labels: frozenset[str]) -> Rows:
     return np.unique(np.searchsorted(objects.label_starts, hits, "right") - 1)
 
 
-def _interpolate(line: Floats, along: Floats, at: Floats | float) -> Floats:
-    return np.stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])], axis=-1)
-
-
-def _cut(lines: list[Floats], along: list[Floats], apart: NDArray[np.bool_]) -> tuple[Rows, Floats]:
-    """Cut lines where they meet: the line of every cut, and the distance along it, in order."""
-    total = np.array([s[-1] for s in along])
-    pieces = [np.union1d(s, np.arange(0.0, s[-1], PIECE)) for s in along]
-    line = np.repeat(np.arange(len(lines)), [len(at) - 1 for at in pieces])
-    points = [_interpolate(*each) for each in zip(lines, along, pieces, strict=True)]
-    begin = np.concatenate([np.zeros(0), *(at[:-1] for at in pieces)])
-    p = np.concatenate([np.zeros((0, 2)), *(each[:-1] for each in points)])
-    way = np.concatenate([np.zeros((0, 2)), *(np.diff(each, axis=0) for each in points)])
+def _cut(lines: Lines, apart: NDArray[np.bool_]) -> Floats:
+    """Cut lines where they meet, and at their ends; return the places of all cuts in order [m]."""
+    first, last = lines.ends.T
+    breaks = np.union1d(lines.along, np.arange(0.0, lines.along[-1:].sum(), PIECE))
+    piece = lines.find_line(breaks[:-1])
+    whole = (piece >= 0) & (breaks[1:] <= last[piece])
+    begin, line = breaks[:-1][whole], piece[whole]
+    p = lines.locate(begin)
+    way = lines.locate(breaks[1:][whole]) - p
     i, j = join(p + way / 2.0, p + way / 2.0, PIECE + 2.0 * TOUCH)
     i, j = i[line[i] < line[j]], j[line[i] < line[j]]
     u, v, w = way[i], way[j], p[j] - p[i]
@@ -179,16 +212,10 @@ def _cut(lines: list[Floats], along: list[Floats], apart: NDArray[np.bool_]) -> 
     s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / cross * size[i]
     t = (w[:, 0] * u[:, 1] - w[:, 1] * u[:, 0]) / cross * size[j]
     met = (s >= -TOUCH) & (s <= size[i] + TOUCH) & (t >= -TOUCH) & (t <= size[j] + TOUCH)
-    owners, cuts = [np.arange(len(lines))] * 2, [np.zeros(len(lines)), total]
-    places = [(line[k], np.clip(begin[k] + x, 0.0, total[line[k]])) for k, x in ((i, s), (j, t))]
+    places = [(line[k], np.clip(begin[k] + x, *lines.ends[line[k]].T)) for k, x in ((i, s), (j, t))]
     for k, x in places:  # a bridge meets other streets at its ends alone
-        met &= ~(apart[k] & (np.minimum(x, total[k] - x) > 5.0 * TOUCH))
-    for k, x in places:
-        owners.append(k[met])
-        cuts.append(x[met])
-    owner, where = np.concatenate(owners).astype(np.int64), np.concatenate(cuts)
-    order = np.lexsort((where, owner))
-    return owner[order], where[order]
+        met &= ~(apart[k] & (np.minimum(x - first[k], last[k] - x) > 5.0 * TOUCH))
+    return np.sort(np.concatenate([first, last, *(x[met] for _, x in places)]))
 
 
 def _components(i: Rows, j: Rows, count: int) -> Rows:
@@ -244,3 +271,66 @@ def _find_lights(objects: CityObjects, nodes: Floats, junction: Rows) -> NDArray
     near = junction[join(lamps, nodes, LIGHT_REACH)[1]]
     found[near[near >= 0]] = True
     return found if len(lamps) else ~found
+
+
+USUAL = 100.0
+"""Metres in a block where the map has too few streets to tell."""
+SHORTEST, LONGEST = 40.0, 600.0
+"""Junctions nearer than this are one, and further apart than that end no block [m]."""
+MAX_BENDS = 24
+"""Largest number of edges of a block."""
+ENOUGH = 24
+"""A length is told from at least so many blocks, each counted in both directions."""
+REGULAR = 0.4
+"""Mean of the fourfold direction of blocks from which the streets make a grid; 1 in a perfect one."""
+
+
+class Blocks(NamedTuple):
+    """Length of a block along the two axes of a street grid."""
+
+    axis: float = 0.0
+    """Bearing of the first axis [rad], in (-pi/4, pi/4]; the second is at a right angle."""
+    first: float = USUAL
+    """Length along the first axis, the one nearer to north [m]."""
+    second: float = USUAL
+    """Length along the second [m]."""
+
+    def length(self, bearing: float | None) -> float:
+        """Return the length of a block [m] in a direction [rad], or the mean length for None."""
+        if bearing is None:
+            return float(np.sqrt(self.first * self.second))
+        along = abs(np.cos(bearing - self.axis)) >= np.sqrt(0.5)
+        return self.first if along else self.second
+
+    @classmethod
+    def measure(cls, graph: StreetGraph) -> Blocks:
+        """Measure the usual distances between neighbouring junctions of the named streets."""
+        starts = graph.junction[graph.tail]
+        first = np.flatnonzero((starts >= 0) & (graph.name >= 0))
+        edge, ends = first, np.append(graph.junction[graph.head], -2)
+        for _ in range(MAX_BENDS):
+            bends = (ends[edge] == -1) | (ends[edge] == starts[first])
+            edge = np.where(bends, graph.straight[edge], edge)
+        done = ends[edge] >= 0
+        gaps = graph.nodes[graph.head[edge[done]]] - graph.nodes[graph.tail[first[done]]]
+        length = np.hypot(*gaps.T)
+        gaps = gaps[(length >= SHORTEST) & (length <= LONGEST)]
+        if len(gaps) < ENOUGH:
+            return cls()
+        length, angle = np.hypot(*gaps.T), np.arctan2(*gaps.T)
+        fourfold = np.mean(np.exp(4j * angle))
+        if abs(fourfold) < REGULAR:
+            return cls(0.0, *[_trimmed_mean(length)] * 2)
+        axis = float(np.angle(fourfold)) / 4.0
+        along = np.abs(np.cos(angle - axis)) >= np.sqrt(0.5)
+        lengths = [
+            _trimmed_mean(length[rows] if rows.sum() >= ENOUGH else length)
+            for rows in (along, ~along)
+        ]
+        return cls(axis, *lengths)
+
+
+def _trimmed_mean(lengths: Floats) -> float:
+    """Return the interquartile mean."""
+    quarter = len(lengths) // 4
+    return float(np.sort(lengths)[quarter : len(lengths) - quarter].mean())

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.words import (
     BETWEEN,
     COMPASS,
@@ -23,6 +23,7 @@ from placegraph.outdoor.language.words import (
     ordinal,
 )
 from placegraph.outdoor.map.objects import LINE, CityObjects
+from placegraph.outdoor.map.street_graph import Lines, join
 
 STEP = 8.0
 """Streets are sampled in steps of this length [m]."""
@@ -51,7 +52,7 @@ class Site(NamedTuple):
 
     start: int
     end: int
-    positions: NDArray[np.float64]
+    positions: Floats
     """(K, 2) east, north [m] of the places that it may mean."""
 
 
@@ -80,9 +81,9 @@ class Streets:
     """Streets of a map by what people call them, with their crossings and house numbers."""
 
     objects: CityObjects
-    samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """Points (K, 2) [m] of streets that were asked for."""
-    sites: dict[tuple[object, ...], NDArray[np.float64]] = field(default_factory=dict)
+    samples: dict[int, tuple[Floats, Floats]] = field(default_factory=dict)
+    """Points (K, 2) [m] of streets that were asked for, and their directions there."""
+    sites: dict[tuple[object, ...], Floats] = field(default_factory=dict)
 
     @cached_property
     def _rows(self) -> list[list[int]]:
@@ -126,7 +127,7 @@ class Streets:
                 taken = last
         return found
 
-    def resolve(self, words: str) -> NDArray[np.float64]:
+    def resolve(self, words: str) -> Floats:
         """Return the places (K, 2) [m] that words of one site mean; none for other words."""
         sites = self.find_sites(words)
         whole = len(sites) == 1 and sites[0].end >= len(words.rstrip(" ."))
@@ -203,7 +204,7 @@ class Streets:
             return None
         return _site(tokens, first, three.last, at) if len(at) else None
 
-    def find_crossings(self, one: Sequence[int], other: Sequence[int]) -> NDArray[np.float64]:
+    def find_crossings(self, one: Sequence[int], other: Sequence[int]) -> Floats:
         """Find where one of some streets crosses one of others: (K, 2) [m]; none if too many."""
         key = (tuple(one), tuple(other))
         at = self.sites.get(key)
@@ -215,9 +216,7 @@ class Streets:
             at = self._keep(key, at if len(at) <= MAX_SITES else at[:0])
         return at
 
-    def find_block(
-        self, street: Sequence[int], one: Sequence[int], other: Sequence[int]
-    ) -> NDArray[np.float64]:
+    def find_block(self, street: Sequence[int], one: Sequence[int], other: Sequence[int]) -> Floats:
         """Find the places (K, 2) [m] on a street between its crossings with two others."""
         a, b = self.find_crossings(street, one), self.find_crossings(street, other)
         if not (len(a) and len(b)):
@@ -227,7 +226,7 @@ class Streets:
         shares = np.array([[0.25], [0.5], [0.75]])
         return np.asarray(a[i] + shares * (b[j] - a[i]))
 
-    def find_address(self, number: int, streets: Sequence[int]) -> NDArray[np.float64]:
+    def find_address(self, number: int, streets: Sequence[int]) -> Floats:
         """Find the places (K, 2) [m] of a house number: as mapped, else between its neighbours."""
         key = ("number", number, tuple(streets))
         at = self.sites.get(key)
@@ -237,14 +236,14 @@ class Streets:
             at = self._keep(key, _merge(np.concatenate([_NOWHERE, *sure]))[:MAX_SITES])
         return at
 
-    def _keep(self, key: tuple[object, ...], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _keep(self, key: tuple[object, ...], at: Floats) -> Floats:
         """Keep places (K, 2) [m] for later texts, of at most `MAX_KEPT` sites: texts may name any number."""
         if len(self.sites) >= MAX_KEPT:
             self.sites.clear()
         self.sites[key] = at
         return at
 
-    def _place_number(self, number: int, street: int) -> tuple[NDArray[np.float64], int]:
+    def _place_number(self, number: int, street: int) -> tuple[Floats, int]:
         """Return the place (K, 2) [m] of a number on a street; 2 as mapped, 1 interpolated, 0 none."""
         known = self._numbers.get(self._names[street])
         if known is not None:
@@ -255,21 +254,20 @@ class Streets:
             gap = numbers[i] - numbers[i - 1] if 0 < i < len(numbers) else MAX_GAP + 1
             if gap <= MAX_GAP and np.hypot(*(at[i] - at[i - 1])) <= 2.5 * gap + 80.0:
                 share = (number - numbers[i - 1]) / gap
-                return self._snap(at[i - 1] + share * (at[i] - at[i - 1]), street), 1
+                points, place = self._sample(street)[0], at[i - 1] + share * (at[i] - at[i - 1])
+                return points[np.argmin(np.hypot(*(points - place).T))][None], 1
             beside = [j for j in (i - 1, i) if 0 <= j < len(numbers)]
             near = min(beside, default=-1, key=lambda j: abs(numbers[j] - number))
             if near >= 0 and abs(numbers[near] - number) <= 30:
                 return at[near : near + 1], 1
         return self._tell_by_parallels(number, street)
 
-    def _tell_by_parallels(self, number: int, street: int) -> tuple[NDArray[np.float64], int]:
+    def _tell_by_parallels(self, number: int, street: int) -> tuple[Floats, int]:
         """Tell where a number lies on a street by the numbers of parallel streets, as in a grid."""
-        points = self._sample(street)[::3]
+        points, step = (of[::3] for of in self._sample(street))
         places, numbers, along = self._all_numbers
-        if len(points) < 2 or not len(places):
-            return points[:0], 0
-        step = np.gradient(points, axis=0)
-        step /= np.maximum(np.hypot(*step.T), 1e-9)[:, None]
+        if not len(places):
+            return places, 0
         beside = points.min(axis=0) - NEIGHBOURS, points.max(axis=0) + NEIGHBOURS
         near = ((places >= beside[0]) & (places <= beside[1])).all(axis=1)
         delta = places[near][None] - points[:, None]
@@ -288,7 +286,7 @@ class Streets:
         return points[usable][best : best + 1], 1
 
     @cached_property
-    def _numbers(self) -> dict[str, tuple[list[int], NDArray[np.float64]]]:
+    def _numbers(self) -> dict[str, tuple[list[int], Floats]]:
         """House numbers of each street, ascending, and their places (K, 2) [m]."""
         o = self.objects
         address = {}
@@ -311,48 +309,34 @@ class Streets:
         }
 
     @cached_property
-    def _all_numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _all_numbers(self) -> tuple[Floats, Floats, Floats]:
         """Places (A, 2) [m], numbers (A,) and directions (A, 2) of the streets of all houses."""
         places, numbers, along = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 2))]
         ids = {name: i for i, name in enumerate(self._names)} if self._rows else {}
         for name, (of, at) in self._numbers.items():
-            points = self._sample(ids[name]) if name in ids else _NOWHERE
-            if len(points) < 2:
+            if name not in ids:
                 continue
+            points, step = self._sample(ids[name])
             near = np.hypot(*(at[:, None] - points[None]).transpose(2, 0, 1)).argmin(axis=1)
-            step = np.gradient(points, axis=0)[near]
-            along.append(step / np.maximum(np.hypot(*step.T), 1e-9)[:, None])
+            along.append(step[near])
             places.append(at)
             numbers.append(np.array(of, np.float64))
         return np.concatenate(places), np.concatenate(numbers), np.concatenate(along)
 
-    def _snap(self, at: NDArray[np.float64], street: int) -> NDArray[np.float64]:
-        """Return the point (1, 2) [m] of a street nearest to a position (2,)."""
-        points = self._sample(street)
-        return points[np.argmin(np.hypot(*(points - at).T))][None]
-
-    def _sample(self, street: int) -> NDArray[np.float64]:
-        """Sample points (K, 2) [m] along a street."""
+    def _sample(self, street: int) -> tuple[Floats, Floats]:
+        """Sample points (K, 2) [m] along a street, and unit vectors of its direction there."""
         if street not in self.samples:
-            found = [_NOWHERE]
-            for line in (part for row in self._rows[street] for part in self.objects.parts(row)):
-                along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-                at = np.linspace(0.0, along[-1], max(2, int(along[-1] / STEP) + 1))
-                found.append(np.column_stack([np.interp(at, along, axis) for axis in line.T]))
-            self.samples[street] = np.concatenate(found)
+            rows = np.array(self._rows[street])
+            _, points, ahead = Lines.of_objects(self.objects, rows).sample(STEP)
+            length = np.maximum(np.hypot(*ahead.T), 1e-9)
+            self.samples[street] = points, ahead / length[:, None]
         return self.samples[street]
 
-    def _cross(self, one: int, other: int) -> NDArray[np.float64]:
+    def _cross(self, one: int, other: int) -> Floats:
         """Return where two streets cross (K, 2) [m]: where samples of both are close."""
-        a, b = self._sample(one), self._sample(other)
-        low, high = b.min(axis=0) - CROSSING, b.max(axis=0) + CROSSING
-        a = a[((a >= low) & (a <= high)).all(axis=1)]
-        found = [
-            0.5 * (point + b[np.argmin(off)])
-            for point in a
-            if (off := np.hypot(*(b - point).T)).min() < CROSSING
-        ]
-        return _merge(np.array(found).reshape(-1, 2))
+        a, b = self._sample(one)[0], self._sample(other)[0]
+        i, j = join(a, b, CROSSING)
+        return _merge(0.5 * (a[i] + b[j]))
 
 
 _PLURAL = {"streets": "st", "avenues": "ave", "roads": "rd", "drives": "dr", "sts": "st"}
@@ -457,11 +441,11 @@ _SIDES = COMPASS | {
 }
 
 
-def _site(tokens: list[_Token], first: int, last: int, at: NDArray[np.float64]) -> Site:
+def _site(tokens: list[_Token], first: int, last: int, at: Floats) -> Site:
     return Site(tokens[first].start, tokens[last].end, at)
 
 
-def _merge(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _merge(points: Floats) -> Floats:
     """Merge points (K, 2) [m] nearer than `APART` to the first of them to their mean."""
     found = []
     while len(points):

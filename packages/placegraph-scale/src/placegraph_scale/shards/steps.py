@@ -15,7 +15,8 @@ from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
-from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of, index_of
+from placegraph.outdoor.map.objects import CityObjects, columns_of, index_of
+from placegraph.outdoor.map.street_graph import Blocks
 from placegraph.outdoor.search.locate import find_evidence
 from placegraph.outdoor.search.posterior import (
     MAX_CANDIDATES,
