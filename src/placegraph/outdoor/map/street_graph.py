@@ -7,7 +7,7 @@ are cut where they cross or touch. A map file stores nothing of it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,8 @@ class Lines(NamedTuple):
 
     def locate(self, at: Floats) -> Floats:
         """Return the points (n, 2) [m] at distances (n,)."""
+        if not len(at):
+            return np.zeros((0, 2))
         return np.column_stack([np.interp(at, self.along, axis) for axis in self.points.T])
 
     def find_line(self, at: Floats) -> Rows:
@@ -162,7 +164,7 @@ class StreetGraph:
         return own, np.where(back, last[own] - 1 - at, first[own] + at), along
 
 
-def expand(first: Rows, count: Rows) -> tuple[Rows, Rows]:
+def expand(first: NDArray[np.integer[Any]], count: Rows) -> tuple[Rows, Rows]:
     """Return the owner and the value of all entries of ranges (n,) by their begin and length."""
     own = np.repeat(np.arange(len(first)), count)
     return own, np.arange(len(own)) - np.repeat(np.cumsum(count) - count - first, count)

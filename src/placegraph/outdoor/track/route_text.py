@@ -31,7 +31,7 @@ class Move(StrEnum):
     MARK = "mark"
     """Be where a landmark is."""
     SHARE = "share"
-    """End at a share of the block: 0 is its beginning and 1 its end; 2 is in the junction."""
+    """End at a share of the block: 0 is its beginning and 1 its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +56,8 @@ class Step:
     """Rows of the map's names that a landmark may bear, with weights; or ..."""
     kinds: tuple[Sense, ...] = ()
     """... what kind it is."""
-    side: str = ""
-    """Side of the way that a landmark is on: "left", "right" or unknown."""
-    is_corner: bool = False
     where: str = ""
-    """How the way lies to a landmark: "past", "before", "after", "beyond" or at it; or to a
-    junction: "before" or "inside"."""
+    """How the way lies to a landmark: "past", "before", "after" or at it; or to a junction: "before"."""
 
 
 _ORDINALS = "first 1st,second 2nd,third 3rd,fourth 4th,fifth 5th,sixth 6th,seventh 7th"
@@ -80,7 +76,7 @@ _MODIFIERS = rf"(?:(?:{_MODIFIER})\s+)*"
 TURN = re.compile(
     rf"""\b(?P<verb>turn(?:ing)?|make|making|take|taking|hang|bear|veer|keep|stay|go|head|then|and|another)
     \s+(?P<mods>(?:to\s+(?:the|your)\s+)?{_MODIFIERS})(?P<side>left|right|around)
-    (?!\s+(?:corners?|side|near|far)\b)(?P<fork>\s+(?:at\s+the\s+)?fork)?""",
+    (?!\s+(?:corners?|side|near|far)\b)""",
     re.VERBOSE | re.IGNORECASE,
 )
 JUNCTION = re.compile(
@@ -126,7 +122,8 @@ def read_route(text: str, city: City) -> list[Step]:
     """Read the steps of a way from a text; empty where it gives no instructions of one."""
     steps: list[Step] = []
     for sentence in SENTENCE.finditer(text):
-        steps += _order(text, _read_sentence(text, *sentence.span(), city))
+        if not TOO_FAR.search(sentence.group()):
+            steps += _order(text, _read_sentence(text, *sentence.span(), city))
     return steps
 
 
@@ -149,17 +146,12 @@ def _read_sentence(text: str, first: int, last: int, city: City) -> list[Step]:
         if not re.search(r"block|step|pace|door|walk|min", match.group(), re.IGNORECASE):
             add(Step(Move.WALK, *match.span(), amount=metres(match.group(), match["number"])))
     for match in SHARE.finditer(blank, first):
-        amount = float((match.lastgroup or "s0")[1:]) / 100.0
-        if amount or STOPPING.search(text, first, last):
-            add(Step(Move.SHARE, *match.span(), amount=amount))
+        add(Step(Move.SHARE, *match.span(), amount=float((match.lastgroup or "s0")[1:]) / 100.0))
     for match in JUNCTION.finditer(blank, first):
         add(_read_junction(match, text[first : match.start()]))
     steps += _find_kinds(blank, first, city)
     steps.sort(key=lambda step: step.start)
-    return [
-        _place(text, first, last, steps, k) if s.move is Move.MARK else s
-        for k, s in enumerate(steps)
-    ]
+    return [_place(text, first, s) if s.move is Move.MARK else s for s in steps]
 
 
 def _find_kinds(blank: str, first: int, city: City) -> Iterator[Step]:
@@ -171,7 +163,7 @@ def _find_kinds(blank: str, first: int, city: City) -> Iterator[Step]:
         known = city.vocabulary.longest_match(low, i) if low[i] not in BLIND | VERBS else None
         n, senses = known or (1, ())
         start, end = words[i].start(), words[i + n - 1].end()
-        if senses and "_" not in blank[start:end] and not blank[:start].endswith("_ "):
+        if senses and "_" not in blank[start:end]:
             yield Step(Move.MARK, start, end, kinds=senses)
         i += n
 
@@ -182,8 +174,8 @@ def _read_turn(match: re.Match[str]) -> Step | None:
     ends = verb in ("go", "head") and re.match(r"\s*(?:at|on|$|[.,])", match.string[match.end() :])
     if not mods and verb in ("then", "and", "go", "head") and not ends:  # "go right past the bank"
         return None
-    slight = verb in ("bear", "veer", "keep", "stay") or "slight" in mods or match["fork"]
-    angle = 180.0 if side == "around" else 40.0 if slight else 130.0 if "sharp" in mods else 90.0
+    slight = verb in ("bear", "veer", "keep", "stay") or "slight" in mods
+    angle = 180.0 if side == "around" else 40.0 if slight else 90.0
     order = next(
         (ORDINALS[word] for word in mods if word in ORDINALS), int(not NEW.isdisjoint(mods))
     )
@@ -200,9 +192,6 @@ def _read_name(match: re.Match[str], city: City, *, is_first: bool) -> Step | No
     low = [word.group().lower() for word in words]
     while words and not (len(words) == 1 and low[0] in VERBS | BLIND | ORDINALS.keys()):
         end = match.start() + words[-1].end()
-        kind = city.vocabulary.longest_match(low[: len(words)])
-        if kind is not None and kind[0] == len(words):  # "the Post Office"
-            return Step(Move.MARK, begin, end, kinds=kind[1])
         if rows := city.name_index.find_rows(match.string[begin:end]):
             return Step(Move.MARK, begin, end, names=tuple(rows.items()))
         words = words[:-1]
@@ -223,49 +212,27 @@ def _read_junction(match: re.Match[str], before: str) -> Step | None:
         return None
     passes = how.startswith(("through", "past", "pass", "cross", "over", "after"))
     move = Move.PASS if passes and kind != "block" else Move.REACH
-    inside = how == "in" or not {"middle", "center", "centre"}.isdisjoint(mods)
-    if inside and not fresh:
-        return Step(Move.SHARE, *match.span(), amount=2.0)
     short = how == "before" or (move is Move.REACH and ALMOST.search(before[-40:]))
     return Step(
-        move if not (short or inside) else Move.REACH, *match.span(),
+        Move.REACH if short else move, *match.span(),
         amount=float(count or order or 1), unit=kind, is_ordinal=bool(order and not count),
         is_same=not fresh, is_end=unit.startswith(("t-", "t ")) or ("end" in mods and kind != "block"),
-        where="inside" if inside else "before" if short else "",
+        where="before" if short else "",
     )  # fmt: skip
 
 
-def _place(text: str, first: int, last: int, steps: list[Step], k: int) -> Step:
-    """Add to a landmark how the way lies to it, and its side, by the words around it."""
-    step, end = steps[k], last
-    for other in steps[k + 1 :]:
-        if other.move is not Move.MARK or not re.fullmatch(
-            r"\W*(?:(?:and|then|the|an?|&)\W+)*", text[step.end : other.start]
-        ):
-            end = other.start
-            break
-    after = text[step.end : min(end, step.end + 45)]
-    side = re.search(r"\b(left|right)\b", after, re.IGNORECASE) or re.search(
-        r"\b(?:on|to) (?:the|your) (left|right)\b[^,_]{0,20}$",
-        text[first : step.start],
-        re.IGNORECASE,
-    )
+def _place(text: str, first: int, step: Step) -> Step:
+    """Add to a landmark how the way lies to it, by the words before it."""
     lead = WHERE.findall(" ".join(text[first : step.start].split()[-5:]))
     word = lead[-1].lower() if lead else ""
     where = "past" if word.startswith("pas") else word if word in ("before", "after") else ""
     if where == "past" and STOPPING.search(text, first, step.start):
         where = "after"
-    if TOO_FAR.search(text, first, last):
-        where = "beyond"
-    return replace(
-        step, side=side[1].lower() if side else "", is_corner="corner" in after.lower(), where=where
-    )
+    return replace(step, where=where)
 
 
 def _order(text: str, steps: list[Step]) -> Iterator[Step]:
     """Put what says where to turn before the turn: "turn left at the second light"."""
-    if any(step.where == "beyond" for step in steps):
-        steps = [step for step in steps if step.move is Move.MARK]
     i = 0
     while i < len(steps):
         step, i = steps[i], i + 1
