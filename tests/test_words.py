@@ -39,15 +39,12 @@ def test_bare_participles_and_pronouns_are_found(tmp_path, code, line, name):
 @pytest.mark.parametrize(
     "code",
     [
-        "def thin_view(view): ...",
-        "def _thinned(view): ...",
-        "def open(path): ...",
-        "class FusedSurface: ...",
-        "class Town: ...",
+        "def thin_view(view): ...", "def _thinned(view): ...", "def open(path): ...",
+        "class FusedSurface: ...", "class Town: ...",
         "class Box:\n    @property\n    def closed(self): ...",
         "class Box:\n    @cached_property\n    def merged(self): ...",
         "def outer():\n    def joined(): ...",
     ],
-)
+)  # fmt: skip
 def test_verbs_nouns_properties_and_private_names_are_not(tmp_path, code):
     assert check(tmp_path, code) == (0, "words: no finding\n")

@@ -42,14 +42,11 @@ def test_all_agrees():
 @pytest.mark.parametrize(
     "cue",
     [
-        {"depth": math.nan, "colour": math.nan},
-        {"semantic": math.nan, "colour": math.nan},
-        {"semantic": math.nan},
-        {"colour": math.nan},
-        {"depth": math.nan},
+        {"depth": math.nan, "colour": math.nan}, {"semantic": math.nan, "colour": math.nan},
+        {"semantic": math.nan}, {"colour": math.nan}, {"depth": math.nan},
         {"semantic": math.nan, "depth": math.nan},
     ],
-)
+)  # fmt: skip
 def test_fewer_cues_can_be_enough(cue):
     agreed = replace(GOOD, **cue)
     assert decide_fit(agreed, modes(1.0), TOLD)[0] is Status.OK

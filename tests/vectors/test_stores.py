@@ -31,22 +31,18 @@ def test_rows_are_sorted_and_of_unit_length():
 @pytest.mark.parametrize(
     ("which", "value", "words"),
     [
-        (0, [4, 4], "not unique"),
-        (0, [4, -1], "negative"),
+        (0, [4, 4], "not unique"), (0, [4, -1], "negative"),
         (0, np.array([4, 2**63 + 1], np.uint64), "negative"),
-        (0, [4.0, 2.0], "one integer a vector"),
-        (0, [4], "one integer a vector"),
+        (0, [4.0, 2.0], "one integer a vector"), (0, [4], "one integer a vector"),
         (1, [[0.0, 0.0], [1.0, 0.0]], "zero or not finite"),
         (1, [[np.nan, 0.0], [1.0, 0.0]], "zero or not finite"),
-        (1, [[1e200, 1e200], [1.0, 0.0]], "zero or not finite"),
-        (1, [1.0, 2.0], "rows, dimension"),
-        (1, [["a"], ["b"]], "rows, dimension"),
-        (1, np.zeros((0, 2)), "at least one vector"),
+        (1, [[1e200, 1e200], [1.0, 0.0]], "zero or not finite"), (1, [1.0, 2.0], "rows, dimension"),
+        (1, [["a"], ["b"]], "rows, dimension"), (1, np.zeros((0, 2)), "at least one vector"),
         (2, [[7.4, 43.7]], "longitude and latitude"),
         (2, [[7.4, 91.0], [0.0, 0.0]], "longitude and latitude"),
         (2, [[np.nan, 0.0], [0.0, 0.0]], "longitude and latitude"),
     ],
-)
+)  # fmt: skip
 def test_rows_that_are_none(which, value, words):
     columns = list(TWO)
     columns[which] = value
@@ -343,22 +339,14 @@ def test_files_that_are_none(file, harbour_file):
 @pytest.mark.parametrize(
     ("name", "change"),
     [
-        ("ids", lambda a: a[:-1]),
-        ("ids", lambda a: -a - 1),
-        ("ids", lambda a: a * 0),
-        ("positions", lambda a: a[:, :1]),
-        ("positions", lambda a: a[:-1]),
-        ("vectors", lambda a: a[:, :-1]),
-        ("vectors", lambda a: a.astype(np.float32)),
-        ("vectors", lambda a: a[:0]),
-        ("steps", lambda a: a * np.float32(np.nan)),
-        ("steps", lambda a: a[:-1]),
-        ("bits", lambda _: 7),
-        ("bits", lambda _: 16),
-        ("bits", lambda _: None),
-        ("grain", lambda _: 1.0),
+        ("ids", lambda a: a[:-1]), ("ids", lambda a: -a - 1), ("ids", lambda a: a * 0),
+        ("positions", lambda a: a[:, :1]), ("positions", lambda a: a[:-1]),
+        ("vectors", lambda a: a[:, :-1]), ("vectors", lambda a: a.astype(np.float32)),
+        ("vectors", lambda a: a[:0]), ("steps", lambda a: a * np.float32(np.nan)),
+        ("steps", lambda a: a[:-1]), ("bits", lambda _: 7), ("bits", lambda _: 16),
+        ("bits", lambda _: None), ("grain", lambda _: 1.0),
     ],
-)
+)  # fmt: skip
 def test_columns_that_contradict_each_other(file, name, change):
     held = read_map(file, "vectors", 1)
     meta, arrays = dict(held.meta), dict(held.arrays)

@@ -313,19 +313,16 @@ def contrast(a, b):
 @pytest.mark.parametrize(
     ("labels", "kind", "paint"),
     [
-        (["shop=bakery"], POINT, "shop"),
-        (["shop=never_heard_of"], POINT, "shop"),
+        (["shop=bakery"], POINT, "shop"), (["shop=never_heard_of"], POINT, "shop"),
         (["amenity=cafe", "name=*"], POINT, "food"),
         (["highway=secondary", "bridge=yes"], LINE, "main-road"),
         (["highway=never_heard_of"], LINE, "street"),
         (["amenity=school", "building=school"], AREA, "building"),
         (["amenity=school"], AREA, "grounds"),
         (["amenity=place_of_worship", "building=church"], AREA, "landmark"),
-        (["leisure=park"], AREA, "park"),
-        (["boundary=administrative"], AREA, ""),
-        ([], POINT, ""),
+        (["leisure=park"], AREA, "park"), (["boundary=administrative"], AREA, ""), ([], POINT, ""),
     ],
-)
+)  # fmt: skip
 def test_paint_of(labels, kind, paint):
     assert find_paint(labels, kind) == paint
 

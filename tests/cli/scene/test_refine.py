@@ -101,27 +101,6 @@ def test_from_an_estimate(run, world):
     np.testing.assert_allclose(coarse, world.told["modes"][1]["map_from_camera"], atol=1e-9)
 
 
-def test_a_wrong_pose_is_not_trusted(run, world):
-    result = run(
-        "scene", "refine", world.map, world.walk, "--pose", "1.0,2.5,1.6,200", "--frames", ":5",
-        "--quiet",
-    )  # fmt: skip
-    assert (result.code, result.err) == (0, "")
-    status, _, reason = result.out.splitlines()[0].partition(": ")
-    assert status in {"AMBIGUOUS", "LOST"}
-    assert reason
-
-
-def test_what_nothing_holds_stays_where_it_was_given(run, world):
-    start = near(world.truth[4], way=(0.06, 0.0, 0.0))
-    told = run(
-        "scene", "refine", world.map, world.narrow, "--frames", "4", "--pose", start, "--json"
-    ).json
-    best = told["modes"][0]
-    assert abs(best["z"] - split_pose(world.truth[4])[0][2]) < 0.1, told["status"]
-    assert best["covariance"][2][2] < 0.1**2, "no less is known than before"
-
-
 def test_senses_and_matchers(run, world):
     ask = ("scene", "refine", world.map, world.walk, "--estimate", world.estimate, "--json")
     images = run(*ask, "--no-depth", "--matcher", "guided").json["refinement"]["stats"]

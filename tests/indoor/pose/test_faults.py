@@ -105,13 +105,10 @@ def test_hopeless_frames_are_not_searched(room, clip, rng, monkeypatch):
 @pytest.mark.parametrize(
     ("colours", "said"),
     [
-        ([0.0] * 5 + [0.06] * 5, True),
-        ([0.06] * 9 + [0.001], True),
-        ([0.06] * 9 + [0.021], False),
-        ([0.06] * 4 + [0.0] + [0.06] * 5, False),
-        ([0.0] * 10, False),
+        ([0.0] * 5 + [0.06] * 5, True), ([0.06] * 9 + [0.001], True), ([0.06] * 9 + [0.021], False),
+        ([0.06] * 4 + [0.0] + [0.06] * 5, False), ([0.0] * 10, False),
     ],
-)
+)  # fmt: skip
 def test_images_alone_can_contradict_each_other(colours, said, clip):
     observations = [Observation(f, np.eye(3), None, None, f.rgb()) for f in clip.frames]
     window = SimpleNamespace(observations=observations)

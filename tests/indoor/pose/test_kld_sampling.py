@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2
 
 from placegraph.core.geometry import wrap_angle
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.local_fit import moments
-from placegraph.indoor.pose.particle_filter import BIN, Particles, kld_bound, kld_count, resample
+from placegraph.indoor.pose.particle_filter import Particles, kld_bound, kld_count, resample
 from placegraph.indoor.pose.search import select_distinct
 
 seeds = st.integers(0, 2**32 - 1)
@@ -51,48 +50,11 @@ def test_observations_multiply_weights(seed, count, offset):
     assert got.effective() == pytest.approx(1 / (got.weights**2).sum(), rel=1e-6)
 
 
-def test_effective_size_counts_those_that_matter():
-    for weights, count in (([1] * 8, 8), ([1, 1, 1, 0, 0], 3), ([1, 0, 0], 1)):
-        assert of_weights(weights).effective() == pytest.approx(count)
-    assert Particles.uniform(np.zeros((8, 4))).effective() == pytest.approx(8)
-    assert len(Particles.uniform(np.zeros((0, 4)))) == 0
-
-
-@pytest.mark.parametrize("bins", [2, 5, 11, 51, 201, 1001])
-@pytest.mark.parametrize("confidence", [0.95, 0.99])
-def test_bound_is_half_a_chi_square_quantile(bins, confidence):
-    """Fox 2001, Eq. 6-7: n = chi2(k - 1, 1 - delta) / (2 epsilon)."""
-    exact = chi2.ppf(confidence, bins - 1) / (2 * 0.05)
-    # Wilson and Hilferty's approximation; poorest for one degree of freedom
-    got = kld_bound(bins, 0.05, confidence)
-    assert got == pytest.approx(exact, rel=0.04 if bins == 2 else 0.011, abs=1)
-
-
 OPTIONS = FilterOptions()
 
 
 def bound(bins):
     return kld_bound(bins, OPTIONS.kld_error, OPTIONS.kld_confidence)
-
-
-def test_bins_are_counted_by_weight(rng):
-    centres = (np.arange(10)[:, None] + 0.5) * BIN  # ten bins
-    poses = np.repeat(centres, 10, axis=0) + rng.uniform(-0.4, 0.4, (100, 4)) * BIN
-    assert kld_count(Particles.uniform(poses), OPTIONS) == bound(10)
-    # bins whose weight is less than half a particle's would be drawn from by chance alone
-    weights = np.ones(100)
-    weights[30:] = 0.01
-    assert kld_count(of_weights(weights, poses), OPTIONS) == bound(3)
-    weights[35] = 3.0
-    assert kld_count(of_weights(weights, poses), OPTIONS) == bound(4)
-    assert kld_count(of_weights([1], [[1, 2, 3, 4]]), OPTIONS) == 1
-
-
-def test_every_axis_has_bins():
-    for axis in range(4):
-        poses = np.tile(BIN / 2, (7, 1))
-        poses[:, axis] += np.arange(7) * BIN[axis]
-        assert kld_count(Particles.uniform(poses), OPTIONS) == bound(7)
 
 
 def test_bins_of_yaw_close_the_circle():
@@ -104,45 +66,11 @@ def test_bins_of_yaw_close_the_circle():
     assert kld_count(Particles.uniform(poses), OPTIONS) == bound(36)
 
 
-@given(seeds, st.integers(1, 40), st.integers(1, 200))
-def test_stratified_resampling_is_nearly_fair_every_time(seed, size, count):
-    rng = np.random.default_rng(seed)
-    weights = rng.random(size) ** 4
-    particles = of_weights(weights, np.arange(size)[:, None] * np.ones(4))
-    drawn = resample(particles, count, rng)
-    assert len(drawn) == count
-    np.testing.assert_allclose(drawn.log_weights, -math.log(count))
-    times = np.bincount(drawn.poses[:, 0].astype(int), minlength=size)
-    share = particles.weights * count
-    assert (np.abs(times - share) < 2).all()
-
-
 def test_weightless_particles_are_never_drawn(rng):
     particles = of_weights([0, 1, 0, 1, 0], np.arange(5)[:, None] * np.ones(4))
     for _ in range(50):
         drawn = resample(particles, 7, rng)
         assert set(drawn.poses[:, 0].tolist()) <= {1, 3}
-
-
-def test_distinct_by_hand():
-    poses = np.array(
-        [
-            [0, 0, 0, 0],
-            [0.5, 0, 0, 0.1],  # near the first
-            [2, 0, 0, 0],
-            [0.1, 0, 0, np.pi / 2],  # there, but turned
-            [2, 0, 0.9, 0],  # another height
-            [2.2, 0.2, 0, -0.3],  # near the third
-        ],
-        float,
-    )
-    scores = np.array([5.0, 6.0, 1.0, 2.0, 0.5, 3.0])
-    assert select_distinct(poses, scores, 8).tolist() == [1, 5, 3, 4]
-    assert select_distinct(poses, scores, 2).tolist() == [1, 5]
-    assert select_distinct(poses, scores, 8, apart=0.01, turned=0.01).tolist() == [1, 0, 5, 3, 2, 4]
-    assert select_distinct(np.zeros((0, 4)), np.zeros(0), 8).tolist() == []
-    across = np.array([[0, 0, 0, 3.1], [0, 0, 0, -3.1]])  # the half turn
-    assert len(select_distinct(across, np.zeros(2), 8)) == 1
 
 
 @given(seeds, st.integers(1, 60), st.integers(1, 10))
@@ -175,14 +103,6 @@ def test_moments_of_a_gaussian(rng):
     assert np.abs(got[:3] - mean[:3]).max() < 0.01
     assert abs(float(wrap_angle(got[3] - mean[3]))) < 0.005
     np.testing.assert_allclose(covariance, root @ root.T, atol=0.003)
-
-
-def test_weights_are_counts(rng):
-    poses, counts = rng.normal(size=(6, 4)), np.array([1, 2, 0, 4, 1, 3])
-    got = moments(poses, counts * 0.7)
-    expected = moments(np.repeat(poses, counts, axis=0), np.ones(11))
-    np.testing.assert_allclose(got[0], expected[0])
-    np.testing.assert_allclose(got[1], expected[1])
 
 
 @given(seeds, st.floats(-10, 10))

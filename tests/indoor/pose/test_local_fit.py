@@ -143,26 +143,10 @@ def test_only_so_many_modes_take_part(rng):
     assert values == sorted(values, reverse=True)
 
 
-def test_no_rounds_only_score(rng):
-    hills = Hills((PEAK, 10.0, NARROW))
-    (fit,) = fit_modes(hills, PEAK[None] + 0.01, [level(rounds=0)], rng)
-    np.testing.assert_allclose(fit.pose, PEAK + 0.01)
-
-
 def test_probabilities_by_hand():
     got = probabilities(np.array([0.0, -np.log(4.0) * 3]), 3.0)
     np.testing.assert_allclose(got, [0.8, 0.2])
     assert probabilities(np.array([-5.0]), 2.0).tolist() == [1.0]
-
-
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=10).map(np.array), st.floats(0.5, 50))
-def test_probabilities_are_some(values, temperature):
-    got = probabilities(values, temperature)
-    assert got.sum() == pytest.approx(1)
-    assert (got >= 0).all()
-    assert got[values.argmax()] == pytest.approx(got.max(), rel=1e-6)
-    # colder is surer
-    assert probabilities(values, temperature / 2).max() >= got.max() - 1e-9
 
 
 def test_what_is_badly_known_has_a_large_variance(rng):

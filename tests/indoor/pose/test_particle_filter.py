@@ -34,17 +34,6 @@ def scattered(rng, count, box=3.0):
     return rng.uniform((-box, -box, 1.4, -np.pi), (box, box, 1.8, np.pi), (count, 4))
 
 
-def test_prediction_moves_all_and_weighs_none_anew(rng):
-    poses = scattered(rng, 50)
-    filter_ = filter_of(poses, rng, replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0)))
-    filter_.reweight(np.array([0, 0, 1.6, 0]))
-    before = filter_.particles
-    step = np.array([0.5, 0.1, 0, 0.3])
-    filter_.propagate(step)
-    np.testing.assert_allclose(filter_.particles.poses, compose(poses, step))
-    np.testing.assert_array_equal(filter_.particles.log_weights, before.log_weights)
-
-
 @given(seeds, st.integers(30, 300), st.floats(-4, 4))
 @settings(max_examples=50)
 def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):

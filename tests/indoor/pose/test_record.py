@@ -90,21 +90,15 @@ def test_what_is_no_run(tmp_path, room):
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("particle_counts", np.array([4, 4])),
-        ("particle_counts", np.array([-1, 5, 5, 5, 5, 5])),
-        ("pass_steps", np.array([9])),
-        ("weights", np.zeros(3, np.uint16)),
-        ("frames", np.zeros(2, np.int64)),
-        ("mode_poses", np.zeros((1, 4))),
-        ("mode_poses", np.full((2, 4), np.nan)),
-        ("mode_covariances", np.full((2, 36), np.inf)),
-        ("mode_matrices", np.full((2, 16), 1e30)),
-        ("mode_probabilities", np.array([0.9, 0.9])),
-        ("mode_probabilities", np.array([0.5, np.nan])),
-        ("particles", np.zeros((9, 3), np.int32)),
+        ("particle_counts", np.array([4, 4])), ("particle_counts", np.array([-1, 5, 5, 5, 5, 5])),
+        ("pass_steps", np.array([9])), ("weights", np.zeros(3, np.uint16)),
+        ("frames", np.zeros(2, np.int64)), ("mode_poses", np.zeros((1, 4))),
+        ("mode_poses", np.full((2, 4), np.nan)), ("mode_covariances", np.full((2, 36), np.inf)),
+        ("mode_matrices", np.full((2, 16), 1e30)), ("mode_probabilities", np.array([0.9, 0.9])),
+        ("mode_probabilities", np.array([0.5, np.nan])), ("particles", np.zeros((9, 3), np.int32)),
         ("trajectory", None),
     ],
-)
+)  # fmt: skip
 def test_columns_that_contradict_each_other(tmp_path, name, values):
     path = tmp_path / "a.run"
     write_run(path, made())

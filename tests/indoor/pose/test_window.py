@@ -14,7 +14,6 @@ from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     rotation_from_quaternion,
-    split_pose,
     wrap_angle,
 )
 from placegraph.errors import OptionError
@@ -63,13 +62,6 @@ def test_odometry_at_any_slant_is_set_upright(seed, quaternion):
     np.testing.assert_allclose(level[:, 2] - level[0, 2], poses[:, 2] - poses[0, 2], atol=1e-8)
 
 
-def test_a_single_frame(rng):
-    _, gravity, matrices = some_walk(rng, 1)
-    got = level_poses(matrices, gravity)
-    assert got.shape == (1, 4)
-    assert np.isfinite(got).all()
-
-
 def test_noisy_gravity_sets_the_frame_upright_by_its_mean(rng):
     poses, gravity, matrices = some_walk(rng, 400)
     slant = np.eye(4)
@@ -80,13 +72,6 @@ def test_noisy_gravity_sets_the_frame_upright_by_its_mean(rng):
     # z of places 10 m apart would be off by 0.2 m for a vertical off by 0.02 rad
     error = (got[:, 2] - poses[:, 2]) - (got[0, 2] - poses[0, 2])
     assert np.abs(error).max() < 0.04
-
-
-def test_the_poses_match_what_the_captures_say(walk, truth):
-    got = level_poses(walk.odometry, walk.gravity)
-    expected, _ = split_pose(truth(walk))
-    drift = between(got[0], got[-1]) - between(expected[0], expected[-1])
-    assert np.abs(drift).max() < 0.05
 
 
 STEP = np.array([0.6, -0.2, 0.1, 0.5])
@@ -160,17 +145,11 @@ def capture():
 @pytest.mark.parametrize(
     ("asked", "rows"),
     [
-        (None, [0, 1, 2, 3, 4, 5]),
-        (slice(2, 4), [2, 3]),
-        (slice(None, None, 2), [0, 2, 4]),
-        (slice(-2, None), [4, 5]),
-        ([1, 3], [1, 3]),
-        ((0,), [0]),
-        (np.array([2, 5]), [2, 5]),
-        ([-6, -1], [0, 5]),
-        (range(1, 3), [1, 2]),
+        (None, [0, 1, 2, 3, 4, 5]), (slice(2, 4), [2, 3]), (slice(None, None, 2), [0, 2, 4]),
+        (slice(-2, None), [4, 5]), ([1, 3], [1, 3]), ((0,), [0]), (np.array([2, 5]), [2, 5]),
+        ([-6, -1], [0, 5]), (range(1, 3), [1, 2]),
     ],
-)
+)  # fmt: skip
 def test_by_slice_by_rows_or_all(capture, asked, rows):
     assert [f.index for f in chosen_frames(capture, asked)] == rows
     assert [f.index for f in chosen_frames(list(capture), asked)] == rows
@@ -179,29 +158,17 @@ def test_by_slice_by_rows_or_all(capture, asked, rows):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ([], "none of the capture's"),
-        (slice(3, 3), "none of the capture's"),
-        (slice(9, 12), "none of the capture's"),
-        ([6], "outside"),
-        ([-7], "outside"),
-        ([3, 1], "order of time"),
-        ([1, 1], "each frame once"),
-        (slice(None, None, -1), "order of time"),
-        ([1.5], "whole numbers"),
-        (["1"], "whole numbers"),
-        ("123", "whole numbers"),
-        (3, "whole numbers"),
+        ([], "none of the capture's"), (slice(3, 3), "none of the capture's"),
+        (slice(9, 12), "none of the capture's"), ([6], "outside"), ([-7], "outside"),
+        ([3, 1], "order of time"), ([1, 1], "each frame once"),
+        (slice(None, None, -1), "order of time"), ([1.5], "whole numbers"),
+        (["1"], "whole numbers"), ("123", "whole numbers"), (3, "whole numbers"),
     ],
-)
+)  # fmt: skip
 def test_what_is_refused(capture, asked, says):
     with pytest.raises(OptionError, match=says) as raised:
         chosen_frames(capture, asked)
     assert str(raised.value).startswith("frames")
-
-
-def test_nothing_to_choose_from():
-    with pytest.raises(OptionError, match="none of the capture's 0"):
-        chosen_frames([], None)
 
 
 def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
@@ -216,8 +183,3 @@ def test_what_the_map_cannot_serve_is_not_asked(room, capture):
     assert not PoseQuery.of(grey, capture).options.colour
     with pytest.raises(OptionError, match="all off"):
         PoseQuery.of(grey, capture, options=PoseSearchOptions().only(colour=True))
-
-
-def test_seeds_are_not_negative(room, capture):
-    with pytest.raises(OptionError, match="seed is -1"):
-        PoseQuery.of(room, capture, seed=-1)

@@ -12,7 +12,6 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
-from placegraph.indoor.refine import refinement as judge
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import FitCheck, _apply_check
 from placegraph.indoor.status import Diagnostics
@@ -62,16 +61,6 @@ def test_refinement_in_numbers(refined, exact):
     assert answer["coarse"]["map_from_camera"]
 
 
-def test_a_flat_of_five_rooms(flat, flat_walk, truth, kit):
-    estimate = flat.localize(flat_walk, frames=FIVE)
-    right = truth(flat_walk)[4]
-    assert estimate.status is Status.OK, estimate.reason
-    assert estimate.refinement.accepted, estimate.refinement.reason
-    kit.check_near(estimate.best.map_from_camera, right, 0.02, 0.5)
-    before = kit.off(estimate.refinement.coarse.map_from_camera, right)[0]
-    assert kit.off(estimate.best.map_from_camera, right)[0] < before
-
-
 def test_images_alone(room, walk, exact, kit):
     estimate = room.localize(walk, options=WITHOUT_DEPTH)
     refinement, truth = estimate.refinement, exact.poses[-1]
@@ -115,16 +104,6 @@ def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, ki
     assert estimate.refinement.accepted
     np.testing.assert_array_equal(estimate.trajectory[:6], coarse.trajectory[:6])
     assert kit.off(estimate.trajectory[-1], exact.poses[-1])[0] < 0.01
-
-
-def test_a_refusal_leaves_the_coarse_pose(room, walk, monkeypatch):
-    monkeypatch.setattr(judge, "FARTHEST", (0.0, 0.0))
-    estimate = room.localize(walk, frames=FIVE)
-    refinement = estimate.refinement
-    assert not refinement.accepted
-    np.testing.assert_array_equal(estimate.best.map_from_camera, refinement.coarse.map_from_camera)
-    np.testing.assert_array_equal(estimate.trajectory, refinement.coarse_trajectory)
-    assert np.shape(refinement.stats["candidate"]) == (4, 4)
 
 
 def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch):
@@ -175,21 +154,6 @@ def test_with_a_named_matcher(room, walk, exact, kit):
     estimate = room.refine(walk, start, frames=FIVE, matcher="sift", options=options)
     assert estimate.refinement.stats["matcher"] == "sift"
     assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.05
-
-
-def test_the_papers_recipe_runs(flat, flat_walk, truth, kit):
-    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
-    right = truth(flat_walk)[1]
-    estimate = flat.refine(
-        flat_walk, right, frames=slice(0, 2), matcher="sift", options=RefineOptions.paper()
-    )
-    stats = estimate.refinement.stats
-    assert stats["matcher"] == "sift"
-    assert "depth" not in stats["seconds"]
-    if estimate.refinement.accepted:
-        assert stats["decided_by"] in {0, 1}
-        assert "unchecked" in estimate.refinement.reason
-    assert kit.off(estimate.trajectory[-1], estimate.best.map_from_camera)[0] < 1e-6
 
 
 def test_what_cannot_be_asked_is_refused_before_any_work(room, walk, exact):

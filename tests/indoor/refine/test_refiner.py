@@ -56,19 +56,6 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3
 
 
-def test_readings_of_fit_and_check_are_other_pixels(refiner):
-    one = refiner(frames=slice(0, 2))
-    for fit, check in zip(one.readings(0), one.readings(1), strict=True):
-        a, b = (
-            {tuple(d) for d in np.round(r.directions[r.depth > 0], 5).tolist()}
-            for r in (fit, check)
-        )
-        assert a
-        assert b
-        assert not a & b
-    assert one.readings(0) is one.readings(0)  # cut once
-
-
 @pytest.mark.parametrize(
     ("options", "views"),
     [
@@ -95,16 +82,6 @@ def test_where_nothing_matches_depth_decides(refiner, exact, kit):
     assert kit.off(fitted.poses[-1], start[-1])[0] < 0.01
     assert {"matching images", "checking"} <= {what for what, _, _ in progress}
     assert all(0 <= done <= total for _, done, total in progress)
-
-
-def test_a_white_map_is_not_matched(refiner, exact, room, kit):
-    white = kit.white(room)
-    nowhere = Nowhere()
-    fitted = refiner(white, nowhere, depth=False).fit_trajectory(exact.poses)
-    assert nowhere.views == []
-    assert fitted.solution is None
-    np.testing.assert_array_equal(fitted.poses, exact.poses)
-    assert refiner(white, nowhere, images=True).fit_trajectory(exact.poses).solution is not None
 
 
 @pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])

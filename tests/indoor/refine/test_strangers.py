@@ -75,12 +75,6 @@ def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, va
     assert errors.max() < 1.0  # edges between pixel centres
 
 
-@pytest.mark.parametrize(("options", "which"), [(BLIND, "query"), (BOTH, "rendered")])
-def test_points_that_are_no_numbers_end(room, walk, start, options, which):
-    estimate = room.refine(walk, start, frames=FIVE, matcher=pairs(np.nan, which), options=options)
-    assert np.isfinite(check_json(estimate).trajectory).all()
-
-
 @pytest.mark.parametrize(
     ("made", "says"),
     [

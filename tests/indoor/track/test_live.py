@@ -489,17 +489,12 @@ def test_what_cannot_be_saved_or_loaded(saved, room, flat, tmp_path):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("map_from_camera", np.zeros((4, 4))),
-        ("map_from_camera", np.eye(3)),
-        ("odom_from_camera", np.full((4, 4), np.nan)),
-        ("covariance", -np.eye(6)),
-        ("stamp", np.array([np.inf])),
-        ("stamp", np.zeros(0)),
-        ("covariance", None),
-        ("scene", 3),
+        ("map_from_camera", np.zeros((4, 4))), ("map_from_camera", np.eye(3)),
+        ("odom_from_camera", np.full((4, 4), np.nan)), ("covariance", -np.eye(6)),
+        ("stamp", np.array([np.inf])), ("stamp", np.zeros(0)), ("covariance", None), ("scene", 3),
         ("digest", None),
     ],
-)
+)  # fmt: skip
 def test_columns_that_are_none(saved, tmp_path, name, value):
     file = read_map(saved[0], KIND, VERSION)
     meta, arrays = dict(file.meta), dict(file.arrays)

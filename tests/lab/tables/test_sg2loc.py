@@ -1,10 +1,8 @@
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
-from tests.indoor.encode.conftest import timm  # noqa: F401  # fixture
 
 from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.errors import InputError
@@ -215,40 +213,12 @@ def test_scenegraphloc_gets_the_images_of_a_map(name, asked, cells, small_networ
     assert cached.saved_seconds > 0
 
 
-@pytest.fixture(scope="module")
-def published_network(timm, tmp_path_factory):  # noqa: F811  # the fixture
-    """SceneGraphLoc and DINOv2 ViT-g/14 as their authors save them, drawn at random: 4.5 GB."""
-    torch = pytest.importorskip("torch")
-    from placegraph_learn.scenegraphloc.features import MODEL
-    from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
-
-    folder = tmp_path_factory.mktemp("published")
-    free = shutil.disk_usage(folder).free / 1e9
-    if free < 7:
-        pytest.skip(f"needs 7 GB of disk, and has {free:.1f}")
-    snapshot, dino = folder / "snapshot.pth.tar", folder / "dinov2_vitg14_pretrain.pth"
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(11)
-        torch.save({"model": SceneGraphLoc(Widths()).state_dict()}, snapshot)
-    with torch.device("meta"):
-        model = timm.create_model(MODEL, num_classes=0)
-    drawn, state = torch.Generator().manual_seed(0), {}
-    for name, known in model.state_dict().items():
-        middle = 0.1 if "gamma" in name else float("norm" in name and name.endswith("weight"))
-        spelled = name.replace("mlp.fc1", "mlp.w12").replace("mlp.fc2", "mlp.w3")
-        state[spelled] = middle + 0.02 * torch.randn(known.shape, generator=drawn)
-    torch.save(state | {"mask_token": torch.zeros(1, model.embed_dim)}, dino)
-    del state
-    yield f"scenegraphloc weights={snapshot} feature_weights={dino}"
-    dino.unlink()
-
-
 @pytest.mark.all
 @pytest.mark.parametrize("name", TABLES)
-def test_every_table_with_scenegraphloc_of_the_true_size(name, asked, cells, published_network):
+def test_every_table_with_scenegraphloc(name, asked, cells, small_network):
     """Random weights know nothing: what counts is that every table of the paper can be run."""
     number = int(name.partition("-")[2])
-    options = ["--encoder", published_network, *SHORT]
+    options = ["--encoder", small_network, *SHORT]
     if number in {3, 5}:
         options = options[:2] if number == 5 else []
     if number == 6:

@@ -304,15 +304,11 @@ def test_a_label_is_its_whole_its_key_and_the_letters_of_its_value():
 @pytest.mark.parametrize(
     ("label", "words"),
     [
-        ("amenity=bicycle_parking", ("bicycle", "parking")),
-        ("building=yes", ("building",)),
-        ("man_made=*", ("man", "made")),
-        ("Coffee Shop", ("coffee", "shop")),
-        ("~Ripley's=Aquarium", ("ripley", "s", "aquarium")),
-        ("öl_", ("öl",)),
-        ("", ()),
+        ("amenity=bicycle_parking", ("bicycle", "parking")), ("building=yes", ("building",)),
+        ("man_made=*", ("man", "made")), ("Coffee Shop", ("coffee", "shop")),
+        ("~Ripley's=Aquarium", ("ripley", "s", "aquarium")), ("öl_", ("öl",)), ("", ()),
     ],
-)
+)  # fmt: skip
 def test_words_of_a_label_are_those_of_its_value(label, words):
     assert split_label(label) == words
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
-from placegraph.errors import DescriptionError, OptionError, StoreError
+from placegraph.errors import OptionError, StoreError
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.options import By, Matcher
@@ -153,21 +153,6 @@ def test_what_is_only_absent_finds_nothing(harbour, encoded, make_description):
     assert (dense.scores == -1e9).all()
 
 
-def test_edit_distance_needs_things(harbour, encoded, make_description):
-    with pytest.raises(DescriptionError):
-        retrieve(harbour, make_description(), matcher="edit-distance", by="all", encoded=encoded)
-
-
-def test_the_encoded_city_is_read_once(harbour, encoded):
-    assert encoded.embeddings is encoded.embeddings
-    assert encoded.embeddings.shape == (len(harbour.cells), encoded.network.shape.dimension)
-    assert encoded.words.shape == (len(harbour.words), encoded.network.shape.width)
-    near = encoded.store.search(encoded.embeddings[[11, 2]], 5)
-    for row, ids in zip((11, 2), near.ids, strict=True):
-        assert harbour.cells.points[row] in ids  # cells of one street are much alike
-    assert near.similarity[:, 0] == pytest.approx(1.0, abs=1e-3)
-
-
 def test_locating_by_any_matcher_and_way(harbour, encoded, text):
     for matcher in MATCHERS:
         for by in ("auto", *WAYS):
@@ -312,12 +297,6 @@ def test_more_candidates_than_cells_are_all_cells(harbour, encoded, text):
     for matcher in ("relational", "embedding"):
         many = harbour.locate(text, matcher=matcher, by="dense", candidates=10**30, encoded=encoded)
         assert many.modes
-
-
-def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
-    every = harbour.locate(text, matcher="relational", by="all", encoded=encoded)
-    sparse = harbour.locate(text, matcher="relational", by="sparse", encoded=encoded)
-    assert every.best.probability == pytest.approx(sparse.best.probability, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -140,13 +140,6 @@ def test_the_network_as_printed_learns_cells_with_word_vectors(learn, tmp_path, 
     assert bench[1].any()  # hashed subwords stand for other labels
 
 
-def test_the_network_as_printed_goes_on_as_if_never_interrupted(learn, tmp_path, make_notes):
-    with pytest.raises(KeyboardInterrupt):
-        learn(tmp_path / "b", PRINTED, progress=make_notes((1, 2)))
-    resumed, whole = learn(tmp_path / "b", PRINTED), learn(tmp_path / "c", PRINTED)
-    assert all(np.array_equal(resumed.arrays[name], a) for name, a in whole.arrays.items())
-
-
 def test_word_vectors_of_a_file_are_trained_with(learn, tmp_path, harbour, make_notes):
     rng, file = np.random.default_rng(2), tmp_path / "words.bin"
 

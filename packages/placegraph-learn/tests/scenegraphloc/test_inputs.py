@@ -17,7 +17,7 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.scenegraphloc.features import RELATIONS, read_attributes, relation_row
+from placegraph_learn.scenegraphloc.features import RELATIONS, read_attributes
 from placegraph_learn.scenegraphloc.inputs import (
     Views,
     barycentre,
@@ -180,15 +180,6 @@ def test_distortion_is_smooth_and_of_its_size(rng):
         assert np.isfinite(distort(odd, np.random.default_rng(0))).all()
 
 
-def test_relations_have_their_rows():
-    assert len(RELATIONS) == len(set(RELATIONS)) == 41
-    assert relation_row("Standing On ") == 15
-    assert relation_row("next to") == RELATIONS.index("close by")
-    assert relation_row("same room") is None
-    assert RELATIONS[26] == "hanging in"
-    assert RELATIONS[40] == "more comfortable than"
-
-
 @pytest.mark.parametrize("content", [b"", b"red\nred\n", b'["red", 3]', b'["red"', b"\xff\xfe\x00"])
 def test_wrong_lists_of_attributes_are_refused(tmp_path, content):
     (tmp_path / "a.txt").write_bytes(content)
@@ -239,22 +230,6 @@ def scene_views():
 def _frame(pose=LOOKING_EAST, value=100, camera=CAMERA, stamp=0.0):
     image = np.full((camera.height, camera.width, 3), value, np.uint8)
     return Frame.from_arrays(image, camera, odometry=pose, stamp=stamp)
-
-
-def _board(objects):
-    rows, columns = np.nonzero(objects == 1)
-    return columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-
-
-def test_rays_see_what_the_camera_would(scene_views):
-    objects = seen_objects(scene_views, _frame())
-    assert set(np.unique(objects)) == {0, 1}
-    # 1 m wide and 0.5 m high at 2 m, from the optical axis to the left and up
-    assert _board(objects) == (20, 20, 40, 30)
-    assert (objects[20:30, 20:40] == 1).all()
-    small = seen_objects(scene_views, _frame(), longest=40)
-    assert small.shape == (30, 40)
-    assert _board(small) == (10, 10, 20, 15)
 
 
 def test_an_object_has_its_views_and_what_was_never_seen_a_blank_one(scene_views):

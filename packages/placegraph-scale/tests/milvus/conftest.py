@@ -154,26 +154,6 @@ def content(rng):
     return Vectors.of(*make_cloud(rng, 47))
 
 
-# The package takes the next port where connections of the killed server still linger on its own.
-LAUNCH = """
-import socket, milvus
-
-def bind(self, port):
-    listener = socket.socket()
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind(("127.0.0.1", port))
-        listener.listen()
-    except OSError:
-        listener.close()
-        return None
-    return listener
-
-milvus.MilvusServerConfig.try_bind_port = bind
-milvus.main()
-"""
-
-
 class RealMilvus:
     def __init__(self, folder: Path):
         self.folder = folder
@@ -184,15 +164,12 @@ class RealMilvus:
         self.process = None
 
     def start(self):
-        command = [sys.executable, "-c", LAUNCH]
+        command = [sys.executable, "-c", "import milvus; milvus.main()"]
         command += ["--data", str(self.folder), "--proxy-port", str(self.port)]
-        # A killed server's parts hold leases; the new one waits until they run out.
-        environment = os.environ | {"COMMON_SESSION_TTL": "4"}
         log = self.folder / "server.log"
         with log.open("a") as output:
             self.process = subprocess.Popen(  # noqa: S603 -- this interpreter
-                command, cwd=self.folder, env=environment, start_new_session=True,
-                stdout=output, stderr=output,
+                command, cwd=self.folder, start_new_session=True, stdout=output, stderr=output,
             )  # fmt: skip
         last = time.monotonic() + 90.0
         while time.monotonic() < last:

@@ -119,20 +119,15 @@ def test_a_complete_store_is_not_loaded_again(fake, server, content):
 @pytest.mark.parametrize(
     ("plan", "left"),
     [
-        ({"create_collection": ["dead"]}, 0),
-        ({"create_collection": ["lost answer"]}, 0),
-        ({"insert": ["dead"]}, 0),
-        ({"insert": [None, None, "dead"]}, 20),
-        ({"insert": [None, "half"]}, 15),
-        ({"insert": [None, "lost answer"]}, 20),
-        ({"flush": ["dead"]}, 47),
-        ({"create_index": ["dead"]}, 47),
-        ({"load_collection": ["dead"]}, 47),
-        ({"query": [None, "dead"]}, 47),
+        ({"create_collection": ["dead"]}, 0), ({"create_collection": ["lost answer"]}, 0),
+        ({"insert": ["dead"]}, 0), ({"insert": [None, None, "dead"]}, 20),
+        ({"insert": [None, "half"]}, 15), ({"insert": [None, "lost answer"]}, 20),
+        ({"flush": ["dead"]}, 47), ({"create_index": ["dead"]}, 47),
+        ({"load_collection": ["dead"]}, 47), ({"query": [None, "dead"]}, 47),
         ({"rename_collection": ["dead"]}, 47),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_a_load_goes_on_where_it_broke_off(fake, server, content, plan, left):
     fake.plan = plan
     with pytest.raises(ServiceError, match=r"Milvus server at http://…@fake:19530 failed to"):

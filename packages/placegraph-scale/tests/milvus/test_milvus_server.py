@@ -1,13 +1,11 @@
 import numpy as np
 import pytest
 
-from placegraph.errors import IncompleteStoreError, ServiceError
 from placegraph.vectors import (
     EmbeddedStore,
     Origin,
     Region,
     Vectors,
-    drop_store,
     list_stores,
     load_store,
     open_store,
@@ -52,38 +50,3 @@ def test_both_back_ends_find_the_same(milvus, columns, queries):
     (info,) = list_stores(milvus.uri)
     assert info.collection == f"placegraph_Furst_2025_{origin.version}"
     assert (info.name, info.rows, info.complete) == ("Fürst, 2025", COUNT, True)
-
-
-@pytest.mark.all  # a load that breaks off is tested with a server in memory as well
-def test_a_load_survives_the_server(milvus, columns, queries, capfd):
-    origin = Origin("not the map that was added", "a model")
-    steps = []
-
-    def dies_between_two_batches(step, done, _total):
-        steps.append((step, done))
-        if (step, done) == ("loading", 2_000):
-            milvus.kill()
-
-    def again(**options):
-        return load_store(milvus.uri, Vectors.of(*columns), name="town", origin=origin, **options)
-
-    with pytest.raises(ServiceError, match=f"at {milvus.uri} failed to insert"):
-        again(progress=dies_between_two_batches, timeout=2.0)
-    assert steps[-1] == ("loading", 2_000)
-    with pytest.raises(ServiceError, match="failed to connect"):
-        open_store(milvus.uri, origin=origin, timeout=0.5)
-    milvus.start()
-    with pytest.raises(IncompleteStoreError, match="not loaded completely"):
-        open_store(milvus.uri, name="town", origin=origin)
-    with pytest.raises(IncompleteStoreError, match="was not finished"):
-        again()
-    sent = []
-    with again(resume=True, progress=lambda step, done, _: sent.append((step, done))) as store:
-        finds_the_same(store, columns, queries)
-    # What the dying server had taken is not sent again.
-    assert [done for step, done in sent if step == "loading"] == [2_000]
-    # The error is the sentence; nothing is printed beside it.
-    assert "Traceback" not in capfd.readouterr().err
-    found = {s.name: s.collection for s in list_stores(milvus.uri)}
-    assert drop_store(milvus.uri, found["town"]).origin == origin
-    assert "town" not in {s.name for s in list_stores(milvus.uri)}

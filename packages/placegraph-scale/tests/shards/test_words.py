@@ -87,13 +87,10 @@ def test_what_cannot_be_finished_says_why(world, tmp_path):
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"version": 9}, "version"),
-        ({"format": "other"}, "does not describe"),
-        ({"zoom": 3}, "another zoom"),
-        ({"shards": []}, "0 shards"),
-        ({"words": None}, "TypeError"),
+        ({"version": 9}, "version"), ({"format": "other"}, "does not describe"),
+        ({"zoom": 3}, "another zoom"), ({"shards": []}, "0 shards"), ({"words": None}, "TypeError"),
     ],
-)
+)  # fmt: skip
 def test_a_world_file_that_is_none_is_refused(world, change, why):
     path = world / "world.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
