@@ -168,6 +168,8 @@ def study() -> Flat:
 @pytest.fixture(scope="session")
 def make_city(tmp_path_factory):
     """City of a town drawn in ASCII; the same drawing is built once."""
+    from tests.cities import osmium_in_process
+
     from placegraph.outdoor.city import build_city
     from placegraph_lab.worlds.town.town import Town
 
@@ -179,7 +181,8 @@ def make_city(tmp_path_factory):
         if key not in known:
             folder = tmp_path_factory.mktemp("town")
             osm = town.write_osm(folder / "town.osm")
-            known[key] = build_city(osm, folder / "town.city", **options)
+            with osmium_in_process():
+                known[key] = build_city(osm, folder / "town.city", **options)
         return known[key]
 
     return make

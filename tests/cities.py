@@ -1,5 +1,6 @@
 """Cities drawn node by node, and networks of random weights that read texts and places."""
 
+from contextlib import contextmanager
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -54,9 +55,22 @@ def build_world(write_world, tmp_path):
     """City of nodes (east, north, tags), ways and multipolygons around 10 E, 50 N."""
 
     def build(*things, **options):
-        return build_city(write_world(*things), tmp_path / "world.city", **options)
+        with osmium_in_process():
+            return build_city(write_world(*things), tmp_path / "world.city", **options)
 
     return build
+
+
+@contextmanager
+def osmium_in_process():
+    """Read sound files of OpenStreetMap in this process: starting another takes longer than all else."""
+
+    def refuse(*_, **__):
+        raise OSError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("subprocess.Popen", refuse)
+        yield
 
 
 def random_arrays(shape, seed=0, known=None):

@@ -423,6 +423,7 @@ def test_fetch_refuses_before_it_asks_the_network(run, tmp_path):
     assert "a.txt" in result.err
 
 
+@pytest.mark.all  # CI runs `make demo`
 def test_demo(run, tmp_path):
     result = run("demo", "--out", tmp_path / "new" / "demo")
     assert result.code == 0

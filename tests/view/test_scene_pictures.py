@@ -90,15 +90,13 @@ def test_a_map_stands_on_its_building_north_up(building, tmp_path):
     assert len(count(both, "mode")) > 50  # numbered, now that there are two
     assert len(count(alone, "mode")) == 0
     assert len(count(both, "soft-ink")) > len(count(alone, "soft-ink")) + 100
-
-
-def test_far_candidates_are_not_drawn_and_a_map_that_stands_nowhere_is_refused(tmp_path):
     far = Anchor(9.9, 53.55, 0.0, 0.4, probability=0.4)
-    scene = scene_of(BOXES).anchored(HERE, far)
-    drawn = draw_anchors(scene, tmp_path / "a.png")
-    alone = draw_anchors(scene.anchored(HERE), tmp_path / "b.png")
-    assert size(drawn) == size(alone)
+    drawn = draw_anchors(scene.anchored(HERE, far), tmp_path / "far.png")
+    assert size(drawn) == size(bare)  # it is too far to be drawn
     assert len(count(drawn, "mode")) == 0
+
+
+def test_a_map_that_stands_nowhere_is_refused(tmp_path):
     with pytest.raises(GeoPoseError, match="scene anchor"):
         draw_anchors(scene_of(BOXES), tmp_path / "a.png")
 

@@ -48,7 +48,7 @@ def recall(path, kind, n, **options):
 def test_bags_are_as_good_as_quoted(shared):
     """The triple bag of methods.md finds the exact cell of .59 of its queries in Monaco."""
     path = shared / "data/osm/monaco_2025.osm.pbf"
-    triples = recall(path, "triples", 250)
+    triples = recall(path, "triples", 150)
     assert triples == pytest.approx(0.59, abs=0.08)
-    assert recall(path, "labels", 250) < triples - 0.1
-    assert recall(path, "triples", 250, reach=30.0, longest=25.0) > triples
+    assert recall(path, "labels", 150) < triples - 0.1
+    assert recall(path, "triples", 150, reach=30.0, longest=25.0) > triples

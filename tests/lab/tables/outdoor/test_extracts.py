@@ -150,8 +150,8 @@ def test_an_extract_that_does_not_cover_the_area(town, tmp_path, monkeypatch):
     [
         ("outdoor_matchers", ["--methods", "triple bag;relational (default)", "--queries", 3]),
         ("outdoor_map_size", []),
-        ("outdoor_cities", ["--queries", 3]),
-        ("outdoor_candidates", ["--queries", 2, "--without", 4, "--sizes", "9,20"]),
+        ("outdoor_cities", ["--queries", 2]),
+        ("outdoor_candidates", ["--queries", 1, "--without", 4, "--sizes", "9,20"]),
         pytest.param("outdoor_pairs", ["--quick"], marks=pytest.mark.all),
     ],
 )
