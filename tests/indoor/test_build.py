@@ -81,16 +81,6 @@ def test_labels_may_name_some(ply, tmp_path):
         build_scene(ply, None, labels=tmp_path / "no.json")
 
 
-@pytest.mark.all
-def test_labels_win_over_the_files_own_by_id_or_name(shared):
-    house = shared / "data" / "house" / "map" / "house.glb"
-    told = json.loads(house.with_name("objects.json").read_text())
-    scene = build_scene(house, None, labels={"3": "bedside", "Vase_01_001": "pot"})
-    assert scene.graph.labels[3] == "bedside"
-    assert scene.graph.labels[scene.graph.names.index("Vase_01_001")] == "pot"
-    assert scene.graph.labels[0] == told[0]["label"]
-
-
 def test_options(ply):
     assert build_scene(ply, None, floor=0.25).floors.tolist() == [0.25]
     assert build_scene(ply, None, floor=-3).floors.tolist() == [-3.0]

@@ -265,13 +265,6 @@ def test_one_frame(room, walk, truth):
     right(estimate, truth(walk)[6], 0.3)
 
 
-def test_keyframes(room, walk, truth):
-    """At 5 Hz, one frame in 0.5 s; the last is always among them."""
-    estimate = room.localize(walk, options=PoseSearchOptions(every=0.5))
-    assert estimate.frames.tolist() == [0, 3, 6, 9]
-    right(estimate, truth(walk)[9])
-
-
 def test_a_prior_saves_the_search(room, walk, truth):
     pose, _ = split_pose(truth(walk)[0])
     known = Prior(*pose[:2], yaw=float(pose[3]), spread=0.3, turn=0.2)
