@@ -212,6 +212,9 @@ def _read_junction(match: re.Match[str], before: str) -> Step | None:
         return None
     passes = how.startswith(("through", "past", "pass", "cross", "over", "after"))
     move = Move.PASS if passes and kind != "block" else Move.REACH
+    inside = how == "in" or not {"middle", "center", "centre"}.isdisjoint(mods)
+    if inside and not fresh:
+        return None
     short = how == "before" or (move is Move.REACH and ALMOST.search(before[-40:]))
     return Step(
         Move.REACH if short else move, *match.span(),
