@@ -37,18 +37,22 @@ settings.register_profile("thorough", deadline=None, suppress_health_check=_SLOW
 settings.load_profile("quick")
 
 TESTS = Path(__file__).parent / "tests"
+ALONE = ("test_docs.py", "test_examples.py", "test_goldens.py")
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 
 class FolderScheduling(LoadScopeScheduling):
     """Run the tests of one folder in one worker, which builds their maps and servers once.
 
-    xdist's groups do nothing under pytest 9.2: they are written into ids that it reads no more.
+    Large folders come first. Pages, programs and goldens come last, one by one, so that no worker waits
+    long for the other. xdist's groups do nothing under pytest 9.2: it reads the ids no more that hold them.
     """
 
     def _split_scope(self, nodeid):
         path = nodeid.partition("::")[0]
         folder = path.rpartition("/")[0]
+        if path.endswith(ALONE):
+            return nodeid
         return path if folder == TESTS.name else folder
 
 

@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LONG = {"encoders", *(f"howto-{subject}" for subject in (
-    "anchor", "bags", "follow", "hydra", "maps", "planet", "refine", "ros",
+    "anchor", "bags", "follow", "hydra", "library", "maps", "planet", "refine", "ros", "serve",
 ))}  # fmt: skip
 """Pages of many seconds, whose subjects have tests of their own on every run."""
 SHELL = ("bash", "sh", "shell", "console")
