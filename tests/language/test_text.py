@@ -66,3 +66,17 @@ def test_a_full_stop_shortens_what_it_is_told():
 def test_an_empty_text_is_told_what_is_wanted():
     with pytest.raises(DescriptionError, match='as in "Hello"'):
         check_text(" ", "Hello")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentences"),
+    [
+        ("Elm Park - N.E. corner", ["elm park", "ne corner"]),
+        ("Elm Park\nwest side", ["elm park", "west side"]),
+        (f"{'a long line ' * 6}\nwest side", [f"{'a long line ' * 6}west side"]),
+        ("S.W. 5th and n. w. side", ["sw 5th and nw side"]),
+        ("a north-east corner", ["a north east corner"]),
+    ],
+)
+def test_stops_of_notes(text, sentences):
+    assert [" ".join(word.lower for word in found) for found in scan_text(text)] == sentences

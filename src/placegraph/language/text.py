@@ -184,9 +184,9 @@ class Word(NamedTuple):
 
 _UNMEASURED = r"""
     (?P<label>[^\W\d]\w*=[\w*][\w:;-]* | [^\W_][^\s_]*_\S*[^\s.,;:!?])
-  | (?P<word>[^\W_]+(?:['’`´][^\W_]+)*|&)
-  | (?P<comma>[,:()\[\]–—/]|\s--?\s)
-  | (?P<stop>[.!?;…]+|\n\s*\n)
+  | (?P<word>[ns]\.\s?[ew]\b\.?|[^\W_]+(?:['’`´][^\W_]+)*|&)
+  | (?P<stop>[.!?;…]+|\s[-–—]{1,2}\s|\n\s*\n|\n)
+  | (?P<comma>[,:()\[\]–—/])
 """
 _PLAIN, _SCAN = (
     re.compile(pattern, re.VERBOSE | re.IGNORECASE)
@@ -201,6 +201,8 @@ _OPENS = re.compile(
 """Pattern of a new sentence, even after a word that is often abbreviated by a full stop."""
 
 
+WRAPPED = 60
+"""Characters of the shortest line that is wrapped, and ends no sentence."""
 _MIXED = str.maketrans("أإآٱىیةک", "ااااييهك")
 """Letters of Arabic that people write for each other."""
 
@@ -256,12 +258,16 @@ def _scan_between(
             continue
         length = metres(written, match["number"]) if kind == "measure" else 0.0
         lower = fold_case(written)
+        if "." in lower and kind == "word":  # "S.W."
+            lower = lower[0] + lower.rstrip(".")[-1]
         sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
 
 
 def _ends_sentence(
     text: str, end: int, mark: str, sentence: list[Word], shortened: Collection[str]
 ) -> bool:
+    if mark == "\n":  # of a list; wrapped lines are longer
+        return end - text.rfind("\n", 0, end - 1) < WRAPPED
     if mark != ".":
         return True
     if end < len(text) and not text[end].isspace() and text[end] not in "\"')”’":

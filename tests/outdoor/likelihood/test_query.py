@@ -47,3 +47,30 @@ def test_one_is_in_a_quarter_though_its_name_is_drawn_as_a_point(build_world, sc
     away = at(city, (240.0, 5.0))
     assert score(city, inside, away)[0][0] > score(city, near, away)[0][0] + 1.0
     assert score(city, inside, at(city, (5.0, 5.0)))[0][0] > score(city, inside, away)[0][0]
+
+
+def test_a_side_of_a_park_may_be_in_it(build_world, score, at):
+    corners = [(0.0, 0.0, {}), (200.0, 0.0, {}), (200.0, 200.0, {}), (0.0, 200.0, {})]
+    park = ([*range(4), 0], {"leisure": "park", "name": "Elm Park"})
+    city = build_world([*corners, *BENCHES], [park])
+    north, south = ((100.0, 170.0), (100.0, 30.0))
+    for text in ("I'm in Elm Park. North side.", "I'm on the north side of Elm Park."):
+        found = parse(city, text)
+        assert score(city, found, at(city, north))[0][0] > (
+            score(city, found, at(city, south))[0][0] + 0.2
+        ), text
+
+
+def test_a_kind_written_small_is_no_name_that_binds(build_world):
+    named = (400.0, 400.0, {"building": "yes", "name": "Field House"})
+    hall = (20.0, 20.0, {"amenity": "bank", "name": "Dubs Hall"})
+    city = build_world([*BENCHES, named, hall])
+    assert parse(city, "I'm at Dubs Hall, by the field house.").mentions[-1].name == ""
+    assert parse(city, "i'm at dubs hall, by the field house").mentions[-1].name == "field house"
+
+
+def test_one_stands_at_the_place_of_a_thing_that_no_word_is_known_for(city):
+    query = compile_query(parse(city, "I'm at the flurb near Dubs."), city)
+    assert [(s.source, query.description.mentions[s.target].name) for s in query.used] == [
+        (0, "Dubs")
+    ]

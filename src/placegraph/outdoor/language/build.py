@@ -303,6 +303,7 @@ class GraphBuilder:
                 self._relate_chain((*before, *after), [SPEAKER], context)
             return
         heads = self._relate_chain(before, [], replace(context, negated=False))
+        after = _lead_part(after)  # "it is the foot of Davie Street"
         if after and isinstance(after[0], NounPhrase):
             self._identify(heads, after[0], context)
             after = after[1:]
@@ -415,7 +416,7 @@ class GraphBuilder:
 
     def _fragment(self, clause: Clause, context: ClauseContext, opens: bool) -> None:
         """Read "a bakery north of me", "no trees here", "then west"."""
-        items: Items = clause.before
+        items = _lead_part(clause.before)
         first, alone = items[0], len(items) == 1
         if isinstance(first, PlacePhrase):
             leg = first.distance is not None and first.how in ("towards", "away")
@@ -468,6 +469,15 @@ class GraphBuilder:
     def _relate_all(self, place: Place, group: Sequence[int], context: ClauseContext) -> list[int]:
         nodes = [self.places.relate(place, head, context) for head in group]
         return [node for node in nodes if node is not None]
+
+
+def _lead_part(items: Items) -> Items:
+    """Take "front of the pool" as a place, where no word before it says so."""
+    part, place = items[0] if items else None, items[1] if len(items) > 1 else None
+    whole = isinstance(place, PlacePhrase) and place.how == "of" and place.targets
+    if not (isinstance(part, NounPhrase) and part.part and not part.name and whole):
+        return items
+    return (PlacePhrase("at", part.start, whole[0].end, (part, *whole), "AT"), *items[2:])
 
 
 def _places_behind(places: Items, after: Items) -> Items:

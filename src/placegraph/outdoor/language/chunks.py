@@ -36,6 +36,7 @@ _AFTER_NAME = frozenset(
 )
 """Terminals that follow a name that opens a sentence."""
 _BEFORE_STREET = frozenset(("on", "onto", "at", "of", "and", "&", "between", "from", "to", "past"))
+_CASED = re.compile(r"[a-z,] (?!I\b)[A-Z]")
 _ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
 _LONGEST_SENTENCE = 120
 """Chunks that are brought into order together; nobody speaks in longer sentences."""
@@ -190,6 +191,8 @@ class ProperNames:
     ) -> None:
         self.text, self.vocabulary, self.names = text, vocabulary, names
         self.lexicon, self.lists = language, language.lists
+        self.is_cased = language.code == "en" and _CASED.search(text) is not None
+        """Whether the text writes names with capitals."""
 
     def take(self, sentence: list[Word], *, shouting: bool) -> None:
         """Go on to a sentence; of one that is all capitals these say nothing."""
@@ -242,10 +245,7 @@ class ProperNames:
         )
         if self.names is None:
             return spelt
-        k, led = self.name_at[i], entry is not None and entry[1][0].type == "DET"
-        mapped = self.names.longest_name(self.name_words, k)
-        if mapped:
-            mapped = self.name_ends[k + mapped - 1] - i + 1
+        mapped, led = self._mapped(i), entry is not None and entry[1][0].type == "DET"
         if mapped and led and self._span(i + 1) > i + mapped:
             return 0  # "the Independent Hotel" is no "The Independent"
         if mapped > 1 and mapped >= max(n_known, n_noun) and self._all_capital(i, mapped):
@@ -255,7 +255,9 @@ class ProperNames:
             # "an Aldi": a common noun only in a manner of speaking
             noun = self.vocabulary.longest_match(self.lower, i)
             seldom = noun is not None and max((s.weight for s in noun[1]), default=0.0) < CLEARLY
-            return int(bool(mapped) and (bool(spelt) or seldom))
+            before = self.lexicon.longest(self.lower, i - 1) if i else None
+            opens = i == 0 or (before is not None and before[1][-1].type == "BE")  # "It is Roof."
+            return int(bool(mapped) and (seldom or bool(spelt and not opens)))
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
         if led and not spelt:  # "the bench" is no "The Bench"
@@ -267,6 +269,29 @@ class ProperNames:
         if mapped == 1 and not capital and self.vocabulary.senses(self.lower[i]):
             return spelt  # "a craft shop" is no business called "Craft"
         return max(mapped, spelt)
+
+    def _mapped(self, i: int) -> int:
+        """Return the length [words] of the longest name of the map at word i.
+
+        Ordinary words in lower case are none where a text writes names with capitals: "the field
+        house" is no "Field House".
+        """
+        k = self.name_at[i]
+        n = self.names.longest_name(self.name_words, k) if self.names else 0
+        if not n:
+            return 0
+        n = self.name_ends[k + n - 1] - i + 1
+        words = range(i, i + n)
+        common = (
+            n > 1
+            and self.is_cased
+            and not any(self.words[j].capital for j in words)
+            and all(
+                self.vocabulary.longest_match(self.lower, j) or self.lexicon.longest(self.lower, j)
+                for j in words
+            )
+        )
+        return 0 if common else n
 
     def _all_capital(self, i: int, n: int) -> bool:
         """Tell whether n words are written as names are: "The Salvation Army"."""

@@ -22,7 +22,8 @@ VERSION = "2"
 NO_CODE = ""
 """Code of a text of which no language is recognised; it is read as English."""
 _SENTENCE_SPAN = re.compile(
-    r"(?:[^.!?。！？؟\n]|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)", re.MULTILINE
+    r"(?:[^.!?。！？؟\n]|(?<=\b[A-Z])\.|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)",
+    re.MULTILINE,
 )
 _OTHER = re.compile(r"[\u0370-\u1fff\u3040-\uffdc]")
 """A letter of another script than Latin."""

@@ -171,7 +171,7 @@ class References:
 
     def is_area(self, node: int) -> bool:
         """Tell whether a mention is a park, a square or another area, on which one is inside."""
-        return self._first_label(node)[0] in self.lists["area_keys"]
+        return node > LISTENER and self._first_label(node)[0] in self.lists["area_keys"]
 
     def _first_label(self, node: int) -> tuple[str, str]:
         senses = self.mentions[node].senses
@@ -211,6 +211,8 @@ PASSED = 0.6
 WEAK = 0.7
 """Certainty of a relation that a preposition only suggests: "the entrance of the park"."""
 BLOCK = Measure.within(0.0, blocks=1.0)
+BESIDE = Measure.within(30.0)
+"""Greatest distance [m] of "on the north side of"."""
 SHORT_WAY = Measure.within(120.0)
 """Greatest distance of "round the corner" and "down the road" [m]."""
 PREPOSITIONS = {
@@ -408,22 +410,24 @@ class PlaceReader:
 
     def _side(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "on the north side of the street"."""
-        street = self.references.street
+        whole, topic = self.references.street, self.references.topic
         if not place.targets:
-            if place.direction.facing or street is None or source not in self.goals:
+            if topic is not None and not self.directive and self.references.is_area(topic):
+                whole = topic  # "Elm Park. North side."
+            if place.direction.facing or whole is None or source not in self.goals:
                 self._towards(place, source, context)
             else:
                 wide = place.direction._replace(sigma=SIDE_SIGMA)
-                self._add_direction(context, source, street, wide, certainty=0.6)
+                beside = BESIDE if whole == topic else None
+                self._add_direction(context, source, whole, wide, distance=beside, certainty=0.6)
             return
         target = self._resolve(place.targets[0], source)
         if place.direction.facing and self.heading is None:
             self.reason = NEEDS_HEADING
         elif target is not None:
             wide = place.direction._replace(sigma=max(place.direction.sigma, SIDE_SIGMA))
-            self._add_direction(context, source, target, wide, certainty=0.8)
-            if target > LISTENER:
-                self.add(context, Relation.NEAR, source, target)
+            beside = BESIDE if target > LISTENER else None
+            self._add_direction(context, source, target, wide, distance=beside, certainty=0.9)
 
     def _possessed(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "to my east", "on its north side", "to the garden's northeast"."""

@@ -132,7 +132,7 @@ def _bound_tiles(statements, extents, there, views, tiles, bound):
         in_sight = total if is_of_speaker else pairs
         smoothing = np.float32(0.0 if is_of_speaker else statements.pair_smoothing)
         opposite = np.float32(1.0)
-        if statements.op[s] == DIRECTION:
+        if statements.op[s] == DIRECTION and statements.distance[s] >= 0.0:
             opposite = statements.table[s, TABLE // 2]
         _multiply_by_gain(
             bound,

@@ -370,7 +370,7 @@ def _mass_with_speaker(statements, s, scene, visible, matches):
     mass = 0.0
     for i in range(matches.counts[m] if m != ME else 0):
         e = matches.who[m, i]
-        if op == DIRECTION and not visible.lies[e]:
+        if op == DIRECTION and not (visible.lies[e] or statements.distance[s] < 0.0):
             continue
         p = speaker_fit(
             op, statements.table[s], ux, uy, statements.distance[s],
@@ -388,14 +388,15 @@ def _mass_of_pairs(statements, s, scene, visible, matches):
     ux, uy = statements.bearing[s]
     table, stated = statements.table[s], statements.distance[s]
     where = visible.stands if op == DIRECTION else visible.at
+    outside = op == DIRECTION and stated >= 0.0  # "on the north side of the park" may be in it
     mass = 0.0
     for i in range(matches.counts[a]):
         ea = matches.who[a, i]
-        if op == DIRECTION and not visible.lies[ea]:
+        if outside and not visible.lies[ea]:
             continue
         for j in range(matches.counts[b]):
             eb = matches.who[b, j]
-            if ea == eb or (op == DIRECTION and not visible.lies[eb]):
+            if ea == eb or (outside and not visible.lies[eb]):
                 continue
             kind = scene.kind[visible.objects[eb]]
             p = pair_fit(

@@ -432,6 +432,11 @@ def is_binding(s: Statement) -> bool:
     return (s.relation in WITHIN or bare) and not (s.negated or s.far)
 
 
+def _is_proper(mention: Mention) -> bool:
+    """Tell whether a mention has a proper name: "the totem pole" says a kind, whatever bears it as name."""
+    return bool(mention.name) and not (mention.name.islower() and mention.words != mention.name)
+
+
 def _is_beside(s: Statement) -> bool:
     """Tell whether a statement says that something is near something else, as "the statue at ..."."""
     return s.relation is Relation.NEAR and s.distance is None and not (s.negated or s.far)
@@ -450,7 +455,7 @@ def _find_named(
         for s in description.statements
         if (is_binding(s) or _is_beside(s)) and not here.isdisjoint(ends(s))
         for node in ends(s)
-        if node > LISTENER and description.mentions[node].name
+        if node > LISTENER and _is_proper(description.mentions[node])
     }
     boxes: dict[int, Floats] = {}
     streets = city.name_index.streets  # a world in shards holds no geometry
@@ -463,17 +468,17 @@ def _find_named(
             rows = np.concatenate(city.bearers(exact)).tolist() if streets else []
             points = [np.concatenate(streets.objects.parts(row)) for row in rows if streets]
             boxes[node] = np.array([[*p.min(axis=0), *p.max(axis=0)] for p in points])
-    if not boxes:
-        return None
     if streets is None:
-        return NamedPlaces(frozenset(boxes), frozenset())
-    around = np.concatenate(list(boxes.values()))
+        return NamedPlaces(frozenset(boxes), frozenset()) if boxes else None
+    around = np.concatenate([np.zeros((0, 4)), *boxes.values()])
     lacking = {
         m.id
         for m, tokens in zip(description.mentions[2:], mentions, strict=True)
-        if not m.name and _may_lack(tokens, around, city, streets.objects)
+        if m.id not in sites
+        if not len(tokens[0])
+        or (len(around) and not _is_proper(m) and _may_lack(tokens, around, city, streets.objects))
     }
-    return NamedPlaces(frozenset(boxes), frozenset(lacking))
+    return NamedPlaces(frozenset(boxes), frozenset(lacking)) if boxes or lacking else None
 
 
 def _may_lack(
