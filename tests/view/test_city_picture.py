@@ -134,6 +134,13 @@ def test_marks_join_witnesses_to_the_mode(city, sure):
     joined = [m for m in marks if isinstance(m, Stroke) and np.allclose(m.points[0], at)]
     assert {(m.color, m.dash is None) for m in joined} == {("for", True), ("against", False)}
     assert sum(isinstance(m, Disc) for m in marks) == 2
+    way = at + np.array([(60.0, 0.0), (30.0, 0.0), (0.0, 0.0)])
+    marks = evidence_marks(city, mode, way)
+    assert marks[0].points is way
+    joined = [
+        m.points[0].tolist() for m in marks[1:] if isinstance(m, Stroke) and len(m.points) == 2
+    ]
+    assert all(begin in way.tolist() for begin in joined)
 
 
 def test_ids_lead_to_their_rows(city):

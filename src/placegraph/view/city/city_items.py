@@ -439,16 +439,18 @@ def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float 
     return (*(at - half).tolist(), *(at + half).tolist())
 
 
-def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
-    """Return lines from a mode to the objects of its evidence, and marks on these."""
+def evidence_marks(city: CityMap, mode: Place, way: Floats | None = None) -> list[Mark]:
+    """Return lines from a mode, or a way (N, 2) [m], to the objects of its evidence, and marks on these."""
     at = mode_position(city, mode)
-    marks: list[Mark] = []
+    way = at[None] if way is None or not len(way) else way
+    marks: list[Mark] = [Stroke(way, "mode", 4.0)] if len(way) > 1 else []
     for obj in reversed(evidence_objects(city, mode)):  # the weightiest on top
         color = VERDICT_COLOR[obj.verdict]
         dash = (5.0, 4.0) if obj.verdict == "against" else None
         marks += _draw_outline(city.objects, obj, at, color)
-        if np.hypot(*(obj.at - at)) > 1.0:
-            marks.append(Stroke(np.stack([at, obj.at]), color, 1.8, dash))
+        origin = way[np.argmin(np.hypot(*(way - obj.at).T))]
+        if np.hypot(*(obj.at - origin)) > 1.0:
+            marks.append(Stroke(np.stack([origin, obj.at]), color, 1.8, dash))
         marks.append(Disc(obj.at, 4.0, color))
     return marks
 

@@ -141,6 +141,9 @@ def _panel(
     """Draw a mode and its surroundings, or the whole city."""
     left, top, right, bottom = box
     bounds = mode_bounds(city, mode) if mode else city_bounds(city.objects)
+    if mode and mode is estimate.best and len(estimate.way):
+        ends = np.concatenate([city.plane.to_plane(estimate.way), np.reshape(bounds, (2, 2))])
+        bounds = (*(ends.min(axis=0) - 20.0).tolist(), *(ends.max(axis=0) + 20.0).tolist())
     frame = Frame.around(bounds, right - left, bottom - top)
     marks, occupied = _marks(city, estimate, mode, frame)
     skip = frozenset(w.row for w in evidence_objects(city, mode)) if mode else frozenset[int]()
@@ -162,7 +165,8 @@ def _marks(
 ) -> tuple[list[Item], OccupiedPlaces]:
     """Return marks of a mode's evidence and of all modes, and the space they take."""
     occupied = OccupiedPlaces()
-    marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
+    way = city.plane.to_plane(estimate.way) if mode is estimate.best else None
+    marks: list[Item] = [*evidence_marks(city, mode, way)] if mode else []
     pins: list[Item] = []
     for number, other in enumerate(estimate.modes, 1):
         at = mode_position(city, other)

@@ -1,7 +1,7 @@
 // An answer on map and panel: which place is chosen, what is lit.
 
 import { button, clamp, el, Plane } from "./base.js";
-import { beside, Heat, located, looking, paintEllipse, paintEvidence, posed, standing, witnesses } from "./marks.js";
+import { beside, Heat, located, looking, paintEvidence, paintLine, posed, standing, witnesses } from "./marks.js";
 import { MapView } from "./map.js";
 
 const LEAST = 0.01; // modes below this probability have no pin, unless they are chosen
@@ -18,6 +18,7 @@ export class AnswerMap {
     this.changed = changed;
     this.heat = new Heat();
     this.places = [];
+    this.way = [];
     this.selected = 0;
     this.lit = new Set();
     const find = (name) => root.querySelector(name);
@@ -95,6 +96,7 @@ export class AnswerMap {
   /** Find where the modes are on what the map shows now. */
   place() {
     const { answer, plane, stage } = this, modes = answer?.estimate.modes ?? [];
+    this.way = plane ? (answer?.estimate.way ?? []).map(([lon, lat]) => plane.to(lon, lat)) : [];
     this.heat.set(plane ? (answer?.support ?? []).map(([lon, lat, p]) => [...plane.to(lon, lat), p]) : []);
     this.places = modes.map((mode, k) => {
       const map = this.mapOf(k), within = stage?.indoors(map, mode.room), where = this.reaches(mode) ? standing(mode, plane, within) : null;
@@ -124,6 +126,7 @@ export class AnswerMap {
     const least = 0.1 * standing[0].mode.probability;
     const shown = answer.estimate.status === "AMBIGUOUS" ? standing.filter((p) => p.mode.probability >= least) : [standing[0]];
     const seen = shown.every(({ within, heading }) => heading !== undefined && within?.house === shown[0].within?.house), boxes = shown.map((place) => this.around(place, seen));
+    for (const [x, y] of this.way) boxes.push([x - 40, y - 40, x + 40, y + 40]);
     map.fly(map.fitting([0, 1].map((k) => Math.min(...boxes.map((b) => b[k])))
       .concat([2, 3].map((k) => Math.max(...boxes.map((b) => b[k])))), seen ? map.largest : undefined));
   }
@@ -196,11 +199,13 @@ export class AnswerMap {
     const place = this.places[this.selected];
     if (map.view.scale < 0.08) return;
     for (const { ring, at, heading } of this.pinned()) {
-      paintEllipse(ctx, map, ring, map.colour("mode"));
+      paintLine(ctx, map, ring, map.colour("mode"));
       if (heading !== undefined) looking(ctx, map, at, heading, map.colour("mode"));
     }
     if (!place?.at) return;
-    paintEvidence(ctx, map, this.speaking(place), place.at, this.lit);
+    const way = this.selected ? [] : this.way;
+    paintLine(ctx, map, way, map.colour("mode"), [], 4);
+    paintEvidence(ctx, map, this.speaking(place), place.at, this.lit, way);
     this.write(ctx, this.texts());
   }
 

@@ -171,8 +171,7 @@ function inside(rings, [x, y]) {
 }
 
 /** Paint the witnesses of a mode; where some are lit, the others step back. */
-export function paintEvidence(ctx, map, found, at, lit) {
-  const [mx, my] = map.px(...at);
+export function paintEvidence(ctx, map, found, at, lit, way = []) {
   for (const witness of [...found].reverse()) {
     const colour = map.colour(witness.verdict), on = lit.has(witness.id);
     ctx.globalAlpha = lit.size && !on ? 0.3 : 1;
@@ -180,7 +179,7 @@ export function paintEvidence(ctx, map, found, at, lit) {
     ctx.lineJoin = ctx.lineCap = "round";
     ctx.setLineDash([]);
     for (const piece of witness.pieces) outline(ctx, map, piece, at, on);
-    const [x, y] = map.px(...witness.at);
+    const [x, y] = map.px(...witness.at), [mx, my] = map.px(...(way.length ? closest(way.flat(), witness.at) : at));
     ctx.setLineDash(witness.verdict === "against" ? [5, 4] : []);
     ctx.lineWidth = on ? 3 : 1.8;
     ctx.beginPath();
@@ -246,11 +245,12 @@ export function beside(found, mode, scale) {
   return texts;
 }
 
-export function paintEllipse(ctx, map, ring, colour) {
+/** Paint the ring of an ellipse, dashed, or a way. */
+export function paintLine(ctx, map, points, colour, dash = [6, 4], width = 1.6) {
   ctx.beginPath();
-  for (const [x, y] of ring) ctx.lineTo(...map.px(x, y));
-  ctx.setLineDash([6, 4]);
-  ctx.lineWidth = 1.6;
+  for (const [x, y] of points) ctx.lineTo(...map.px(x, y));
+  ctx.setLineDash(dash);
+  ctx.lineWidth = width;
   ctx.strokeStyle = colour;
   ctx.stroke();
   ctx.setLineDash([]);
