@@ -210,7 +210,7 @@ class Route:
 
     def _count(self, step: Step) -> Transit:
         """Return the transition of a count of junctions."""
-        legs, reach, reached = self.legs, step.move is Move.REACH, self.anchor is Move.REACH
+        legs, reach = self.legs, step.move is Move.REACH
         passed, arrives = (each[step.unit == "light"] for each in (legs.passed, legs.arrives))
         there = arrives if reach else np.pad(arrives, ((0, 0), (1, 0)))[:, :-1]
         if step.is_end:
@@ -221,8 +221,7 @@ class Route:
             count = (passed[at] + reach)[:, None, :] - base[at][:, :, None]
             off = np.minimum(np.abs(count - int(step.amount)), len(MISCOUNT) - 1)
             total = MISCOUNT[off] * there[at][:, None, :]
-            total *= _LATER * (legs.line[at] >= 0)[:, None, :]
-            return 0.5 * total + 0.5 * np.eye(MAX_EDGES) if step.is_same and reached else total
+            return total * _LATER * (legs.line[at] >= 0)[:, None, :]
 
         return move
 
@@ -301,11 +300,9 @@ class Route:
         legs, streets, reached = self.legs, self.streets, self.anchor is Move.REACH
         measured = any(s.move in (Move.SHARE, Move.WALK) for s in steps)
         how = steps[0].where if steps and steps[0].move is Move.REACH else ""
-        spread = self._apply(partial(legs.go_on, ANCHORED, legs.line >= 0))
-        if reached:  # or just behind the junction
-            spread = self.weights + 0.3 * np.pad(self.weights, ((0, 0), (1, 0)))[:, :-1] * (
-                legs.line >= 0
-            )
+        spread = self.weights
+        if not reached:
+            spread = self._apply(partial(legs.go_on, ANCHORED, legs.line >= 0))
         heavy = np.argsort(-spread, axis=None, kind="stable")[:MAX_ENDS]
         heavy = heavy[spread.ravel()[heavy] > 1e-5 * spread.max(initial=0.0)]
         t, n = np.unravel_index(heavy, spread.shape)
@@ -318,7 +315,6 @@ class Route:
         behind, ahead = s - begin, finish - s
         with np.errstate(divide="ignore"):
             log = np.log(spread[t, n] * (s >= 0.0))
-        done = ahead if reached else behind  # distance to the junction spoken of
         if how:
             log += np.log(np.exp(-np.abs(ahead - 10.0) / 12.0) + FAR_OFF)
         elif reached:
@@ -334,7 +330,7 @@ class Route:
             elif step.move is Move.WALK:
                 fit = np.exp(-0.5 * ((behind - amount) / (0.2 * amount + 8.0)) ** 2) + FAR_OFF
             elif step.move is Move.SHARE and not amount:
-                fit = np.exp(-done / 12.0) + FAR_OFF
+                fit = np.exp(-behind / 12.0) + FAR_OFF
             elif step.move is Move.SHARE:
                 fit = np.exp(-0.5 * ((behind / (finish - begin) - amount) / 0.15) ** 2) + FAR_OFF
             else:

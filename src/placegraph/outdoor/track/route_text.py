@@ -48,8 +48,6 @@ class Step:
     """What is counted: "light", "block" or "junction"."""
     is_ordinal: bool = False
     """Whether the count begins at the last turn: "the third light"."""
-    is_same: bool = False
-    """Whether the junction may be the one mentioned last: "the light"."""
     is_end: bool = False
     """Whether the street ends there."""
     names: tuple[tuple[int, float], ...] = ()
@@ -104,7 +102,6 @@ WHERE = re.compile(
     r"|with|see|to)\b",
     re.IGNORECASE,
 )
-STOPPING = re.compile(r"\b(?:stop(?!\s*light)|stopping|destination|arrive|end up)\b", re.IGNORECASE)
 TOO_FAR = re.compile(r"too\s+far|do\s+not\s+go|don['’]t\s+go", re.IGNORECASE)
 ALMOST = re.compile(r"\b(?:almost|nearly|before|short of)\b[^,]*$", re.IGNORECASE)
 GOING = re.compile(
@@ -141,7 +138,7 @@ def _read_sentence(text: str, first: int, last: int, city: City) -> list[Step]:
     for match in TURN.finditer(blank, first):
         add(_read_turn(match))
     for match in list(NAME.finditer(blank, first)):
-        add(_read_name(match, city, is_first=not blank[first : match.start()].strip()))
+        add(_read_name(match, city))
     for match in re.compile(MEASURE, re.VERBOSE | re.IGNORECASE).finditer(blank, first):
         if not re.search(r"block|step|pace|door|walk|min", match.group(), re.IGNORECASE):
             add(Step(Move.WALK, *match.span(), amount=metres(match.group(), match["number"])))
@@ -184,9 +181,9 @@ def _read_turn(match: re.Match[str]) -> Step | None:
     )
 
 
-def _read_name(match: re.Match[str], city: City, *, is_first: bool) -> Step | None:
+def _read_name(match: re.Match[str], city: City) -> Step | None:
     words = list(WORD.finditer(match.group()))
-    while is_first and words and words[0].group().lower() in VERBS:
+    while words and words[0].group().lower() in VERBS:
         words = words[1:]
     begin = match.start() + words[0].start() if words else 0
     low = [word.group().lower() for word in words]
@@ -203,7 +200,6 @@ def _read_junction(match: re.Match[str], before: str) -> Step | None:
     mods = match["mods"].lower().split()
     order = next((ORDINALS[word] for word in mods if word in ORDINALS), 0)
     count = next((COUNTS[word] for word in mods if word in COUNTS), 0)
-    fresh = bool(order or count or not NEW.isdisjoint(mods))
     names = {"light": "light", "signal": "light", "block": "block"}
     kind = next((names[word] for word in names if word in unit), "junction")
     if unit.startswith("corner") and how in ("", "on"):
@@ -213,13 +209,13 @@ def _read_junction(match: re.Match[str], before: str) -> Step | None:
     passes = how.startswith(("through", "past", "pass", "cross", "over", "after"))
     move = Move.PASS if passes and kind != "block" else Move.REACH
     inside = how == "in" or not {"middle", "center", "centre"}.isdisjoint(mods)
-    if inside and not fresh:
+    if inside and not (order or count or not NEW.isdisjoint(mods)):
         return None
     short = how == "before" or (move is Move.REACH and ALMOST.search(before[-40:]))
     return Step(
         Move.REACH if short else move, *match.span(),
         amount=float(count or order or 1), unit=kind, is_ordinal=bool(order and not count),
-        is_same=not fresh, is_end=unit.startswith(("t-", "t ")) or ("end" in mods and kind != "block"),
+        is_end=unit.startswith(("t-", "t ")) or ("end" in mods and kind != "block"),
         where="before" if short else "",
     )  # fmt: skip
 
@@ -229,8 +225,6 @@ def _place(text: str, first: int, step: Step) -> Step:
     lead = WHERE.findall(" ".join(text[first : step.start].split()[-5:]))
     word = lead[-1].lower() if lead else ""
     where = "past" if word.startswith("pas") else word if word in ("before", "after") else ""
-    if where == "past" and STOPPING.search(text, first, step.start):
-        where = "after"
     return replace(step, where=where)
 
 
@@ -244,12 +238,9 @@ def _order(text: str, steps: list[Step]) -> Iterator[Step]:
             continue
         edge, counted = step.end, False
         while i < len(steps) and steps[i].move in (Move.REACH, Move.MARK):
-            is_mark = steps[i].move is Move.MARK
-            gap = text[edge : steps[i].start if is_mark else steps[i].end]
-            onward = GOING.search(gap) and not re.match(r"\W*after\b", gap)
-            if onward or steps[i].where == "past":
+            if GOING.search(text[edge : steps[i].start]) or steps[i].where == "past":
                 break
-            yield replace(steps[i], where="past") if steps[i].where == "after" else steps[i]
+            yield steps[i]
             edge, counted, i = steps[i].end, counted or steps[i].move is Move.REACH, i + 1
         if step.unit and not counted:
             yield Step(Move.REACH, step.start, step.end, amount=float(step.unit), unit="junction")

@@ -1,4 +1,4 @@
-"""Does what people write find its place? Descriptions of meeting places (RVS), and notes of a city.
+"""Does what people write find its place? Meeting places (RVS), notes of a city, and walks.
 
 The union of all landmarks is the map of Pittsburgh; all other texts are asked of real maps. Texts about
 Pittsburgh were developed on the even records, all others on the odd ones (the first, the third, ...).
@@ -6,6 +6,7 @@ Pittsburgh were developed on the even records, all others on the odd ones (the f
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -178,6 +179,43 @@ def ask_sets(run: Run, *, quick: bool) -> Iterator[dict[str, Any]]:
         yield row
 
 
+TOWARDS = (25.0, 50.0, 100.0)  # radii of the ends of walks [m]
+ALONG = (
+    Col("walks, ends within 25 m/50 m/100 m", "name"), Col("even texts", "even.records"),
+    Col("odd (developed on)", "odd.within", shares), Col("even", "even.within", shares),
+    Col("even, `OK`", "even.ok", share), Col("of these > 100 m", "even.wrong", share),
+    Col("p50", "even.p50_ms", 0, "ms"),
+)  # fmt: skip
+
+
+def follow_walks(run: Run, *, quick: bool) -> Iterator[dict[str, Any]]:
+    """Follow the walks that people told in Manhattan, with and without the heading at their start."""
+    city = build_city(run.osm / "manhattan_2025.osm.pbf", run.cache / "manhattan_2025.city")
+    lines = (run.data / "text/walks_manhattan.jsonl").read_text("utf-8").splitlines()
+    walks = [json.loads(line) for line in lines[: 6 if quick else None]]
+    for name, known in (("start known", False), ("start and heading known", True)):
+        found = []
+        for walk in run.track(walks, name):
+            start, goal = (walk["route"][k][::-1] for k in (0, -1))
+            heading = np.deg2rad(walk["start_heading_deg"]) if known else None
+            begin = time.perf_counter()
+            estimate = city.locate(walk["text"], listener=start, heading=heading)
+            seconds, best = time.perf_counter() - begin, estimate.best
+            place = np.array([best.longitude, best.latitude]) if best else np.full(2, np.inf)
+            found.append((float(distances(place, *goal)[0]), estimate.status.name, seconds))
+        row: dict[str, Any] = {"name": name}
+        for half, of in (("odd", found[::2]), ("even", found[1::2])):
+            off, ok = np.array([f[0] for f in of]), np.array([f[1] == "OK" for f in of])
+            row[half] = {
+                "records": len(of),
+                "within": [float(np.mean(off <= radius)) for radius in TOWARDS],
+                "ok": float(ok.mean()),
+                "wrong": float(np.mean(off[ok] > TOWARDS[-1])) if ok.any() else 0.0,
+                "p50_ms": 1e3 * float(np.median([f[2] for f in of])),
+            }
+        yield row
+
+
 @table()
 def human_text(
     run: Run,
@@ -191,8 +229,10 @@ def human_text(
     run.one_core()
     asked = [] if baselines else list(ask_sets(run, quick=quick))
     print(render(ON_MAPS, asked), "\n")
+    walks = [] if baselines else list(follow_walks(run, quick=quick))
+    print(render(ALONG, walks), "\n")
     if maps:
-        run.save({"maps": asked})
+        run.save({"maps": asked, "walks": walks})
         return
     records = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
     places = landmarks(records)
@@ -223,4 +263,4 @@ def human_text(
         for name, g in answers.items()
     ]
     print(render(COLUMNS, rows))
-    run.save({"landmarks": len(places), "rows": rows, "maps": asked})
+    run.save({"landmarks": len(places), "rows": rows, "maps": asked, "walks": walks})
