@@ -238,7 +238,9 @@ def _order(text: str, steps: list[Step]) -> Iterator[Step]:
             continue
         edge, counted = step.end, False
         while i < len(steps) and steps[i].move in (Move.REACH, Move.MARK):
-            if GOING.search(text[edge : steps[i].start]) or steps[i].where == "past":
+            is_mark = steps[i].move is Move.MARK
+            gap = text[edge : steps[i].start if is_mark else steps[i].end]
+            if GOING.search(gap) or steps[i].where == "past":
                 break
             yield steps[i]
             edge, counted, i = steps[i].end, counted or steps[i].move is Move.REACH, i + 1
