@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
@@ -74,3 +75,19 @@ def test_one_stands_at_the_place_of_a_thing_that_no_word_is_known_for(city):
     assert [(s.source, query.description.mentions[s.target].name) for s in query.used] == [
         (0, "Dubs")
     ]
+
+
+def test_a_place_that_is_named_exactly_is_rare_in_a_small_town_too(build_world):
+    town = build_world([(0.0, 0.0, {"amenity": "cafe", "name": "Kern"}), (60.0, 0.0, {})])
+    query = compile_query(parse(town, "I am at Kern."), town)
+    assert np.log(query.statements.gain[0]) > 8.0
+
+
+def test_a_roundabout_is_never_rare(build_world):
+    shapes = [(0.0, 0.0, {"highway": "mini_roundabout"}), *BENCHES]
+    town = build_world(shapes)
+    gains = [
+        compile_query(parse(town, text), town).statements.gain[0]
+        for text in ("There is a mini roundabout.", "There is a bench.")
+    ]
+    assert gains[0] < 20.0 * gains[1]

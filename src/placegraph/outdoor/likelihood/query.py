@@ -245,6 +245,11 @@ NEAR_SCALE, FAR_SCALE = 80.0, 350.0
 """Scale of distances to objects out of sight, and where the text tells a way or names a quarter [m]."""
 NAMED_NOISE = 0.04
 """Share of wrong statements that the speaker is at a place that is named exactly."""
+ROAD_SHAPES = ("junction=", "highway=turning_", "highway=mini_roundabout")
+SHAPE_SHARE = 0.05
+"""Smallest share of all objects in sight of shapes of roads, which people tell apart from maps loosely."""
+NAMED_SHARE = 0.01
+"""Largest share of all objects in sight of a place that is named exactly."""
 MENTIONED = 0.7
 """Largest certainty of a thing that is only named, and not said to be in sight."""
 MAPPED = 0.15
@@ -353,6 +358,13 @@ def compile_query(description: Description, city: Lexicon, *, tells_way: bool = 
     unused: list[tuple[Statement, str]] = []
     known: set[tuple[object, ...]] = set()
     named = _find_named(description, mentions, sites, city)
+    labels = city.objects.labels
+    for m, (tokens, _) in enumerate(mentions):
+        shaped = [t < len(labels) and labels[t].startswith(ROAD_SHAPES) for t in tokens]
+        if shaped and all(shaped):
+            share[m] = max(share[m], SHAPE_SHARE)
+    for node in named.nodes if named else ():  # few places of the world bear the name
+        share[node - 2] = min(share[node - 2], NAMED_SHARE)
     statements = description.statements
     for statement in statements if named is None else named.stand_in(statements):
         key = _make_key(statement, description)
