@@ -19,8 +19,8 @@ from placegraph.indoor.likelihood.score_kernels import (
     SEMANTIC,
     STEEPEST,
     TONE,
-    cast_view,
     score_poses,
+    show_view,
 )
 from placegraph.indoor.map.map_kernels import opponent_colour, sample_colour
 from placegraph.indoor.map.mesh import Mesh, Surface
@@ -179,7 +179,7 @@ def compared(caster, surface, poses, view, model):
     got = score_poses(caster.tracer, surface, poses, view, model)
     used = view.patch >= 0
     alike = [
-        (cast_view(caster.tracer, p, view.directions)[0] == cast(caster, p, view).triangle)[
+        (show_view(caster.tracer, surface, p, view)[0] == cast(caster, p, view).triangle)[
             used
         ].all()
         for p in poses

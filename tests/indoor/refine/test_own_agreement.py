@@ -8,15 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.indoor.conftest import view_frames
 
 from placegraph.core.estimate import Status
+from placegraph.core.geometry import split_pose
 from placegraph.errors import OptionError
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score_kernels import show_view
 from placegraph.indoor.map.scene_file import save_scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.mapping.own_agreement import measure_own_agreement
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.agreement import (
     Agreement,
+    agreement,
     both_odds,
     searched_odds,
 )
@@ -24,19 +29,22 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.status import FEW
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OWN = np.array([4.0, 0.26, 1.0, 0.45, 0.6, 0.03, 0.13, 0.1, 0.5])
+OWN = np.array([4.0, 0.6, 1.0, 0.77, 0.6, 0.05, 0.13, 0.06, 0.5])
 NOTHING = np.zeros(2)
 
 
-def seen(depth=0.98, colour=0.26, tone=1.0):
-    return Agreement(0.9, math.nan, depth, colour, NOTHING, NOTHING, tone=tone)
+def seen(depth=0.98, texture=0.6, tone=1.0):
+    return Agreement(0.9, math.nan, depth, 0.2, NOTHING, NOTHING, tone=tone, texture=texture)
 
 
 def test_colours_that_fall_short_are_of_an_unsearched_place():
-    as_own, beside, elsewhere = seen(), seen(colour=0.2, tone=0.8), seen(colour=0.1, tone=0.35)
+    as_own, beside, elsewhere = seen(), seen(texture=0.5, tone=0.8), seen(texture=0.3, tone=0.35)
     odds = [searched_odds(a, OWN) for a in (as_own, beside, elsewhere)]
-    assert odds[0] > odds[1] > 2.0
+    assert odds[0] > odds[1] > 1.1, "beside OK"
     assert odds[2] < -1.0
+    assert searched_odds(seen(texture=0.3), OWN) < 0.0, "a place of the same shapes"
+    faint = OWN * np.array([1.0, 0.1, *np.ones(7)])
+    assert searched_odds(seen(texture=0.06), faint) < odds[0], "bare walls tell little"
     assert searched_odds(beside, OWN, 0.77) > searched_odds(beside, OWN, 0.3)
     alike, unlike = np.r_[OWN[:-1], 0.8], np.r_[OWN[:-1], 0.0]
     for agreed in (as_own, beside, seen(depth=0.8)):
@@ -45,10 +53,10 @@ def test_colours_that_fall_short_are_of_an_unsearched_place():
             < searched_odds(agreed, OWN)
             < searched_odds(agreed, unlike)
         )
-    assert searched_odds(seen(colour=0.5, tone=2.0), OWN) == odds[0], "more is no fault"
+    assert searched_odds(seen(texture=0.9, tone=2.0), OWN) == odds[0], "more is no fault"
     assert searched_odds(elsewhere, None) == math.inf
     # without colours depth counts, without a sense that is known nothing does
-    blind = seen(depth=0.7, colour=math.nan, tone=math.nan)
+    blind = seen(depth=0.7, texture=math.nan, tone=math.nan)
     assert searched_odds(blind, OWN) < searched_odds(replace(blind, depth=0.97), OWN)
     assert searched_odds(as_own, np.full(9, np.nan)) == math.inf
 
@@ -93,11 +101,40 @@ def test_answers_that_fall_short_are_not_ok(measured, exact, count, status):
     asked = {"frames": slice(0, count), "options": options, "refine": False}
     right = measured.localize(exact.capture, **asked)
     assert right.status is Status.OK
-    assert 0.95 < sum(mode.probability for mode in right.modes) < 1.0
-    own = measured.own_agreement + np.array([0.0, 0.5, 2.0, *np.zeros(6)])
+    assert 0.75 < sum(mode.probability for mode in right.modes) < 1.0
+    own = measured.own_agreement + np.array([0.0, 0.4, 2.0, *np.zeros(6)])
     estimate = replace(measured, own_agreement=own).localize(exact.capture, **asked)
     assert estimate.status is status
     assert "than the frames that the map was made of" in estimate.reason
     assert sum(mode.probability for mode in estimate.modes) < 0.1
     assert count > FEW or len(estimate.modes)
     json.dumps(estimate.to_dict(), allow_nan=False)
+
+
+def test_textures_tell_places_of_the_same_shapes_apart(room, exact):
+    """A place that looks like another has its shapes and their edges, not the marks on its walls."""
+    options = PoseSearchOptions().only(depth=True, colour=True)
+    (view,) = view_frames(room, exact.capture.frames[:1], options, stride=4.0)
+    at, scorer = split_pose(exact.poses[0])[0], Scorer(room, options.likelihood)
+    triangles, _, shown = show_view(room.caster.tracer, room.surface, at, view)
+    objects = np.where(triangles >= 0, room.mesh.object_of[triangles], 0)
+    plain = np.stack([np.bincount(objects, c)[objects] for c in shown.T], axis=1)
+    plain /= np.bincount(objects)[objects, None]
+    marked = plain + np.random.default_rng(0).normal(0.0, 0.02, plain.shape)
+    found = [
+        agreement(scorer, at, [view._replace(colour=np.float32(c))], np.zeros((1, 4)))
+        for c in (shown, marked)
+    ]
+    assert found[0].texture > 0.8
+    assert found[1].texture < 0.4
+    blind = agreement(
+        scorer, at, [view._replace(terms=np.array([False, True, False]))], np.zeros((1, 4))
+    )
+    assert math.isnan(blind.texture)
+
+
+def test_what_one_frame_alone_shows_makes_own_agreement_uncertain(room, exact):
+    frames, poses = exact.capture.frames, exact.poses
+    near, single = (measure_own_agreement(room, frames[:n], poses[:n]) for n in (4, 1))
+    np.testing.assert_allclose(single[4:6], single[:2] / np.sqrt(12.0))
+    assert near[4] < 0.1 * near[0] < single[4]

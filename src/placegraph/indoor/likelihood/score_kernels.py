@@ -326,16 +326,23 @@ def _tone(moments):
 
 
 @kernel
-def cast_view(tracer, pose, directions):
-    """Triangles (R,) int32, -1: none, and depths (R,) float32 [m] from one pose (4,)."""
-    n = len(directions)
+def show_view(tracer, surface, pose, view):
+    """Return triangles (R,) int32, -1: none, depths (R,) [m] and colours (R, 3) of the map at a pose (4,).
+
+    Colours are `opponent_colour`, 0 where nothing is hit or the view has no colours.
+    """
+    n = len(view.directions)
     triangles = np.empty(n, np.int32)
     distances = np.empty(n, np.float32)
+    colours, hit = np.zeros((n, 3), np.float32), np.zeros(LANES, np.bool_)
     packet, ints, valid = new_packet()
     for tile in range(n // LANES):
-        aim(packet, pose, directions, tile * LANES)
+        aim(packet, pose, view.directions, tile * LANES)
         trace16(tracer, packet, ints, valid)
         for lane in range(LANES):
             triangles[tile * LANES + lane] = ints[TRIANGLE, lane]
             distances[tile * LANES + lane] = packet[FAR, lane]
-    return triangles, distances
+        if view.terms[COLOUR]:
+            shown = colours[tile * LANES : (tile + 1) * LANES]
+            _show(tile, packet, ints, surface, view, shown, hit)
+    return triangles, distances, colours

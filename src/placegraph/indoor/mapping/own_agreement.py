@@ -26,6 +26,11 @@ from placegraph.io.capture.frame import Frame
 
 MOST, SOUGHT = 24, 12
 """Largest numbers of own frames that are compared with a map, and that are searched in it."""
+NEIGHBOURS = 4
+"""Number of frames before and after a frame that may show what it shows."""
+_GRID = 16
+_HIDDEN = 0.95
+"""Share of the way to a point from which on its ray ends at it."""
 NEAR = 0.5
 """Distance from its pose within which a frame is found [m]."""
 
@@ -34,13 +39,15 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     """Measure how well the frames that a map was made of agree with it at their poses (T, 4, 4).
 
     Returns a row (2 K + 1,) of `Scene.own_agreement`: means and deviations over frames of the K numbers
-    of `reach`, NaN where a sense is missing, and the probability that depth gives to wrong places.
+    of `reach`, NaN where a sense is missing, and the probability that depth gives to wrong places. What
+    a frame alone shows agrees with it, but with other frames by any share of that, evenly distributed.
     """
     options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
     scorer, count, renderer = Scorer(scene, options.likelihood), len(scene), Renderer(scene)
     nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
     found = np.full((0, REACH), np.nan)
-    for row in spread(len(frames), MOST):
+    rows = spread(len(frames), MOST)
+    for row in rows:
         frame = replace(frames[row], gravity=-poses[row, 2, :3])
         seen = observe_frame(frame, None, options)
         view = views([seen], FINE, scorer.model, nothing)
@@ -52,8 +59,36 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
             )
         found = np.vstack([found, reach(at, rho)])
     known = [column[np.isfinite(column)] for column in found.T]
-    means, deviations = ([f(k) if len(k) else np.nan for k in known] for f in (np.mean, np.std))
+    means, deviations = (
+        np.array([f(k) if len(k) else np.nan for k in known]) for f in (np.mean, np.std)
+    )
+    alone = float(np.mean([_measure_seen_alone(scene, frames, poses, row) for row in rows]))
+    means *= 1.0 - 0.5 * alone
+    deviations = np.hypot(deviations, alone * means / np.sqrt(12.0))
     return np.array([*means, *deviations, _measure_repetition(scene, frames, poses)])
+
+
+def _measure_seen_alone(scene: Scene, frames: Sequence[Frame], poses: Floats, row: int) -> float:
+    """Return the share of what a frame shows of the scene that none of its neighbours in time shows."""
+    pose, camera = poses[row], frames[row].camera
+    columns, lines = np.meshgrid(np.linspace(0.05, 0.95, _GRID), np.linspace(0.05, 0.95, _GRID))
+    pixels = np.stack([columns.ravel() * camera.width, lines.ravel() * camera.height], axis=1)
+    directions = camera.directions(pixels) @ pose[:3, :3].T
+    hits = scene.caster.cast(pose[:3, 3], directions)
+    hit = hits.triangle >= 0
+    points = pose[:3, 3] + hits.distance[hit, None] * directions[hit]
+    alone = np.ones(len(points), np.bool_)
+    for other in range(max(0, row - NEIGHBOURS), min(len(frames), row + NEIGHBOURS + 1)):
+        if other == row or not len(points):
+            continue
+        away, camera = points - poses[other, :3, 3], frames[other].camera
+        at = away @ poses[other, :3, :3]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            pixels = camera.project(at)
+            inside = (at[:, 2] > 0) & (pixels >= 0).all(axis=1)
+            inside &= (pixels < (camera.width, camera.height)).all(axis=1)
+        alone &= ~(inside & (scene.caster.cast(poses[other, :3, 3], away).distance > _HIDDEN))
+    return float(alone.mean()) if len(points) else 0.0
 
 
 def _measure_repetition(scene: Scene, frames: Sequence[Frame], poses: Floats) -> float:

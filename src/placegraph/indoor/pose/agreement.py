@@ -28,7 +28,15 @@ from placegraph.indoor.likelihood.observe import (
     suspect_unit_factor,
 )
 from placegraph.indoor.likelihood.score import Scorer, reading_ratio
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, cast_view
+from placegraph.indoor.likelihood.score_kernels import (
+    COLOUR,
+    DEPTH,
+    FLAT,
+    SEMANTIC,
+    STEEPEST,
+    TONE,
+    show_view,
+)
 from placegraph.indoor.map.scene import Scene, make_object_ref
 from placegraph.indoor.pose.window import Window
 
@@ -147,12 +155,14 @@ class Agreement:
     tone: float = np.nan
     """Mean log-likelihood of the colours themselves, beside depth, per independent sample [nat]; NaN:
     no colours, or no depth."""
+    texture: float = np.nan
+    """Correlation of steps of colour within surfaces (`correlate_textures`); NaN: no colours."""
     frames: Floats = field(default_factory=lambda: np.full((0, 3), np.nan))
     """(T, 3) agreement of each frame by itself: semantic, depth, colour."""
 
     def numbers(self) -> dict[str, float | None]:
         """Return the numbers that decide the status, ready for `json.dumps`; None: no such sense."""
-        names = ("covered", "semantic", "depth", "colour", "tone", "ratio")
+        names = ("covered", "semantic", "depth", "colour", "tone", "texture", "ratio")
         values = {name: float(getattr(self, name)) for name in names}
         values["held"] = self.constraint
         values["witnesses"] = float((self.weights > TELLING).sum())
@@ -167,10 +177,10 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
     weights, counts = np.zeros(count), np.zeros(count)
     samples = hits = 0
     fits = np.zeros((len(views), 4, 2))
-    total, faced = 0.0, np.zeros((3, 3))
+    total, faced, textures = 0.0, np.zeros((3, 3)), np.zeros(4)
     for fit, view, step in zip(fits, views, steps, strict=True):
         at = compose(pose, step)
-        triangles, distances = cast_view(scene.caster.tracer, at, view.directions)
+        triangles, distances, shown = show_view(scene.caster.tracer, scene.surface, at, view)
         used = view.patch >= 0
         hit = used & (triangles >= 0)
         samples, hits = samples + int(used.sum()), hits + int(hit.sum())
@@ -205,6 +215,7 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
         if view.terms[COLOUR]:
             share = float(hit.sum()) / used.sum()
             fit[COLOUR] = scores[COLOUR], max(1e-9, noise.colour_weight * share)
+            textures += _sum_steps(scene, at, view, triangles, distances, shown)
             if view.terms[DEPTH]:
                 fit[TONE] = scores[TONE], max(1e-9, noise.tone_weight * share)
     with np.errstate(invalid="ignore"):
@@ -215,6 +226,7 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
             depth=depth,
             colour=colour,
             tone=tone,
+            texture=_correlate(textures),
             weights=weights,
             counts=counts,
             ratio=total / max(1, len(views)),
@@ -223,28 +235,69 @@ def agreement(scorer: Scorer, pose: Floats, views: Sequence[View], steps: Floats
         )
 
 
+_LEVEL, _APART = 0.9, 0.06
+"""Least cosine of two normals, and largest distance from the first plane [m], of samples on one surface."""
+_BRIGHT = 2.85
+"""Sum of the three channels, of 3, from which on a sample is overexposed."""
+
+
+def _sum_steps(
+    scene: Scene, at: Floats, view: View, triangles: NDArray[np.int32],
+    distances: NDArray[np.float32], map_colours: NDArray[np.float32],
+) -> Floats:  # fmt: skip
+    """Sum squares of the view's steps of colour, of the map's, their products, and pairs of samples.
+
+    Pairs are neighbours on one surface of the map. A place that looks like another has its shapes, and
+    so the steps at their edges; it rarely has the marks on its walls and floors.
+    """
+    cos, sin = np.cos(at[3]), np.sin(at[3])
+    points = view.directions * np.where(triangles >= 0, distances, 0.0)[:, None]
+    points[:, :2] = points[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+    known = (view.patch >= 0) & (triangles >= 0) & (view.colour[:, 0] < _BRIGHT)
+    known = known.reshape(-1, 4, 4)
+    columns = points, scene.normals[triangles], view.colour, map_colours
+    points, normals, seen, map_colours = (a.reshape(-1, 4, 4, 3) for a in columns)
+    sums = np.zeros(4)
+    for here, there in ((np.s_[:, :, :-1], np.s_[:, :, 1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        pairs = known[here] & known[there]
+        pairs &= np.sum(normals[here] * normals[there], axis=-1) > _LEVEL
+        away = np.sum(normals[here] * (points[there] - points[here]), axis=-1)
+        pairs &= np.abs(away) < _APART
+        q, r = (
+            np.clip((c[there] - c[here])[pairs] / STEEPEST, -1.0, 1.0) for c in (seen, map_colours)
+        )
+        sums += (q * q).sum(), (r * r).sum(), (q * r).sum(), 3.0 * pairs.sum()
+    return sums
+
+
+def _correlate(sums: Floats) -> float:
+    """Return the correlation of steps by their sums (4,), not below 0; NaN without any."""
+    qq, rr, qr, count = sums
+    if not count:
+        return np.nan
+    return max(0.0, float(qr / np.sqrt((qq + count * FLAT) * (rr + count * FLAT))))
+
+
 REACH = 4
 """Number of values of `reach`."""
 
 
 def reach(agreed: Agreement, correlation: float = np.nan) -> Floats:
-    """Return log odds of depth, steps of colour, tones [nat], and log-likelihood of a correlation [nat].
+    """Return log odds of depth, correlation of textures, tones [nat], and correlation of images.
 
     `correlation`: of held-out parts of images with the map at a refined pose; NaN: not compared.
     """
     depth = np.nan if np.isnan(agreed.depth) else log_odds(agreed.depth, 0.01)
-    return np.array([depth, agreed.colour, agreed.tone, -0.5 * np.log1p(-(correlation**2))])
+    return np.array([depth, agreed.texture, agreed.tone, correlation])
 
 
 _UNEVEN = 0.1
 """Deviation of any map's own agreement, as a share of its mean: light and viewpoints change."""
-_SEARCHED = 4.0
+_SEARCHED = 0.9
 """Log odds of a pose against all places that were not searched, in a map of which half repeats itself."""
-_COLOURS = 1.5
-"""Number of independent senses that steps, tones and correlation are together."""
-_COLOURLESS = 3.0
-"""Log odds less without colours: nothing else tells places of one shape."""
-_REPEATS = (0.1, 0.8)
+_COLOURS = np.array([1.5, 0.5, 1.0])
+"""Weights of textures, tones and correlation of images: of any two images of a room tones agree."""
+_REPEATS = (0.25, 0.8)
 """Least and largest share of a map that repeats itself."""
 
 
@@ -252,22 +305,25 @@ def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np
     """Return the log odds that a pose is right, and not of a place that was not searched or not mapped.
 
     At a right pose, frames agree as well as those that the map was made of, with normal errors. At a wrong
-    pose they agree by any amount. The more the map repeats itself, the likelier is a wrong pose. Colours
-    count by the mean square of the shortfalls of steps, tones, and correlation. Depth counts by the share
-    of the map that repeats itself: elsewhere a moved chair lowers it, too. `own`: (2 K + 1,), a row of
-    `Scene.own_agreement`; if it is unknown, the odds are infinite.
+    pose they agree by any amount less. Each sense of colour adds the logarithm of the ratio of both
+    densities, by its weight; a sense that is missing leaves its weight to the others. Depth counts by the
+    share of the map that repeats itself: elsewhere a moved chair lowers it, too. `own`: (2 K + 1,), a row
+    of `Scene.own_agreement`; if it is unknown, the odds are infinite.
     """
     if own is None or np.isnan(own[-1]):
         return np.inf
-    means, deviations, repeats = own[:REACH], own[REACH:-1], np.clip(own[-1], *_REPEATS)
-    short = (means - reach(agreed, correlation)) / np.hypot(deviations, _UNEVEN * means)
-    short = np.maximum(short, 0.0)
-    depth, colours = short[0], short[1:][np.isfinite(short[1:])]
-    if np.isnan(depth) and not len(colours):
+    means, repeats = own[:REACH], np.clip(own[-1], *_REPEATS)
+    deviations = np.hypot(own[REACH:-1], _UNEVEN * means) + 1e-6
+    short = np.maximum((means - reach(agreed, correlation)) / deviations, 0.0)
+    known = np.isfinite(short)
+    if not known.any():
         return np.inf
-    off = repeats * np.nan_to_num(depth) ** 2
-    off += _COLOURS * float(np.mean(colours**2)) if len(colours) else 2.0 * _COLOURLESS
-    return float(_SEARCHED - log_odds(repeats, 0.0) - 0.5 * off)
+    gains = np.log(np.maximum(means / (deviations * np.sqrt(2.0 * np.pi)), 0.5)) - 0.5 * short**2
+    odds = _SEARCHED - log_odds(repeats, 0.0) - 0.5 * repeats * (short[0] ** 2 if known[0] else 0.0)
+    weights = _COLOURS * known[1:]
+    if weights.any():
+        odds += _COLOURS.sum() / weights.sum() * float(weights[known[1:]] @ gains[1:][known[1:]])
+    return float(odds)
 
 
 def both_odds(one: float, other: float) -> float:
