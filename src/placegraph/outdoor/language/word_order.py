@@ -13,8 +13,10 @@ from itertools import groupby, pairwise
 from math import pi
 
 from placegraph.language.grammar import Chunk
+from placegraph.outdoor.language.description import Direction
 from placegraph.outdoor.language.grammar import JOINTS, VERBS
 from placegraph.outdoor.language.languages import Language
+from placegraph.outdoor.language.words import tokens
 
 _NEW = ("A", "ANOTHER", "NUM", "NO")
 _DETERMINERS = ("DET", "THIS", *_NEW, "MY", "YOUR", "ITS", "WORD")
@@ -35,6 +37,7 @@ _CASES = ("GEN", "DROP")
 """Markers that only order needs; they are not in the grammar."""
 _FAR = 7
 """Chunks between a corner and its street at most."""
+_BODY = {"front": 0.0, "behind": pi}
 
 Rule = Callable[[list[Chunk], list[Chunk], int, Language], None]
 """Appends chunk i of a sentence to what was found so far, or what it becomes there."""
@@ -59,6 +62,11 @@ def order_chunks(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.postpositions:
         chunks = _order_postpositions(chunks, language)
     chunks = [chunk for chunk in chunks if chunk.type not in _CASES]
+    pairs = zip(chunks, [*[chunk.type for chunk in chunks[1:]], ""], strict=False)
+    leads = (*_LEADS, "WITH", "PREP", "BETWEEN")  # "在公园里" is "in the park"
+    chunks = [
+        c for c, after in pairs if c.type not in ("IN", "ON", "AT", "TO") or after not in leads
+    ]
     if not (order.head_first or order.verb_final):
         chunks = _place_existing(chunks)
     return _say_gapped_verbs(chunks)
@@ -118,11 +126,13 @@ def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
 def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
     """Return the start of the next mention behind the complete place at `start`; 0 if there is none."""
     for i in range(start + 1, len(chunks)):
+        if chunks[i].type in (*_STATED, "CUT", "COND"):
+            return 0
         joint = _type(chunks, i - 1) == "AND"
         before = _type(chunks, i - 1 - joint)
         bare = chunks[i].type == "NOUN" and before in ("DIR", "NEARBY", "ME", "HERE", "IT")
         if (chunks[i].type in _NEW or bare) and before in _ENDS:
-            return i
+            return 0 if joint and chunks[i - 1].words not in (",", ":") else i
     return 0
 
 
@@ -132,6 +142,8 @@ def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
 def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put an OF between a direction or a part and its thing: "nördlich der Kirche"."""
     chunk, before, after = chunks[i], _type(chunks, i - 1), _type(chunks, i + 1)
+    if chunk.type == "OF" and before == "NEARBY":
+        return
     joints = [other.type for other in chunks[:i] if other.type in ("BETWEEN", "AND", "CUT", "OF")]
     if chunk.type == "OF" and before in _NOUNS and joints[-1:] == ["BETWEEN"]:
         chunk = replace(chunk, type="AND")  # "בין בית הספר ל|כנסייה"
@@ -155,7 +167,7 @@ def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: L
 
 
 def _mark_owners(chunks: list[Chunk]) -> list[Chunk]:
-    """Put an OF before a genitive behind a noun, a part or a direction."""
+    """Put an OF before a genitive behind a noun, a part or a direction; leave one "no" of two."""
     genitive = {id(chunk) for chunk, after in pairwise(chunks) if after.type == "GEN"}
     chunks = [chunk for chunk in chunks if chunk.type != "GEN"]
     found: list[Chunk] = []
@@ -169,7 +181,8 @@ def _mark_owners(chunks: list[Chunk]) -> list[Chunk]:
                 found[-1] = replace(before, type="PREP", value="near")  # "niedaleko jeziora"
             elif named or (owner and not facing and before.type in ("NOUN", "PART", "DIR")):
                 found.append(_mark(chunk, "OF"))
-        found.append(chunk)
+        if not chunk.type == _last(found) == "NO":
+            found.append(chunk)
     return found
 
 
@@ -217,22 +230,30 @@ def _say_copulas(chunks: list[Chunk]) -> list[Chunk]:
     """Put a BE between a place and the thing that is said to be there."""
     spoken = [any(c.type in VERBS for c in part) for part in _cut_at_joints(chunks) for _ in part]
     found: list[Chunk] = []
-    placed = thing = False
-    for i, chunk in enumerate(chunks):
+    placed = thing = whole = False
+    joint = -1
+    for i, given in enumerate(chunks):
+        chunk = given
+        if chunk.type in JOINTS and chunks[i - 1].type not in JOINTS:
+            if whole and spoken[i] and not spoken[i - 1] and chunk.type == "AND":
+                chunk = replace(chunk, type="CUT")  # "церква за ратушею, | поруч стоїть школа"
+            joint = len(found) if thing and chunk.type == "AND" else -1
+            placed, thing = placed and not thing and chunk.type == "AND", False
+            whole = False
         noun = _noun_of(chunks, i)
         if noun is not None and not placed:
             thing = True
         elif noun is not None and not (spoken[i] or thing):
-            if _say_copula(found, chunk):
+            if _say_copula(found, chunk, joint):
                 placed, thing = False, True
         elif noun is None and chunk.type in (*_PLACES, "HERE") and chunk.type not in ("TO", "OF"):
-            placed = placed or not thing
+            placed, whole = placed or not thing, thing
         found.append(chunk)
     return found
 
 
-def _say_copula(output: list[Chunk], chunk: Chunk) -> bool:
-    """Append a BE before a thing behind a whole place; tell whether."""
+def _say_copula(output: list[Chunk], chunk: Chunk, joint: int) -> bool:
+    """Append a BE before a thing behind a whole place, and cut at the joint before; tell whether."""
     at = _plain(output, len(output) - 1, -1)
     before = _type(output, at)
     if before == "AND" and output[at].words in ("–", "—", "-"):
@@ -241,6 +262,8 @@ def _say_copula(output: list[Chunk], chunk: Chunk) -> bool:
     ends = before in _ENDS and before != "THIS"
     if not ends or (before == "NOUN" and chunk.type == "NAME"):
         return False
+    if joint >= 0:  # "я на остановке | рядом киоск"
+        output[joint] = replace(output[joint], type="CUT")
     output.append(_mark(chunk, "BE"))
     return True
 
@@ -248,11 +271,30 @@ def _say_copula(output: list[Chunk], chunk: Chunk) -> bool:
 # nouns before what is said of them: "côté nord", "à côté de l'église", "plaza grande"
 
 
-def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
+def _name_street(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
+    """Let one be "on" a street that is only named: "je suis rue de la Paix"."""
+    chunk = chunks[i]
+    if chunk.type == "NAME" and language.is_road(tokens(chunk.value.name)):
+        if _last(output) == "NUM":
+            output.pop()  # the number of a house
+        if _last(output) == "BE":
+            output.append(_mark(chunk, "ON"))
+    output.append(chunk)
+
+
+def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put a direction before its part or noun: "côté nord", "l'entrée nord"."""
     chunk, after = chunks[i], _type(chunks, i + 1)
+    if chunk.type == "DIR" and _last(output) == "NEARBY":
+        side = language.longest([output[-1].words.rpartition(" ")[2]], 0)
+        if side is not None and side[1][0].type == "PART":  # "al lado | norte"
+            part = replace(output[-1], type="PART", value=side[1][0].value)
+            output[-1:] = [_mark(chunk, "ON"), part]
     led = _last(output) in (*_LEADS, "PREP", "FACE")
     bare = after == "DIR" and not led and _type(chunks, i + 2) not in ("PART", "NOUN")
+    noun = _last(output) == "NOUN" and _last(output, 2) in ("DET", "A")
+    noun = noun and after not in ("OF", "FROM")
+    first = language.longest(chunk.words.split(" ")[:1], 0) if noun else None
     sides = ("side", "end", "corner")
     if chunk.type == "DIR" and _last(output) == "PART" and output[-1].value in sides:
         part = output.pop()
@@ -260,7 +302,11 @@ def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, _language:
         before = _type(output, lead - 1)
         if _type(output, lead) == "OF" and before not in ("DIR", "PREP", "NEARBY"):
             output[lead] = replace(output[lead], type="ON")  # "du côté nord de la rue"
+        elif _type(output, lead) not in (*_LEADS, "PREP") and after == "OF":
+            output.insert(lead + 1, _mark(chunk, "ON"))
         output += [chunk, part]
+    elif chunk.type == "DIR" and noun and (not first or first[1][0].type not in (*_LEADS, "DET")):
+        output.insert(len(output) - 1, chunk)  # "l'entrée nord", but "un bosque al este"
     elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
         output.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
     else:
@@ -291,6 +337,13 @@ def _move_quality(output: list[Chunk], chunks: list[Chunk], i: int, language: La
 def _link_corner(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Let a corner be "of A and B": "en la esquina de A con B", "all'angolo tra A e B"."""
     chunk = chunks[i]
+    if chunk.type == "PART" and chunk.value in ("corner", "crossing"):
+        if _last(output) in (*_NOUNS, "AND", ""):
+            output.append(_mark(chunk, "AT"))  # "en Alcalá esquina Goya"
+        output.append(chunk)
+        if _type(chunks, i + 1) in _NOUNS:
+            output.append(_mark(chunks[i + 1], "OF"))
+        return
     if chunk.type == "AT" and _last(output) == "PART" and _leads_thing(chunks, i + 1):
         chunk = replace(chunk, type="OF", value=None)  # "in fondo alla strada"
     elif chunk.type in ("WITH", "BETWEEN"):
@@ -306,24 +359,50 @@ def _drop_link(output: list[Chunk], chunks: list[Chunk], i: int, _language: Lang
     """Leave out what joins a preposition of two words to its thing: "à côté | de | l'église"."""
     chunk, at, after = chunks[i], _plain(output, len(output) - 1, -1), _plain(chunks, i + 1)
     before = _type(output, at)
+    facing = before in ("FACE", "TO") and bool(_type(chunks, after))
     joins = chunk.type in _LINKS and before in _LINKED
-    if joins and _leads_thing(chunks, after):
+    if joins and (_leads_thing(chunks, after) or facing):
         if before == "NEARBY":
             output[at] = replace(output[at], type="PREP", value="near")
         return
+    if chunk.type == "DET" and before == "FACE" and _type(chunks, after) == "DIR":
+        return
+    relation = output[at].value if before == "PREP" else ""
+    if relation == "opposite" and chunk.type in _NEW and _type(chunks, i - 1) not in _LINKS:
+        output.append(_mark(chunk, "EXISTS"))  # "y enfrente un banco"
+    if relation in _BODY and chunk.type not in (*_DETERMINERS, *_THINGS, "PART", "DIR"):
+        output[at] = _as_direction(output[at])
     output.append(chunk)
+    if i + 1 == len(chunks) and chunk.type == "PREP" and chunk.value in _BODY:
+        output[-1] = _as_direction(chunk)
+
+
+def _as_direction(chunk: Chunk) -> Chunk:
+    """Return "derrière" without a thing as a direction."""
+    return replace(chunk, type="DIR", value=Direction(_BODY[str(chunk.value)], facing=True))
 
 
 def _drop_repeated(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Leave out an "of" that a list repeats, or that says "some": "de A et de B", "dei negozi"."""
-    chunk, before = chunks[i], _last_plain(output)
-    some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH", "AND")
-    if not (chunk.type == "OF" and some and _leads_thing(chunks, i + 1)):
+    chunk, before, after = chunks[i], _last_plain(output), _type(chunks, i + 1)
+    link = ""
+    for k in range(len(output) - 1, -1, -1):
+        if output[k].type in (*_LEADS, *_STATED, "PREP", "NEARBY", "ACROSS"):
+            link = "" if output[k].type in _STATED else output[k].type
+            if link and link not in _LEADS:
+                following = _type(output, k + 1)
+                link = following if following in _LINKS else "OF"
+            break
+    some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH") or (before == "AND" and not link)
+    if not before and after == "DET":
+        some = chunks[i + 1].start == chunk.start  # "Des arbres ..."
+    listed = before == "AND" and chunk.type == link and after != "PART"
+    if not (_leads_thing(chunks, i + 1) and (listed or (chunk.type == "OF" and some))):
         output.append(chunk)
 
 
 _HEAD_FIRST: tuple[Rule, ...] = (
-    _move_direction, _move_quality, _link_corner, _drop_link, _drop_repeated,
+    _name_street, _move_direction, _move_quality, _link_corner, _drop_link, _drop_repeated,
 )  # fmt: skip
 
 
@@ -369,6 +448,8 @@ def _place_existing(chunks: list[Chunk]) -> list[Chunk]:
         thing = _new_thing(chunks, place) if _type(chunks, place) in _PLACES else 0
         if thing:
             seer = len(found)
+            while verb.type != "EXISTS" and _type(found, seer - 1) in ("ME", "YOU", "NOT"):
+                seer -= 1
             stop = thing - (_type(chunks, thing - 1) == "AND")
             found[seer:] = [*chunks[place:stop], *found[seer:], *chunks[i:end]]
             end = thing
@@ -406,8 +487,24 @@ def _say_subject(output: list[Chunk], chunks: list[Chunk], i: int, _language: La
     aside = before == "AND" and output[-1].words == "," and relative
     if chunk.type != "BE" or before not in ("", *JOINTS, "THAT_IS") or aside:
         output.append(chunk)
+    elif _shows(chunks, i + 1):
+        output.append(replace(chunk, type="EXISTS"))  # "está la iglesia a mi derecha"
     else:
         output += [_mark(chunk, "IT"), chunk]
+
+
+def _shows(chunks: Sequence[Chunk], i: int) -> bool:
+    """Tell whether a thing begins at i, and where it is follows."""
+    i = _plain(chunks, i)
+    i = _plain(chunks, i + 1) if _type(chunks, i) == "NOT" else i
+    if _type(chunks, i) not in (*_DETERMINERS, *_NOUNS):
+        return False
+    for chunk in chunks[i:]:
+        if chunk.type in (*_STATED, *JOINTS, "THAT_IS"):
+            break
+        if chunk.type in _PLACES and chunk.type != "OF":
+            return True
+    return False
 
 
 # postpositions and final verbs: "kirkon vieressä", "kita ni kyōkai ga aru"
@@ -446,7 +543,7 @@ def _order_postpositions(chunks: list[Chunk], language: Language) -> list[Chunk]
             _relate(found, group, marked=order.marked, shows=shows)
         else:
             found += group
-    items = found
+    items = _move_owners(found)
     if order.verb_final:
         items = list(_move_verbs(items))
     # the case of a thing becomes a word before it
@@ -509,10 +606,12 @@ def _relate(output: list[_Item], words: list[_Item], *, marked: bool, shows: boo
     while output and output[-1].kind == "DIST" and not measured:
         measured = [output.pop()]  # "50 metriä kirkosta pohjoiseen"
     target = [chunk for thing in things for chunk in thing.chunks]
+    of_thing = target[0].type not in ("ME", "YOU")
     heads: list[Chunk] = []
     for chunk in [chunk for word in relations for chunk in word.chunks]:
         turned = chunk.value.bearing if chunk.type == "DIR" and chunk.value.facing else None
-        if target[0].type not in ("ME", "YOU") and turned in (0.0, pi):  # a thing has no heading
+        in_line = of_thing and turned in (0.0, pi)
+        if in_line:  # a thing has no heading: "in front" or "behind" it
             chunk = replace(chunk, type="PREP", value="behind" if turned else "front")  # noqa: PLW2901
         heads.append(chunk)
     kind = heads[-1].type if heads else ""
@@ -536,6 +635,21 @@ def _takes_thing(output: list[_Item], *, measured_only: bool, marked: bool, show
     return {"IN", "AT", "ON"}.isdisjoint(case) and (bool(case) or not marked)
 
 
+def _move_owners(items: list[_Item]) -> list[_Item]:
+    """Bring an owner behind what it owns: "puiston portti" is "the gate of the park"."""
+    found: list[_Item] = []
+    for item in items:
+        owner = found[-1] if found else None
+        owned = owner is not None and owner.kind == "thing" and owner.case == ["GEN"]
+        if owner is None or not owned or item.kind not in ("thing", "place"):
+            found.append(item)
+            continue
+        found[-1] = item
+        if item.kind == "thing" and not owner.is_person and not item.is_person:
+            found.append(_Item("place", [_mark(owner.chunks[0], "OF"), *owner.chunks]))
+    return found
+
+
 def _move_verbs(items: list[_Item]) -> Iterator[_Item]:
     """Bring final verbs to where the grammar has them."""
     clause: list[_Item] = []
@@ -545,6 +659,9 @@ def _move_verbs(items: list[_Item]) -> Iterator[_Item]:
         i += 1
         if item.kind not in _STATED:
             clause.append(item)
+            if item.kind in ("CUT", "COND"):
+                yield from clause
+                clause = []
             continue
         verb = [item]
         while i < len(items) and items[i].kind == "NOT":
@@ -576,7 +693,11 @@ def _place_verb(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
         return [clause[0], be, *verb[1:], *clause[1:]]
     seen = [n for n in free if not clause[n].is_person]
     if not seen or (kind == "BE" and seen[0] == 0):
+        if kind == "SEE":
+            return [*clause, *verb]
         left = verb[1:] if kind in ("BE", "EXISTS") else verb  # "教会の北です": a place alone
         return [*left, *clause, _Item("CUT", [_mark(verb[0].chunks[0], "CUT")])]
     at = seen[0]
+    while at and clause[at - 1].kind == "NOT":
+        at -= 1
     return [*clause[:at], *verb, *clause[at:]]
