@@ -146,16 +146,10 @@ class Streets:
                 if not (ids[0] or ids[1]):
                     continue
                 typed = any(word in TYPES for word in words) and n > 1
-                small = not (tokens[i].capital or any(word[0].isdigit() for word in words))
-                if small and not typed and not _is_led(tokens, i, i + n):
-                    continue
                 last = i + n - 1
                 following = tokens[last + 1] if last + 1 < len(tokens) else None
                 if not typed and following is not None and _continues(tokens[last], following):
                     continue  # "Hudson Yards" is another place than Hudson Street
-                if not typed and last + 1 < len(tokens) and tokens[last + 1].word in TYPES:
-                    last += 1  # "Knight street" of "Knight Road": another type, loosely
-                    typed = True
                 yield _StreetMatch(i, last, (*ids[0], *ids[1]), bool(ids[0]), typed)
                 step = last + 1 - i
                 break
@@ -252,14 +246,10 @@ class Streets:
             if i < len(numbers) and numbers[i] == number:
                 return at[i : i + 1], 2
             gap = numbers[i] - numbers[i - 1] if 0 < i < len(numbers) else MAX_GAP + 1
-            if gap <= MAX_GAP and np.hypot(*(at[i] - at[i - 1])) <= 2.5 * gap + 80.0:
+            if gap <= MAX_GAP:
                 share = (number - numbers[i - 1]) / gap
                 points, place = self._sample(street)[0], at[i - 1] + share * (at[i] - at[i - 1])
                 return points[np.argmin(np.hypot(*(points - place).T))][None], 1
-            beside = [j for j in (i - 1, i) if 0 <= j < len(numbers)]
-            near = min(beside, default=-1, key=lambda j: abs(numbers[j] - number))
-            if near >= 0 and abs(numbers[near] - number) <= 30:
-                return at[near : near + 1], 1
         return self._tell_by_parallels(number, street)
 
     def _tell_by_parallels(self, number: int, street: int) -> tuple[Floats, int]:
