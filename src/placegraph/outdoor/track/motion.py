@@ -15,6 +15,7 @@ from placegraph.language.text import MEASURE, Word, metres
 from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA
 from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.scan import scan_english
+from placegraph.outdoor.language.words import read_words
 
 _UNITS = {
     "zero": 0, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7,
@@ -82,33 +83,16 @@ DESTINATION = re.compile(
            |\s+\d|,)""",
     re.VERBOSE | re.IGNORECASE,
 )
-AHEAD = (
-    "straight",
-    "ahead",
-    "on",
-    "onward",
-    "onwards",
-    "forward",
-    "forwards",
-    "further",
-    "farther",
-)
-BACK = ("back", "backward", "backwards", "around", "round")
-CONJUNCTIONS = frozenset(
-    ("and", "then", "before", "until", "till", "where", "while", "but", "when")
-)
+AHEAD = read_words("straight ahead on onward onwards forward forwards further farther")
+BACK = read_words("back backward backwards around round")
+CONJUNCTIONS = read_words("and then before until till where while but when")
 FILLERS = re.compile(
     r"\b(?:an?|the|to|in|on|for|of|about|another|more|some|roughly|towards?|direction|further|and"
     r"|then|again|heading)\b"
 )
-PREPOSITIONS = {
-    "along": "on",
-    "down": "on",
-    "up": "on",
-    "onto": "on",
-    "into": "in",
-    "entered": "in",
-}
+PREPOSITIONS = dict.fromkeys(("along", "down", "up", "onto"), "on") | dict.fromkeys(
+    ("into", "entered"), "in"
+)
 MOTION_STEMS = re.compile(
     r"\b(?:walk|went|gone|go|mov|r[au]n|jog|dr[io]v|cycl|bik|rode|head|contin|proceed|stroll|wander"
     r"|march|hik|travel|turn|carr|ke[ep]p?|kept|been|cross|step|stay|stood|wait|stop|reach|arriv|got"
