@@ -147,14 +147,6 @@ def test_samples_stand_in_tiles():
     assert (uv[:, :, 1] < 90).all()
 
 
-def test_rays_have_length_one_along_the_optical_axis():
-    view = view_of(frame(BENT), 10.0)
-    axis = level_from_camera(GRAVITY)[:, 2]
-    np.testing.assert_allclose(view.directions @ axis, 1.0, atol=1e-5)
-    # the axis itself points where a tilted camera looks: forward and, gravity says, down
-    assert axis[2] < -0.2
-
-
 OTHERS = [
     Camera(160, 90, 115.0, 112.0, 78.0, 47.0),  # the same
     Camera(80, 45, 57.5, 56.0, 39.0, 23.5),  # half
@@ -278,16 +270,6 @@ def test_ratios_average_to_one_over_the_map(seed, objects, wrong, sharpness):
     np.testing.assert_allclose(view.semantic[:6, :objects] @ shares, 1.0, rtol=1e-4)
     assert (view.semantic > 0).all()
     assert (view.semantic[:, objects] == 1).all()
-
-
-def test_eq_2_scores_agreement_by_its_cosine():
-    options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
-    table = [[0.8, -0.5, 0.1], [0.4, 0.4, -1.0]]
-    seen = patches((1, 3), rows=[0, 1, -1], table=table)
-    view = view_of(frame(), encoder=Says(seen), options=options)
-    np.testing.assert_allclose(view.semantic[0], [1.8, 0, 0, 0], atol=1e-6)
-    np.testing.assert_allclose(view.semantic[1], [1.4, 1.4, 0, 0], atol=1e-6)  # both are best
-    assert view.weight.tolist() == [1, 1, 0, 0]
 
 
 def test_what_fills_many_patches_counts_in_part():

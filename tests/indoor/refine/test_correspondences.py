@@ -50,17 +50,6 @@ def test_points_are_depth_unprojected(picture, way, kit, rng):
     assert np.abs(inside[:, 2] - nearest)[sound & same].max() < 0.1
 
 
-def test_pixel_centres_are_the_renderings_own_points(picture):
-    h, w = picture.depth.shape
-    v, u = np.mgrid[0:h:7, 0:w:7].reshape(2, -1)
-    points, sound = lift_pixels(picture, np.stack([u, v], axis=1) + 0.5)
-    np.testing.assert_allclose(points[sound], picture.points[v, u][sound], atol=1e-6)
-    for rim in (np.array([[0.0, 0.0], [w, h], [w, 0.0], [0.0, h]]), np.zeros((0, 2))):
-        points, sound = lift_pixels(picture, rim)
-        assert points.shape == (len(sound), 3) == (len(rim), 3)
-        assert np.isfinite(points[sound]).all()
-
-
 def test_holes_and_edges_are_unsound(picture):
     depth, points = picture.depth.copy(), picture.points.copy()
     depth[:] = 2.0
