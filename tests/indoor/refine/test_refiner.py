@@ -84,6 +84,16 @@ def test_where_nothing_matches_depth_decides(refiner, exact, kit):
     assert all(0 <= done <= total for _, done, total in progress)
 
 
+def test_a_white_map_is_not_matched(refiner, exact, room, kit):
+    white = kit.white(room)
+    nowhere = Nowhere()
+    fitted = refiner(white, nowhere, depth=False).fit_trajectory(exact.poses)
+    assert nowhere.views == []
+    assert fitted.solution is None
+    np.testing.assert_array_equal(fitted.poses, exact.poses)
+    assert refiner(white, nowhere, images=True).fit_trajectory(exact.poses).solution is not None
+
+
 @pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])
 def test_frames_that_are_looked_at(refiner, count, asked):
     for matcher, most in ((None, MANY), (Nowhere(), FEW)):
