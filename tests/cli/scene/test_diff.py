@@ -53,6 +53,13 @@ def test_two_maps(run, place, tmp_path):
     assert again["changes"] == []
 
 
+def test_a_map_and_a_capture(run, place):
+    done = run("scene", "diff", place / "room.scene", place / "walk", "--json")
+    assert done.code == 0
+    assert done.json["changes"] == []
+    assert done.json["same"]
+
+
 def test_update_from_a_later_map_in_place(run, place, tmp_path):
     path = tmp_path / "room.scene"
     path.write_bytes((place / "room.scene").read_bytes())

@@ -242,6 +242,15 @@ def test_steps_are_told(run, room, monkeypatch):
     assert told.index("matching images") < told.index("checking") < told.index("drawing")
 
 
+def test_an_image_feature_matcher(run, room):
+    pytest.importorskip("cv2", reason="needs OpenCV")
+    told = run(
+        "scene", "localize", room.map, room.walk, "--frames", ":2", "--json", "--no-depth",
+        "--matcher", "sift",
+    ).json  # fmt: skip
+    assert told["refinement"]["stats"]["matcher"] == "sift"
+
+
 def test_weights_reach_the_matcher(tmp_path):
     pytest.importorskip("kornia", reason="needs kornia")
     with pytest.raises(InputError, match=r"a\.pt"):

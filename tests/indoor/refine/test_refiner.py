@@ -56,6 +56,19 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3
 
 
+def test_readings_of_fit_and_check_are_other_pixels(refiner):
+    one = refiner(frames=slice(0, 2))
+    for fit, check in zip(one.readings(0), one.readings(1), strict=True):
+        a, b = (
+            {tuple(d) for d in np.round(r.directions[r.depth > 0], 5).tolist()}
+            for r in (fit, check)
+        )
+        assert a
+        assert b
+        assert not a & b
+    assert one.readings(0) is one.readings(0)  # cut once
+
+
 @pytest.mark.parametrize(
     ("options", "views"),
     [

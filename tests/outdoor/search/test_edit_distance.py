@@ -224,6 +224,21 @@ def test_the_plain_distance_is_symmetric_and_zero_for_equals(a, b):
     assert distance(first, shuffled, costs=PLAIN, timeout=LONG).cost == 0.0
 
 
+@settings(max_examples=20, deadline=None)
+@given(texts(), places)
+def test_when_time_is_up_the_bound_is_returned(text, where):
+    cell = LabelledGraph.of_scene_graph(where)
+    for costs in (Costs(), PLAIN):
+        exact = distance(text, cell, costs=costs, timeout=LONG)
+        hasty = distance(text, cell, costs=costs, timeout=1e-9)
+        assert exact.cost - 1e-9 <= hasty.cost
+        if hasty.exact:
+            assert hasty.cost == pytest.approx(exact.cost)
+        everything = len(text.nodes) + len(text.edges)
+        everything += len(cell.nodes) * costs.node_insertion
+        assert hasty.cost <= everything + len(cell.edges) * costs.edge_insertion + 1e-9
+
+
 def test_a_crowd_is_bounded_in_time():
     crowd = place(*((BENCH, 7 * i % 61, i) for i in range(60)))
     text = make_description([BENCH] * 5, [toward(i, "north", i + 1) for i in range(2, 6)])

@@ -17,7 +17,11 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.scenegraphloc.features import RELATIONS, read_attributes
+from placegraph_learn.scenegraphloc.features import (
+    RELATIONS,
+    read_attributes,
+    relation_row,
+)
 from placegraph_learn.scenegraphloc.inputs import (
     Views,
     barycentre,
@@ -178,6 +182,15 @@ def test_distortion_is_smooth_and_of_its_size(rng):
     assert 0 < sum(same) < 8
     for odd in (np.zeros((5, 3), np.float32), np.float32([[0, 0, 0], [900, 900, 900]])):
         assert np.isfinite(distort(odd, np.random.default_rng(0))).all()
+
+
+def test_relations_have_their_rows():
+    assert len(RELATIONS) == len(set(RELATIONS)) == 41
+    assert relation_row("Standing On ") == 15
+    assert relation_row("next to") == RELATIONS.index("close by")
+    assert relation_row("same room") is None
+    assert RELATIONS[26] == "hanging in"
+    assert RELATIONS[40] == "more comfortable than"
 
 
 @pytest.mark.parametrize("content", [b"", b"red\nred\n", b'["red", 3]', b'["red"', b"\xff\xfe\x00"])

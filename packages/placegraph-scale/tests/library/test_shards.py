@@ -214,6 +214,12 @@ def test_two_scenes_of_one_name_and_an_older_write(signatures, tmp_path):
     ]  # fmt: skip
 
 
+def test_options_are_those_of_a_library(shards, rooms):
+    film = rooms["study"].film(3)
+    found = shards.search(film, options=SearchOptions(geometry=False), frames=slice(2), most=3)
+    assert len(found.modes) == 3
+
+
 def test_on_the_command_line(files, tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     files.save(tmp_path / "rooms.library")
