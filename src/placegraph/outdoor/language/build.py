@@ -9,7 +9,7 @@ from typing import Protocol
 
 from placegraph.language.grammar import Chunk, Clause, PlacePhrase
 from placegraph.language.text import IgnoredText, check_text
-from placegraph.outdoor.language.chunks import Chunker, InflectedChunker
+from placegraph.outdoor.language.chunks import find_sentences
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -20,14 +20,7 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place, cut_clauses, parser
 from placegraph.outdoor.language.languages import Language
-from placegraph.outdoor.language.scan import (
-    Stretch,
-    clean,
-    find_labels,
-    find_stretches,
-    scan_any,
-    scan_english,
-)
+from placegraph.outdoor.language.scan import clean, find_stretches
 from placegraph.outdoor.language.statements import (
     LEGS,
     NO_MAP,
@@ -122,7 +115,7 @@ def describe(
     sentences = [
         (sentence, part.language)
         for part in parts
-        for sentence in _find_sentences(cleaned, part, vocabulary, names, sites)
+        for sentence in find_sentences(cleaned, part, vocabulary, names, sites)
     ]
     main = max(parts, key=lambda part: part.end - part.start)
     directive = any(_is_directive(sentence) for sentence, _ in sentences)
@@ -151,34 +144,6 @@ def describe(
         conflicts,
         main.language.code if main.certain else "",
     )
-
-
-def _find_sentences(
-    text: str,
-    part: Stretch,
-    vocabulary: Words,
-    names: NameFinder | None,
-    sites: Sequence[tuple[int, int]],
-) -> Iterator[list[Chunk]]:
-    """Yield the chunks of the sentences of a part of a text in one language.
-
-    `sites` are stretches of the text that name a crossing or a house.
-    """
-    sites = [span for span in sites if part.start <= span[0] < span[1] <= part.end]
-    if part.language.code == "en":
-        chunker = Chunker(text, part.language, vocabulary, names)
-        spans = find_labels(text, vocabulary, names)
-        inside = [span for span in spans if part.start <= span[0] < part.end]
-        sites = [s for s in sites if not any(a < s[1] and s[0] < b for a, b in inside)]
-        for sentence in scan_english(text[: part.end], part.language, inside, sites, part.start):
-            yield chunker.chunks(sentence)
-        return
-    known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
-    inflected = InflectedChunker(text, part.language, known.of(part.language), names)
-    span = (part.start, part.end)
-    named = inflected.find_names(span)
-    for sentence in scan_any(text, part.language, inflected.is_word, span, named, sites):
-        yield inflected.chunks(sentence)
 
 
 def _read_sentence(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> None:
@@ -394,8 +359,6 @@ class GraphBuilder:
         first = places[0]
         if isinstance(first, NounPhrase):  # "meet me the garden"
             first = PlacePhrase("at", first.start, first.end, (first,), "AT")
-        elif first.word == "TO":  # "come to the garden"
-            first = replace(first, word="AT")
         self._relate_chain((first, *places[1:]), [SPEAKER], context)
 
     def _goes(self, clause: Clause, context: ClauseContext, _opens: bool) -> None:

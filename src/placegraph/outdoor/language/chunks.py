@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from placegraph.language.grammar import Chunk
@@ -10,8 +11,14 @@ from placegraph.language.text import Terminal, Word, fold_case, parse_count
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
-from placegraph.outdoor.language.scan import is_shouting
-from placegraph.outdoor.language.vocabulary import LanguageWords
+from placegraph.outdoor.language.scan import (
+    Stretch,
+    find_labels,
+    is_shouting,
+    scan_any,
+    scan_english,
+)
+from placegraph.outdoor.language.vocabulary import LanguageWords, Vocabulary
 from placegraph.outdoor.language.word_order import order_chunks
 from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
 
@@ -660,3 +667,31 @@ class InflectedNames(ProperNames):
 def _lacks_capitals(word: Word) -> bool:
     """Tell whether a word is in a script without capitals."""
     return word.lower == word.lower.upper()
+
+
+def find_sentences(
+    text: str,
+    part: Stretch,
+    vocabulary: Words,
+    names: NameFinder | None,
+    sites: Sequence[tuple[int, int]],
+) -> Iterator[list[Chunk]]:
+    """Yield the chunks of the sentences of a part of a text in one language.
+
+    `sites` are stretches of the text that name a crossing or a house.
+    """
+    sites = [span for span in sites if part.start <= span[0] < span[1] <= part.end]
+    if part.language.code == "en":
+        chunker = Chunker(text, part.language, vocabulary, names)
+        spans = find_labels(text, vocabulary, names)
+        inside = [span for span in spans if part.start <= span[0] < part.end]
+        sites = [s for s in sites if not any(a < s[1] and s[0] < b for a, b in inside)]
+        for sentence in scan_english(text[: part.end], part.language, inside, sites, part.start):
+            yield chunker.chunks(sentence)
+        return
+    known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
+    inflected = InflectedChunker(text, part.language, known.of(part.language), names)
+    span = (part.start, part.end)
+    named = inflected.find_names(span)
+    for sentence in scan_any(text, part.language, inflected.is_word, span, named, sites):
+        yield inflected.chunks(sentence)

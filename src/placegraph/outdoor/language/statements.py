@@ -19,7 +19,7 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.language.grammar import NounPhrase, Place
-from placegraph.outdoor.language.words import Words, normalise, tokens
+from placegraph.outdoor.language.words import Words, normalise, singular, tokens
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.languages import Language
@@ -73,7 +73,7 @@ class References:
             return SPEAKER if self.topic is None else self.topic
         if noun.part and not noun.name:
             return None
-        head, senses = _lemma(noun.head), noun.senses
+        head, senses = singular(noun.head), noun.senses
         if not senses and not noun.name:
             head, senses = self._guess_senses(noun.head)
             if not senses and not noun.determiner:
@@ -87,15 +87,15 @@ class References:
             return words, ()
         whole = self.vocabulary.senses(words)
         if whole and " " in words:
-            return _lemma(words), whole
+            return singular(words), whole
         rest, _, last = words.rpartition(" ")
         found = self.vocabulary.closest(last, cutoff=TYPING_ERROR)
         if found is None and rest and last in self.lists["generic"]:
             found = (rest.rpartition(" ")[2], GENERIC)
         if found is None:
-            return _lemma(last), ()
+            return singular(last), ()
         senses = self.vocabulary.senses(found[0])
-        return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
+        return singular(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
 
     def _find(
         self, noun: NounPhrase, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
@@ -182,17 +182,6 @@ class References:
 def name_key(name: str) -> str:
     """Return a name in normal form, without an article."""
     return normalise(name).removeprefix("the ")
-
-
-def _lemma(noun: str) -> str:
-    """Return the singular of a noun, by the rules that cover nearly all names of things."""
-    if noun.endswith("ies") and len(noun) > 4:
-        return noun[:-3] + "y"
-    if noun.endswith(("ches", "shes", "xes", "sses")):
-        return noun[:-2]
-    if noun.endswith("s") and not noun.endswith(("ss", "us")):
-        return noun[:-1]
-    return noun
 
 
 BlockLength = Callable[[float | None], float]
@@ -520,8 +509,6 @@ class PlaceReader:
             self._add_direction(context, source, target, turned, distance=distance)
         elif word in ("front", "behind") and target == LISTENER:
             self.reason = LISTENER_HEADING
-        elif word == "surrounded":
-            self.add(context, Relation.NEAR, target, source)
         elif word in ("past", "before", "toward"):
             far = context.travel or word == "toward"
             sure = ROUTE if far else 0.8 if distance else PASSED
