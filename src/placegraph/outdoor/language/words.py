@@ -252,6 +252,10 @@ CORNERS = read_words("""
     esquina cruce cruzamento angolo incrocio hoek kruising korsning kulma risteys rog kosesi угол
     перекресток
 """)
+SIDES = COMPASS | read_words("ne nw se sw st northeastern northwestern southeastern southwestern")
+"""Words between "the" and "corner of" a crossing."""
+PLURALS = _read_pairs("streets>st avenues>ave roads>rd drives>dr sts>st")
+"""Words for several streets: "10th and 11th Avenues"."""
 SMALL = read_words("""
     the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
     e der die das dem den von vom zu zum zur am im van het רחוב شارع

@@ -17,6 +17,8 @@ from placegraph.outdoor.language.words import (
     COMPASS,
     CORNERS,
     JOINS,
+    PLURALS,
+    SIDES,
     SMALL,
     TYPES,
     fold,
@@ -329,7 +331,6 @@ class Streets:
         return _merge(0.5 * (a[i] + b[j]))
 
 
-_PLURAL = {"streets": "st", "avenues": "ave", "roads": "rd", "drives": "dr", "sts": "st"}
 _HINT = re.compile(
     rf"\b(?:{'|'.join(word for word in JOINS | CORNERS | BETWEEN if word.isalpha())})\b",
     re.IGNORECASE,
@@ -349,7 +350,7 @@ def _scan(text: str) -> Iterator[_Token]:
         if written == "." and len(last) < 5 and last.isalpha():
             continue
         word = fold(written) if written[0].isalnum() else written.strip() or "\n"
-        word = _PLURAL.get(word, word)
+        word = PLURALS.get(word, word)
         last = written
         yield _Token(word or written, match.start(), match.end(), written[0].isupper())
 
@@ -410,25 +411,13 @@ def _find_lead(tokens: list[_Token], first: int) -> int:
     if i < 1 or tokens[i].word != "of" or tokens[i - 1].word not in CORNERS:
         return first if i < 0 or tokens[i].word not in CORNERS else i
     i -= 1
-    while i > 0 and tokens[i - 1].word in _SIDES:
+    while i > 0 and tokens[i - 1].word in SIDES:
         i -= 1
     return i - 1 if i > 0 and tokens[i - 1].word in ("the", "a") else i
 
 
 _OPENS = frozenset(("", ".", ";", ":", "-", "(", "\n", ",", "at", "on", "of", "and", "near", "by"))
 """Words and marks before two streets that cross."""
-_SIDES = COMPASS | {
-    "ne",
-    "nw",
-    "se",
-    "sw",
-    "street",
-    "st",
-    "northeastern",
-    "northwestern",
-    "southeastern",
-    "southwestern",
-}
 
 
 def _site(tokens: list[_Token], first: int, last: int, at: Floats) -> Site:
