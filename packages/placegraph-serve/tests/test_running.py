@@ -210,7 +210,8 @@ def test_a_map_replaced_and_deleted_under_load(running):
     assert gone.status_code in {404, 503}
     assert gone.json()["mend"]
     assert codes <= {200, 404, 503, 504}  # a busy machine is late
-    assert ask(0).json()["estimate"]["modes"][0]["scene"] == "altbau"
+    told = next(a for a in map(ask, range(9)) if a.status_code != 504)
+    assert told.json()["estimate"]["modes"][0]["scene"] == "altbau"
 
 
 def test_worlds_are_asked_with_no_map_named(running, walk):

@@ -1,6 +1,7 @@
 from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
+from placegraph_lab.tables.named import weight as script
 from placegraph_lab.tables.named.weight import count_lines, functions, shape
 from placegraph_lab.tables.runner import LAB
 
@@ -29,7 +30,11 @@ def test_lines_and_functions_are_counted(tmp_path):
     assert sorted(functions(file)) == [("enter", 3, 2), ("inner", 1, 0)]
 
 
-def test_the_comment_repeats_the_command(tmp_path):
+def test_the_comment_repeats_the_command(tmp_path, monkeypatch):
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src/room.py").write_text(CODE)
+    (tmp_path / "README.md").write_text("A house.\n")
+    monkeypatch.setattr(script, "LAB", tmp_path / "lab")
     options = ["--no-starts", "--no-install", "--out", str(tmp_path / "rows.json")]
     done = CliRunner().invoke(app, ["table", "weight", *options])
     assert done.stdout.startswith("<!-- placegraph-lab table weight --no-starts --no-install (")

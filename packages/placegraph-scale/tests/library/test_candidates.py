@@ -1,4 +1,5 @@
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,8 +135,8 @@ def test_by_the_command_line_and_a_server(maps_and_library, run):
     assert (listed["all"]["kind"], listed["all"]["objects"]) == ("shards", 4)
 
 
-@pytest.fixture
-def damaged(maps_and_library, tmp_path):
+@pytest.fixture(scope="module")
+def sharded(maps_and_library, tmp_path_factory):
     read, mapped = maps_and_library
     library = pg.open_map(read / "all.library")
     more = draw_variations(
@@ -143,11 +144,15 @@ def damaged(maps_and_library, tmp_path):
     )
     listed = [NamedEntry(n, library.entry(n), str(library.entry(n).path)) for n in library]
     listed += [NamedEntry(n, Entry(s, None)) for n, s in more.items()]
-    there = tmp_path / "world"
-    there.mkdir()
+    there = tmp_path_factory.mktemp("sharded")
     shutil.copy(mapped / "west.city", there)
     write_shards(there / "all.shards", listed, size=4)
     return there
+
+
+@pytest.fixture
+def damaged(sharded, tmp_path):
+    return Path(shutil.copytree(sharded, tmp_path / "world"))
 
 
 @pytest.mark.parametrize("fault", ["missing", "cut", "turned", "newer", "another"])

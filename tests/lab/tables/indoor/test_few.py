@@ -7,6 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from placegraph.indoor.build import build_scene
+from placegraph.indoor.map.textures import Detail
+from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph_lab.tables.indoor.windows import measure_coverage
 from placegraph_lab.tables.named import indoor_few as script
 from placegraph_lab.tables.named.indoor_few import Answer, Row, pool_rows
@@ -30,9 +33,12 @@ def maps(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch, walk):
-    """Ask the short walk; its first frames make a map, and the last show another end."""
+    """Ask the short walk; its first frames make a coarse map, and the last show another end."""
     pytest.importorskip("cv2")
     copy = partial(shutil.copytree, walk, dirs_exist_ok=True)
+    coarse = partial(build_scene, detail=Detail(error=0.03, baked=0.04))
+    monkeypatch.setattr(script, "build_scene", coarse)
+    monkeypatch.setattr(script, "FromCapture", partial(FromCapture, voxel=0.05))
     monkeypatch.setattr(script, "record_world", lambda _, folder: copy(folder))
     monkeypatch.setattr(script, "LEFT_OUT", {"doors": ((slice(0, 4, 1), slice(SHORT - 2, SHORT)),)})
 
