@@ -13,10 +13,8 @@ from itertools import groupby, pairwise
 from math import pi
 
 from placegraph.language.grammar import Chunk
-from placegraph.outdoor.language.description import Direction
 from placegraph.outdoor.language.grammar import JOINTS, VERBS
 from placegraph.outdoor.language.languages import Language
-from placegraph.outdoor.language.words import tokens
 
 _NEW = ("A", "ANOTHER", "NUM", "NO")
 _DETERMINERS = ("DET", "THIS", *_NEW, "MY", "YOUR", "ITS", "WORD")
@@ -37,7 +35,6 @@ _CASES = ("GEN", "DROP")
 """Markers that only order needs; they are not in the grammar."""
 _FAR = 7
 """Chunks between a corner and its street at most."""
-_BODY = {"front": 0.0, "behind": pi}
 
 Rule = Callable[[list[Chunk], list[Chunk], int, Language], None]
 """Appends chunk i of a sentence to what was found so far, or what it becomes there."""
@@ -62,11 +59,6 @@ def order_chunks(chunks: list[Chunk], language: Language) -> list[Chunk]:
     if order.postpositions:
         chunks = _order_postpositions(chunks, language)
     chunks = [chunk for chunk in chunks if chunk.type not in _CASES]
-    pairs = zip(chunks, [*[chunk.type for chunk in chunks[1:]], ""], strict=False)
-    leads = (*_LEADS, "WITH", "PREP", "BETWEEN")  # "在公园里" is "in the park"
-    chunks = [
-        c for c, after in pairs if c.type not in ("IN", "ON", "AT", "TO") or after not in leads
-    ]
     if not (order.head_first or order.verb_final):
         chunks = _place_existing(chunks)
     return _say_gapped_verbs(chunks)
@@ -126,13 +118,11 @@ def _leads_thing(chunks: Sequence[Chunk], i: int) -> bool:
 def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
     """Return the start of the next mention behind the complete place at `start`; 0 if there is none."""
     for i in range(start + 1, len(chunks)):
-        if chunks[i].type in (*_STATED, "CUT", "COND"):
-            return 0
         joint = _type(chunks, i - 1) == "AND"
         before = _type(chunks, i - 1 - joint)
         bare = chunks[i].type == "NOUN" and before in ("DIR", "NEARBY", "ME", "HERE", "IT")
         if (chunks[i].type in _NEW or bare) and before in _ENDS:
-            return 0 if joint and chunks[i - 1].words not in (",", ":") else i
+            return i
     return 0
 
 
@@ -142,8 +132,6 @@ def _new_thing(chunks: Sequence[Chunk], start: int) -> int:
 def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put an OF between a direction or a part and its thing: "nördlich der Kirche"."""
     chunk, before, after = chunks[i], _type(chunks, i - 1), _type(chunks, i + 1)
-    if chunk.type == "OF" and before == "NEARBY":
-        return
     joints = [other.type for other in chunks[:i] if other.type in ("BETWEEN", "AND", "CUT", "OF")]
     if chunk.type == "OF" and before in _NOUNS and joints[-1:] == ["BETWEEN"]:
         chunk = replace(chunk, type="AND")  # "בין בית הספר ל|כנסייה"
@@ -167,7 +155,7 @@ def _mark_genitive(output: list[Chunk], chunks: list[Chunk], i: int, language: L
 
 
 def _mark_owners(chunks: list[Chunk]) -> list[Chunk]:
-    """Put an OF before a genitive behind a noun, a part or a direction; leave one "no" of two."""
+    """Put an OF before a genitive behind a noun, a part or a direction."""
     genitive = {id(chunk) for chunk, after in pairwise(chunks) if after.type == "GEN"}
     chunks = [chunk for chunk in chunks if chunk.type != "GEN"]
     found: list[Chunk] = []
@@ -181,8 +169,7 @@ def _mark_owners(chunks: list[Chunk]) -> list[Chunk]:
                 found[-1] = replace(before, type="PREP", value="near")  # "niedaleko jeziora"
             elif named or (owner and not facing and before.type in ("NOUN", "PART", "DIR")):
                 found.append(_mark(chunk, "OF"))
-        if not chunk.type == _last(found) == "NO":
-            found.append(chunk)
+        found.append(chunk)
     return found
 
 
@@ -271,17 +258,6 @@ def _say_copula(output: list[Chunk], chunk: Chunk, joint: int) -> bool:
 # nouns before what is said of them: "côté nord", "à côté de l'église", "plaza grande"
 
 
-def _name_street(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
-    """Let one be "on" a street that is only named: "je suis rue de la Paix"."""
-    chunk = chunks[i]
-    if chunk.type == "NAME" and language.is_road(tokens(chunk.value.name)):
-        if _last(output) == "NUM":
-            output.pop()  # the number of a house
-        if _last(output) == "BE":
-            output.append(_mark(chunk, "ON"))
-    output.append(chunk)
-
-
 def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: Language) -> None:
     """Put a direction before its part or noun: "côté nord", "l'entrée nord"."""
     chunk, after = chunks[i], _type(chunks, i + 1)
@@ -292,9 +268,6 @@ def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: 
             output[-1:] = [_mark(chunk, "ON"), part]
     led = _last(output) in (*_LEADS, "PREP", "FACE")
     bare = after == "DIR" and not led and _type(chunks, i + 2) not in ("PART", "NOUN")
-    noun = _last(output) == "NOUN" and _last(output, 2) in ("DET", "A")
-    noun = noun and after not in ("OF", "FROM")
-    first = language.longest(chunk.words.split(" ")[:1], 0) if noun else None
     sides = ("side", "end", "corner")
     if chunk.type == "DIR" and _last(output) == "PART" and output[-1].value in sides:
         part = output.pop()
@@ -302,11 +275,7 @@ def _move_direction(output: list[Chunk], chunks: list[Chunk], i: int, language: 
         before = _type(output, lead - 1)
         if _type(output, lead) == "OF" and before not in ("DIR", "PREP", "NEARBY"):
             output[lead] = replace(output[lead], type="ON")  # "du côté nord de la rue"
-        elif _type(output, lead) not in (*_LEADS, "PREP") and after == "OF":
-            output.insert(lead + 1, _mark(chunk, "ON"))
         output += [chunk, part]
-    elif chunk.type == "DIR" and noun and (not first or first[1][0].type not in (*_LEADS, "DET")):
-        output.insert(len(output) - 1, chunk)  # "l'entrée nord", but "un bosque al este"
     elif chunk.type == "DET" and (bare or after in ("A", "THIS", "NO")):
         output.append(replace(chunk, type="AT"))  # "a norte da igreja", "em frente a uma igreja"
     else:
@@ -359,50 +328,29 @@ def _drop_link(output: list[Chunk], chunks: list[Chunk], i: int, _language: Lang
     """Leave out what joins a preposition of two words to its thing: "à côté | de | l'église"."""
     chunk, at, after = chunks[i], _plain(output, len(output) - 1, -1), _plain(chunks, i + 1)
     before = _type(output, at)
-    facing = before in ("FACE", "TO") and bool(_type(chunks, after))
     joins = chunk.type in _LINKS and before in _LINKED
-    if joins and (_leads_thing(chunks, after) or facing):
+    if joins and _leads_thing(chunks, after):
         if before == "NEARBY":
             output[at] = replace(output[at], type="PREP", value="near")
-        return
-    if chunk.type == "DET" and before == "FACE" and _type(chunks, after) == "DIR":
         return
     relation = output[at].value if before == "PREP" else ""
     if relation == "opposite" and chunk.type in _NEW and _type(chunks, i - 1) not in _LINKS:
         output.append(_mark(chunk, "EXISTS"))  # "y enfrente un banco"
-    if relation in _BODY and chunk.type not in (*_DETERMINERS, *_THINGS, "PART", "DIR"):
-        output[at] = _as_direction(output[at])
     output.append(chunk)
-    if i + 1 == len(chunks) and chunk.type == "PREP" and chunk.value in _BODY:
-        output[-1] = _as_direction(chunk)
-
-
-def _as_direction(chunk: Chunk) -> Chunk:
-    """Return "derrière" without a thing as a direction."""
-    return replace(chunk, type="DIR", value=Direction(_BODY[str(chunk.value)], facing=True))
 
 
 def _drop_repeated(output: list[Chunk], chunks: list[Chunk], i: int, _language: Language) -> None:
     """Leave out an "of" that a list repeats, or that says "some": "de A et de B", "dei negozi"."""
     chunk, before, after = chunks[i], _last_plain(output), _type(chunks, i + 1)
-    link = ""
-    for k in range(len(output) - 1, -1, -1):
-        if output[k].type in (*_LEADS, *_STATED, "PREP", "NEARBY", "ACROSS"):
-            link = "" if output[k].type in _STATED else output[k].type
-            if link and link not in _LEADS:
-                following = _type(output, k + 1)
-                link = following if following in _LINKS else "OF"
-            break
-    some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH") or (before == "AND" and not link)
+    some = before in ("EXISTS", "SEE", "HAVE", "NOT", "WITH", "AND")
     if not before and after == "DET":
         some = chunks[i + 1].start == chunk.start  # "Des arbres ..."
-    listed = before == "AND" and chunk.type == link and after != "PART"
-    if not (_leads_thing(chunks, i + 1) and (listed or (chunk.type == "OF" and some))):
+    if not (chunk.type == "OF" and some and _leads_thing(chunks, i + 1)):
         output.append(chunk)
 
 
 _HEAD_FIRST: tuple[Rule, ...] = (
-    _name_street, _move_direction, _move_quality, _link_corner, _drop_link, _drop_repeated,
+    _move_direction, _move_quality, _link_corner, _drop_link, _drop_repeated,
 )  # fmt: skip
 
 
@@ -448,8 +396,6 @@ def _place_existing(chunks: list[Chunk]) -> list[Chunk]:
         thing = _new_thing(chunks, place) if _type(chunks, place) in _PLACES else 0
         if thing:
             seer = len(found)
-            while verb.type != "EXISTS" and _type(found, seer - 1) in ("ME", "YOU", "NOT"):
-                seer -= 1
             stop = thing - (_type(chunks, thing - 1) == "AND")
             found[seer:] = [*chunks[place:stop], *found[seer:], *chunks[i:end]]
             end = thing
@@ -659,9 +605,6 @@ def _move_verbs(items: list[_Item]) -> Iterator[_Item]:
         i += 1
         if item.kind not in _STATED:
             clause.append(item)
-            if item.kind in ("CUT", "COND"):
-                yield from clause
-                clause = []
             continue
         verb = [item]
         while i < len(items) and items[i].kind == "NOT":
@@ -693,11 +636,7 @@ def _place_verb(clause: list[_Item], verb: list[_Item]) -> list[_Item]:
         return [clause[0], be, *verb[1:], *clause[1:]]
     seen = [n for n in free if not clause[n].is_person]
     if not seen or (kind == "BE" and seen[0] == 0):
-        if kind == "SEE":
-            return [*clause, *verb]
         left = verb[1:] if kind in ("BE", "EXISTS") else verb  # "教会の北です": a place alone
         return [*left, *clause, _Item("CUT", [_mark(verb[0].chunks[0], "CUT")])]
     at = seen[0]
-    while at and clause[at - 1].kind == "NOT":
-        at -= 1
     return [*clause[:at], *verb, *clause[at:]]
