@@ -225,7 +225,7 @@ def demo_world(common_folder):
 
     Copy it; what is written there would be seen by other tests.
     """
-    from placegraph.demo.world import unpack
+    from placegraph.demo.town import unpack
 
     folder = common_folder / "demo-world"
     with (common_folder / "demo-world.lock").open("w") as lock:

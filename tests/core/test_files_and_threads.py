@@ -16,7 +16,7 @@ from placegraph.core.geometry import Camera
 from placegraph.core.jit import kernel
 from placegraph.core.threads import count_processors, limit_threads, run_parallel
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
-from placegraph.indoor.encode.confusion import Confusion
+from placegraph.indoor.encode.labels import Confusion
 from placegraph.indoor.encode.networks import ImageNetwork
 from placegraph.indoor.library.library import hash_file
 from placegraph.io.capture.capture import Frame

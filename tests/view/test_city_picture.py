@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
-from placegraph.demo.world import TOWN, unpack
+from placegraph.demo.town import TOWN, unpack
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.view import draw_city, write_picture

@@ -34,8 +34,7 @@ from placegraph.view.scene.overlay import (
     find_creases,
     find_edges,
 )
-from placegraph.view.scene.room_plan import RoomPlan
-from placegraph.view.scene.top_view import cut_section, fill_section, render_top_view
+from placegraph.view.scene.room_plan import RoomPlan, cut_section, fill_section, render_top_view
 from placegraph.world.outlines import find_footprints
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -8,7 +8,7 @@ import pytest
 import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.demo.flat import TWIN_FLAT, WINDOW, write_scenes
-from placegraph.demo.world import FLAT, TOWNS
+from placegraph.demo.town import FLAT, TOWNS
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, PlacegraphError
 
 

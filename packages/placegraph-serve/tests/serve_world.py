@@ -14,7 +14,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from placegraph.core.geo import Anchor
-from placegraph.demo.world import FLAT, TOWN
+from placegraph.demo.town import FLAT, TOWN
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph_lab.worlds.town.town import Town

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from placegraph.demo.flat import locate_in_flat, locate_in_world
-from placegraph.demo.town import locate_in_town
-from placegraph.demo.world import unpack
+from placegraph.demo.town import locate_in_town, unpack
 
 PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
 

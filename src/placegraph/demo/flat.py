@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import vector_from_rotation
-from placegraph.demo.town import print_evidence
-from placegraph.demo.world import FLAT, TOWN, TOWNS
+from placegraph.demo.town import FLAT, TOWN, TOWNS, print_evidence
 from placegraph.io.capture.capture import Capture
 
 if TYPE_CHECKING:

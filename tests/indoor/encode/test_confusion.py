@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.encode.confusion import Confusion
+from placegraph.indoor.encode.labels import Confusion
 from placegraph.io.capture.capture import Capture
 
 NAMES = ("desk", "table", "wall, white")

@@ -6,10 +6,10 @@ from placegraph.errors import OptionError
 from placegraph.indoor import encode
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import MapEncoder, Patches, bind_encoder
-from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.labels import (
     GRID,
     ClassesOfInstances,
+    Confusion,
     InstancesEncoder,
     LabelsEncoder,
     explain_foreign_ids,

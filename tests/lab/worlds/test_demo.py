@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from placegraph.demo.world import DATA, unpack
+from placegraph.demo.town import DATA, unpack
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.make.shipped import HOMES, write_demo_world
 

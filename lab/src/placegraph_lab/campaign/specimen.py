@@ -59,7 +59,7 @@ def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]
     """Build maps of the demo's files; return their digests and answers."""
     import placegraph as pg
     from placegraph.core.threads import count_processors, limit_threads
-    from placegraph.demo.world import FLAT, TOWN, unpack
+    from placegraph.demo.town import FLAT, TOWN, unpack
 
     world = unpack(folder)
     with limit_threads(threads or count_processors()):

@@ -11,7 +11,7 @@ import numpy as np
 
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.core.geometry import Floats, LocalPlane
-from placegraph.demo.world import TOWN, unpack
+from placegraph.demo.town import TOWN, unpack
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph.outdoor.language.description import (
     SPEAKER,

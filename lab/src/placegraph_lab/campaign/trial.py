@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from placegraph.demo.world import FLAT, TOWN, unpack
+from placegraph.demo.town import FLAT, TOWN, unpack
 
 TEXT = "A bakery is north of me."
 OLD = b"what was there before"  # content of old files
@@ -308,13 +308,6 @@ def mount_disk(folder: Path, size: int) -> Iterator[Path | None]:
         yield folder
     finally:
         subprocess.run(["umount", "-l", str(folder)], capture_output=True, check=False)  # noqa: S603, S607
-
-
-def remount_read_only(folder: Path) -> None:
-    """Remount a disk of `mount_disk` read-only."""
-    import subprocess
-
-    subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)  # noqa: S603, S607
 
 
 def read_files(folder: Path) -> dict[str, bytes]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.demo.world import FLAT, TOWNS
+from placegraph.demo.town import FLAT, TOWNS
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import appearance
 from placegraph.indoor.library import SceneLibrary

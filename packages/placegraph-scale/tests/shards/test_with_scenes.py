@@ -6,7 +6,7 @@ import pytest
 import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.demo.flat import SCENE_PLACES, TWIN_FLAT, WINDOW, write_scenes
-from placegraph.demo.world import FLAT, TOWN
+from placegraph.demo.town import FLAT, TOWN
 from placegraph.errors import MapError, OptionError
 from placegraph_lab.worlds.shards import write_shards
 from placegraph_scale.library.write import NamedEntry

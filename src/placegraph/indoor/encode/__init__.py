@@ -185,13 +185,8 @@ class BoundEncoder:
 def bind_encoder(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
     """Bind an encoder to a map, with the vectors that the map holds or new ones.
 
-    Raises
-    ------
-    MapError
-        The map's vectors are another encoder's.
-    OptionError
-        The map has no vectors, and the encoder needs images to make them.
-
+    Raises `MapError`: the map's vectors are another encoder's; `OptionError`: the map has no
+    vectors, and the encoder needs images to make them.
     """
     return BoundEncoder(encoder, encode_objects(encoder, scene, captures))
 

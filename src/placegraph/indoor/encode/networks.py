@@ -242,23 +242,14 @@ def segmenter(
 ) -> TfliteSegmenter:
     """Load a segmenter from a .tflite file: one image (1, h, w, 3) in, a label or scores a pixel out.
 
-    Parameters
-    ----------
-    weights
-        The model: its input's size and quantisation stand in it. Colours reach it as -1 to 1.
-    names
-        JSON file of names by label, `{"1": "chair", "0": null}`; null: says nothing. The 21
+    Raises `InputError`: a file is missing or not what it should be, or the model has another form;
+    `MissingExtraError`: ai-edge-litert is not installed.
+
+    `weights`: the model: its input's size and quantisation stand in it. Colours reach it as -1 to
+        1.
+    `names`: JSON file of names by label, `{"1": "chair", "0": null}`; null: says nothing. The 21
         classes of Pascal VOC if not given.
-    threads
-        Of the processor; as many as it has if not given.
-
-    Raises
-    ------
-    InputError
-        A file is missing or not what it should be, or the model has another form.
-    MissingExtraError
-        ai-edge-litert is not installed.
-
+    `threads`: of the processor; as many as it has if not given.
     """
     return TfliteSegmenter(Path(weights), _read_names(names), threads)
 
@@ -383,26 +374,15 @@ def depth_network(
 ) -> TfliteDepth:
     """Return estimator of a .tflite file: one image (1, h, w, 3) in, one depth a pixel out.
 
-    Parameters
-    ----------
-    weights
-        The model: its input's size and quantisation stand in it.
-    form
-        JSON file of what does not stand in it: `{"gives": "metres", "mean": [0.485, 0.456, 0.406],
-        "deviation": [0.229, 0.224, 0.225]}`. `gives` is "metres" or "log metres" (natural); `mean`
-        and `deviation` are of colours from 0 to 1, and 0.5 if left out. The model's name with
-        `.json` if not given.
-    threads
-        Of the processor; as many as it has if not given.
+    Raises `InputError`: a file is missing or not what it should be, the model has another form, or
+    gives relative depth; `MissingExtraError`: ai-edge-litert is not installed.
 
-    Raises
-    ------
-    InputError
-        A file is missing or not what it should be, the model has another form, or gives relative
-        depth.
-    MissingExtraError
-        ai-edge-litert is not installed.
-
+    `weights`: the model: its input's size and quantisation stand in it.
+    `form`: JSON file of what does not stand in it: `{"gives": "metres", "mean": [0.485, 0.456,
+        0.406], "deviation": [0.229, 0.224, 0.225]}`. `gives` is "metres" or "log metres" (natural);
+        `mean` and `deviation` are of colours from 0 to 1, and 0.5 if left out. The model's name
+        with `.json` if not given.
+    `threads`: of the processor; as many as it has if not given.
     """
     weights = Path(weights)
     gives, mean, deviation = _read_form(

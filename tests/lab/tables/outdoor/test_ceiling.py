@@ -1,6 +1,6 @@
 import pytest
 
-from placegraph_lab.tables.outdoor.ceiling import Contest, ceiling, oracle
+from placegraph_lab.tables.named.outdoor_recall import Contest, ceiling, oracle
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.places import read_raw
 from placegraph_lab.tables.outdoor.queries import Query, SpokenStatement

@@ -8,10 +8,9 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.refine import RefineOutcome
 from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.named import scene_maps
 from placegraph_lab.tables.named import scene_maps as script
-from placegraph_lab.tables.runner import Journal
-from placegraph_lab.tables.scene import maps as scene_maps
-from placegraph_lab.tables.scene.maps import (
+from placegraph_lab.tables.named.scene_maps import (
     FULL,
     VERTICES,
     Maps,
@@ -22,6 +21,7 @@ from placegraph_lab.tables.scene.maps import (
     findings,
     study,
 )
+from placegraph_lab.tables.runner import Journal
 from placegraph_lab.worlds.flat.flat import Flat
 
 DEFAULT = Size("default", ("--detail", "default"))

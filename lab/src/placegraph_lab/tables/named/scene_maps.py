@@ -6,36 +6,453 @@ written down at once: run it again and it goes on where it was cut.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+
+from placegraph.errors import PlacegraphError
+from placegraph.indoor.map.scene_file import measure_parts
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.indoor.bench import choose_jobs
-from placegraph_lab.tables.indoor.refine import RefineScore
-from placegraph_lab.tables.indoor.report import errors
-from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
-from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.scene.maps import (
-    FULL,
-    LABELLED,
-    NAMED,
-    OFFICE_SIZES,
-    PLACES,
-    VERTICES,
-    MapMeasurement,
-    Maps,
-    PairedAnswers,
-    Size,
-    WindowRunner,
-    difference,
-    findings,
-    refinement,
-    refinings,
-    study,
+from placegraph_lab.tables.indoor import refine as indoor_refine
+from placegraph_lab.tables.indoor.bench import Job, ask, choose_jobs, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.maps import COARSE, coarse, with_mesh
+from placegraph_lab.tables.indoor.metrics import Answer, score
+from placegraph_lab.tables.indoor.refine import (
+    RefineJob,
+    RefineOutcome,
+    RefineScore,
+    refine_jobs,
+    refine_score,
 )
-from placegraph_lab.tables.scene.surface import SurfaceDistances
+from placegraph_lab.tables.indoor.report import errors
+from placegraph_lab.tables.indoor.windows import (
+    COVERED,
+    EVERY,
+    HALVES,
+    OFFICE_EVERY,
+    OFFICE_LENGTH,
+    Window,
+    house_windows,
+    measure_coverage,
+    office_windows,
+)
+from placegraph_lab.tables.runner import INDOOR, Journal, code_key
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.scene.surface import SurfaceDistances, compare
+
+EMBEDDING = 512  # length of the embeddings whose bytes are measured
+CHEAP = 30.0  # what takes less than this is built three times, and the median told [s]
+_LAUNCHER = """
+import json, os, subprocess, sys, time
+start = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:])
+_, status, usage = os.wait4(child.pid, 0)
+unit = 1 if sys.platform == "darwin" else 1024
+print(json.dumps({"code": os.waitstatus_to_exitcode(status), "peak": usage.ru_maxrss * unit,
+                  "seconds": time.perf_counter() - start}))
+"""
+
+
+class Size(NamedTuple):
+    name: str
+    options: tuple[str, ...]  # of `placegraph scene build`
+
+
+FULL = Size("full", ("--detail", "full"))
+"""The source's own triangles and textures: what the others are compared with."""
+NAMED = (FULL, *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")))
+VERTICES = Size("coarse", ())
+"""20,000 triangles whose vertices alone have colours, of `tables.indoor.decimate`; from the full map."""
+LABELLED = Size("labelled", ())
+"""The default, its objects found by a segmenter of images instead of geometry and colour."""
+
+
+class Place(NamedTuple):
+    title: str
+    source: str  # below the folder of the data
+    options: tuple[str, ...]
+    warm_up: tuple[str, ...]  # options of a build that shows all compiled code once, quickly
+
+
+PLACES = {
+    "house": Place("House, from its annotated mesh", "house/map/house.glb", (), ()),
+    "b in a": Place(
+        "Office, frames 0-185, no labels", "office", ("--frames", "0:186"), ("--frames", "0:30")
+    ),
+    "a in b": Place(
+        "Office, frames 186-372, no labels", "office", ("--frames", "186:373"),
+        ("--frames", "186:216"),
+    ),
+}  # fmt: skip
+OFFICE_SIZES = ("full", "default", "small", "labelled")
+"""Sizes of the office's map that are built by default: fusion takes a while."""
+
+
+@dataclass(frozen=True)
+class MapMeasurement:
+    """Sizes and times of a map."""
+
+    place: str
+    size: str
+    digest: str  # of the map file's bytes
+    bytes: int
+    parts: dict[str, int]
+    """Bytes of graph, surface, colour; and of embeddings of 512 random numbers an object, which
+    are not among `bytes`: a map that is just built has none."""
+    objects: int
+    labelled: int  # objects whose label says something
+    triangles: int
+    textures: int
+    open_seconds: float  # median of 5, ray-casting structure included, compiled code warm
+    build_seconds: float | None = None
+    """Time of the build alone, in a fresh process with cached code; median of 3 where cheap."""
+    command_seconds: float | None = None  # of the whole command
+    peak_bytes: int | None = None  # largest memory of the command; the largest of those measured
+    left_out: dict[str, int] | None = None
+    notes: list[str] | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.place}, {self.size}"
+
+
+class Maps:
+    """Maps by place and size, made when first asked for; of those opened the last is kept.
+
+    `data`: folder with `house` and `office`; `weights`: network of the segmenter that `LABELLED`
+    asks for; `cache`: folder for maps; `journal`: where measurements are written down; `tell`: is
+    told what is being done.
+    """
+
+    def __init__(
+        self,
+        data: Path,
+        weights: Path,
+        cache: Path,
+        journal: Journal,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.data, self.weights, self.journal, self.tell = data, weights, journal, tell
+        self.folder = cache / "scene_maps"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._code = code_key(INDOOR)
+        self._opened: tuple[Path, SceneMap] | None = None
+        self._warm: set[tuple[str, ...]] = set()
+
+    def path(self, place: str, size: Size) -> Path:
+        return self.folder / f"{place} {size.name}.scene".replace(" ", "_")
+
+    def measure_map(self, place: str, size: Size) -> MapMeasurement:
+        """Measure a map; it is built if this code has not done so yet."""
+        key, path = f"made {self._code} {place} {size}", self.path(place, size)
+        if key in self.journal and path.exists():
+            row = MapMeasurement(**self.journal[key])
+            if digest(path) == row.digest:
+                return row
+        self._opened = None
+        self.tell(f"{place}: building {size.name}")
+        built = self._coarse(place, path) if size == VERTICES else self._built(place, size, path)
+        scene = SceneMap.open(path)
+        spent = []
+        for _ in range(5 + 1):  # the first one warms
+            start = time.perf_counter()
+            assert SceneMap.open(path).caster is not None  # noqa: S101  # made on first use
+            spent.append(time.perf_counter() - start)
+        facts: dict[str, Any] = (
+            {"place": place, "size": size.name}
+            | {
+                "digest": digest(path),
+                "bytes": path.stat().st_size,
+                "parts": measure_parts(path) | {"embeddings": embedding_bytes(scene)},
+                "objects": len(scene),
+                "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
+                "triangles": len(scene.mesh),
+                "textures": len(scene.mesh.textures),
+                "open_seconds": float(np.median(spent[1:])),
+            }
+            | built
+        )
+        self.journal.put(key, facts)
+        return MapMeasurement(**facts)
+
+    def scene(self, place: str, size: Size) -> SceneMap:
+        path = self.path(place, size)
+        if self._opened is None or self._opened[0] != path:
+            self.measure_map(place, size)
+            self._opened = path, SceneMap.open(path)
+        return self._opened[1]
+
+    def measure_distances(self, place: str, size: Size) -> SurfaceDistances:
+        codes = [self.measure_map(place, s).digest for s in (FULL, size)]
+        key = f"apart {self._code} {' '.join(codes)}"
+        if key not in self.journal:
+            self.tell(f"{place}: how far {size.name} is from full")
+            one, other = (SceneMap.open(self.path(place, s)).mesh for s in (FULL, size))
+            self.journal.put(key, compare(one, other, np.random.default_rng(0)))
+        return SurfaceDistances(**self.journal[key])
+
+    def command(self, place: str, size: Size, out: Path, more: Sequence[str] = ()) -> list[str]:
+        """Arguments of `placegraph` that build a map."""
+        of = PLACES[place]
+        network = ("--segmenter", str(self.weights)) if size == LABELLED else ()
+        return [
+            "scene", "build", str(self.data / of.source), "-o", str(out), "--json",
+            *(more or of.options), *size.options, *network,
+        ]  # fmt: skip
+
+    def _built(self, place: str, size: Size, path: Path) -> dict[str, Any]:
+        """Build a map, several times if that is quick; what was measured."""
+        usual = size if size == LABELLED else Size("default", ())
+        kind = (PLACES[place].source, usual.name)
+        if kind not in self._warm:  # compiled code is cached from now on
+            with tempfile.TemporaryDirectory() as folder:
+                out = Path(folder) / "warm.scene"
+                run(self.command(place, usual, out, PLACES[place].warm_up))
+            self._warm.add(kind)
+        command = self.command(place, size, path)
+        runs = [run(command)]
+        if runs[0].seconds < CHEAP:
+            runs += [run(command), run(command)]
+        told = json.loads(runs[0].out)
+        return {
+            "build_seconds": float(np.median([json.loads(r.out)["seconds"] for r in runs])),
+            "command_seconds": float(np.median([r.seconds for r in runs])),
+            "peak_bytes": max(r.peak for r in runs),
+            "left_out": told["left_out"],
+            "notes": told["notes"],
+        }
+
+    def _coarse(self, place: str, path: Path) -> dict[str, Any]:
+        full = self.scene(place, FULL)
+        with_mesh(full, coarse(full.mesh, COARSE, np.random.default_rng(0))).save(path)
+        return {}
+
+
+class Run(NamedTuple):
+    """A command that ran in a process of its own."""
+
+    out: str
+    seconds: float
+    peak: int  # largest memory [bytes]
+
+
+def run(arguments: Sequence[str]) -> Run:
+    """Run `placegraph` with arguments.
+
+    A small process starts it: Linux counts what a parent held as the peak of its child, too.
+    """
+    done = subprocess.run(  # noqa: S603  # our own command line
+        [sys.executable, "-c", _LAUNCHER, sys.executable, "-m", "placegraph.cli", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    *lines, last = done.stdout.splitlines() or [""]
+    told = json.loads(last) if not done.returncode else {"code": done.returncode}
+    if told["code"]:
+        raise PlacegraphError(f"{' '.join(arguments)} fails: {done.stderr.strip()[-500:]}")
+    return Run("\n".join(lines), told["seconds"], told["peak"])
+
+
+def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
+    vectors = np.random.default_rng(0).standard_normal((len(scene), length))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "embedded.scene"
+        scene.with_embeddings(vectors).save(path)
+        return measure_parts(path)["embeddings"]
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+ROWS = (
+    "instances: semantic", "instances: semantic + depth", "none: depth + colour",
+    "b in a: depth + colour", "a in b: depth + colour",
+)  # fmt: skip
+"""Rows of the protocol of `indoor_filter`."""
+REFINED_ROWS = (
+    "house found: all, auto", "house disturbed: no depth, auto",
+    "b in a disturbed: no depth, auto", "a in b disturbed: no depth, auto",
+)  # fmt: skip
+"""Rows of the protocol of `indoor_refine`: where textures matter, images refine alone."""
+REFINED_SIZES = ("full", "default", "small")
+LENGTHS = (5, 10)  # frames of the house's windows; refining gets the longer ones
+LIMITS = {"house": ((0.10, 5.0), (0.25, 2.0)), "office": ((0.10, 5.0), (0.25, 10.0))}
+"""Position [m] and rotation [deg] that a recall allows; the second is what the aims count."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of `indoor_filter` or `indoor_refine`, for windows of one length."""
+
+    job: Job | RefineJob
+    length: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.job.name}, {self.length} frames"
+
+    @property
+    def place(self) -> str:
+        return self.job.map if isinstance(self.job, Job) else self.job.place
+
+
+def findings() -> list[Row]:
+    """All rows of recall."""
+    jobs = [j for j in (*house_jobs(), *office_jobs()) if j.name in ROWS]
+    return [Row(j, n) for j in jobs for n in ((OFFICE_LENGTH,) if j.table in HALVES else LENGTHS)]
+
+
+class WindowRunner:
+    """Asks about windows on maps of any size, what was answered before not again.
+
+    `maps`: the maps; their journal holds the answers, too; `every`, `office_every`: frames from the
+    start of a window to the next, in the house and in the office; `seed`: of the filter, the label
+    noise and disturbed starts; `device`: for the filter.
+    """
+
+    def __init__(
+        self, maps: Maps, every: int, office_every: int, *, seed: int = 0, device: str = "auto"
+    ) -> None:
+        self.maps, self.every, self.office_every = maps, every, office_every
+        self.seed, self.device = seed, device
+        self._code = code_key(INDOOR)
+        self._windows: dict[tuple[str, int], list[Window]] = {}
+
+    def windows(self, place: str, length: int) -> list[Window]:
+        """Windows of a place; of the office those that its full map covers, for all sizes."""
+        if (place, length) not in self._windows:
+            data = self.maps.data
+            if place in HALVES:
+                full = self.maps.scene(place, FULL)
+                made = office_windows(
+                    data / "office", place, length=length, every=self.office_every
+                )
+                made = [measure_coverage(full, w) for w in made]
+                made = [w for w in made if w.coverage is not None and w.coverage >= COVERED]
+            else:
+                made = house_windows(data / "house", length, every=self.every)
+            self._windows[place, length] = made
+        return self._windows[place, length]
+
+    def answers(self, row: Row, size: Size) -> list[Any]:
+        """Answers of a row on a map: `Answer`, or `RefineOutcome`."""
+        windows, journal, job = self.windows(row.place, row.length), self.maps.journal, row.job
+        digest = self.maps.measure_map(row.place, size).digest
+        keys = [f"{digest} {job.key(w, self.seed, self._code)} {self.device}" for w in windows]
+        if asked := len(journal.find_missing(keys)):
+            self.maps.tell(f"{size.name}: {row.name}, {asked} windows")
+
+        def once(window: Window, seed: int) -> Answer | RefineOutcome:
+            scene, how = self.maps.scene(row.place, size), {"seed": seed, "device": self.device}
+            if isinstance(job, Job):
+                return ask(job, scene, window, **how)  # type: ignore[arg-type]
+            return indoor_refine.ask(job, scene, window, matcher=job.matcher, **how)  # type: ignore[arg-type]
+
+        found = journal.fill(
+            keys,
+            lambda i: once(windows[i], self.seed),
+            warm=lambda: once(windows[0], self.seed + 1),
+        )
+        return [Answer(**a) if isinstance(job, Job) else RefineOutcome.from_dict(a) for a in found]
+
+
+@dataclass(frozen=True)
+class PairedAnswers:
+    """Answers on a map beside those on the full one, to the same windows."""
+
+    place: str
+    row: str
+    size: str
+    answers: tuple[Answer, ...]
+    full: tuple[Answer, ...]
+    limits: tuple[tuple[float, float], ...]
+
+    @property
+    def recalls(self) -> tuple[float, ...]:
+        """Share of answers within each of `limits`."""
+        return tuple(
+            sum(a.within(*w) for a in self.answers) / len(self.answers) for w in self.limits
+        )
+
+    def record(self) -> dict[str, Any]:
+        names = ("row", "size", "gained", "lost")
+        return {name: getattr(self, name) for name in names} | {"score": score(self.answers)}
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Compare windows with the full map by the last of `limits`: 1 gained, -1 lost, 0 alike."""
+        limits = self.limits[-1]
+        return tuple(
+            a.within(*limits) - b.within(*limits)
+            for a, b in zip(self.answers, self.full, strict=True)
+        )
+
+    @property
+    def lost(self) -> list[str]:
+        return [
+            f"{a.window} {a.position:.2f} m {a.rotation:.1f} deg"
+            for a, step in zip(self.answers, self.steps, strict=True)
+            if step < 0
+        ]
+
+    @property
+    def gained(self) -> list[str]:
+        return [a.window for a, step in zip(self.answers, self.steps, strict=True) if step > 0]
+
+
+def difference(steps: Sequence[int]) -> tuple[float, float]:
+    """Points of recall that a map gains over the full one, and their standard error.
+
+    The error is that of paired answers: what both maps find or miss has no part in it.
+    """
+    if not steps:
+        return math.nan, math.nan
+    points = 100.0 * np.array(steps, np.float64)
+    return float(points.mean()), float(points.std() / math.sqrt(len(points)))
+
+
+def study(
+    asking: WindowRunner, rows: Sequence[Row], sizes: dict[str, list[Size]]
+) -> list[PairedAnswers]:
+    """All rows on all sizes of their places, map by map."""
+    return [
+        PairedAnswers(
+            place, row.name, size.name,
+            tuple(asking.answers(row, size)), tuple(asking.answers(row, FULL)),
+            LIMITS["office" if place in HALVES else "house"],
+        )
+        for place in dict.fromkeys(r.place for r in rows)
+        for size in (FULL, *(s for s in sizes[place] if s != FULL))
+        for row in rows
+        if row.place == place and asking.windows(place, row.length)
+    ]  # fmt: skip
+
+
+def refinement(
+    asking: WindowRunner, rows: Sequence[Row], sizes: dict[str, list[Size]]
+) -> list[tuple[str, str, RefineScore]]:
+    """Refined poses of all rows on the sizes that `REFINED_SIZES` names, summarized."""
+    return [
+        (row.name, size.name, refine_score(results))
+        for row in rows
+        for size in sizes[row.place]
+        if size.name in REFINED_SIZES and (results := asking.answers(row, size))
+    ]
+
 
 ROOM = 30  # objects of a usual room
 STORAGE = {
@@ -128,7 +545,6 @@ def scene_maps(
     seed: lab.Seed = 0,
     device: lab.Device = "auto",
     *,
-    build_only: Annotated[bool, lab.option("Ask about no window.")] = False,
     fresh: lab.Fresh = False,
     quick: lab.Quick = False,
     weights: Annotated[
@@ -136,7 +552,8 @@ def scene_maps(
     ] = None,
 ) -> None:
     """Bytes, seconds, memory and recall of scene maps of many sizes."""
-    rows, refining = findings(), refinings()
+    rows = findings()
+    refining = [Row(j, LENGTHS[-1]) for j in refine_jobs(("auto",)) if j.name in REFINED_ROWS]
     if only:
         asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in lab.parts(only, ";")]
         both = {r.name for r in choose_jobs([*rows, *refining], asked_for)}
@@ -161,10 +578,9 @@ def scene_maps(
         if size not in (FULL, LABELLED)
     }
     asking = WindowRunner(maps, every, office_every, seed=seed, device=device)
-    pairs = [] if build_only else study(asking, rows, wanted)
-    refined = [] if build_only else refinement(asking, refining, wanted)
+    pairs, refined = study(asking, rows, wanted), refinement(asking, refining, wanted)
     print(report(made, apart, pairs, refined))
     built = [lab.plain(m) | {"off_m": apart.get(m.name)} for m in made]
     record = {"paper": {"storage_MB": STORAGE}, "maps": built}
     record |= {"recall": [p.record() for p in pairs], "refined": refined}
-    run.save(record, complete=not (only or sizes or build_only))
+    run.save(record, complete=not (only or sizes))
