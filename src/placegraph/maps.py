@@ -201,13 +201,8 @@ def find_map_files(places: Sequence[Path]) -> MapFiles:
 def check_map_files(places: Sequence[Path]) -> MapFiles:
     """Find map files and check their headers.
 
-    Raises
-    ------
-    InputError
-        A path is missing, or there is no map.
-    MapError
-        Map files are damaged or misnamed; the message lists all, each with its remedy.
-
+    Raises `InputError`: a path is missing, or there is no map; `MapError`: map files are damaged or
+    misnamed; the message lists all, each with its remedy.
     """
     for place in places:
         if not place.exists():

@@ -29,8 +29,6 @@ from placegraph.errors import DescriptionError, OptionError
 from placegraph.outdoor.options import JUDGED, KNOWN, CellOptions, LocateOptions, RankingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from placegraph.core.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.network import EncodedCity

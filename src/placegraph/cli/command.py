@@ -7,13 +7,13 @@ default and name of the parameter. One annotated with `Fields` becomes the optio
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import click
 from click.core import ParameterSource
@@ -21,9 +21,6 @@ from click.core import ParameterSource
 from placegraph.core.options import OptionInfo, options_of
 from placegraph.core.plugins import COMMANDS, missing_extra, plugins
 from placegraph.errors import MissingExtraError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 OPTIONS = "Options"
 _TYPES: dict[type, Any] = {

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import threading
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -18,8 +19,6 @@ from placegraph.cli.command import Option
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator
-
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table

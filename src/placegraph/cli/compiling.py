@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import click
 
 from placegraph.cli.common import Quiet, progress_of
 from placegraph.core import cache
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class CompileListener:

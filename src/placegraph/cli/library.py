@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -355,13 +356,8 @@ def _open_collection(
 def _parse_query(query: str | None, text: str | None) -> Path | str:
     """Capture that QUERY names, or the text of either.
 
-    Raises
-    ------
-    OptionError
-        Not one of both is given, or there is nothing in it.
-    InputError
-        QUERY is no text, and no file or folder either.
-
+    Raises `OptionError`: not one of both is given, or there is nothing in it; `InputError`: QUERY
+    is no text, and no file or folder either.
     """
     if (query is None) == (text is None):
         raise OptionError(

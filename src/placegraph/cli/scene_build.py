@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
+from numpy.typing import NDArray
 
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of, show_facts
@@ -28,10 +30,7 @@ from placegraph.errors import MapError, OptionError
 from placegraph.indoor.options import PoseSearchOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
-    from numpy.typing import NDArray
 
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.map.textures import Detail

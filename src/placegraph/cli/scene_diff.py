@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,13 +20,10 @@ from placegraph.cli.scene_options import (
     chosen_frames,
 )
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.change.changes import DiffOptions
+from placegraph.indoor.mapping.change.changes import DiffOptions, SceneDiff
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.core.geometry import Floats
-    from placegraph.indoor.mapping.change.changes import SceneDiff
     from placegraph.indoor.scene_map import SceneMap
 
 MOST_IDS = 8

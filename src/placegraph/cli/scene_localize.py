@@ -35,11 +35,10 @@ from placegraph.cli.scene_options import (
     read_estimate,
 )
 from placegraph.errors import OptionError
-from placegraph.indoor.options import FilterOptions, PoseSearchOptions
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions, RefineOptions
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
-    from placegraph.indoor.options import RefineOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.scene_map import SceneMap

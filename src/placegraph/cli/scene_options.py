@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,8 +11,6 @@ from placegraph.cli.common import numbers_of
 from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.core.geometry import Floats
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.refine.matching import Matcher
@@ -96,11 +95,7 @@ def matcher_of(name: str, weights: Path | None, device: str) -> str | Matcher:
 def chosen_frames(capture: Capture, frames: str | None) -> Capture:
     """Frames of a capture by a text such as 10:20, -5:, ::2 or 7; all where there is none.
 
-    Raises
-    ------
-    OptionError
-        The text is no such thing, goes backwards, or selects nothing.
-
+    Raises `OptionError`: the text is no such thing, goes backwards, or selects nothing.
     """
     if frames is None:
         return capture
@@ -158,13 +153,8 @@ def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
 def pose_of_estimate(path: Path, mode: int = 1, frame: Frame | None = None) -> Floats:
     """Pose (4, 4) of one frame of an estimate's JSON, the last if not given, under a mode from 1.
 
-    Raises
-    ------
-    OptionError
-        There is no such mode, or the estimate does not tell of the frame.
-    InputError
-        The file is no such JSON, or holds no pose.
-
+    Raises `OptionError`: there is no such mode, or the estimate does not tell of the frame;
+    `InputError`: the file is no such JSON, or holds no pose.
     """
     modes, frames, trajectory = read_estimate(path)
     if not 1 <= mode <= len(modes):
@@ -239,13 +229,8 @@ WeightsFile = Annotated[
 def encoders_of(names: Sequence[str], weights: Path | None) -> list[Encoder]:
     """Encoders by name, the one that has weights with those of a file.
 
-    Raises
-    ------
-    OptionError
-        There is none of a name, or weights belong to none of them or to several.
-    InputError, MapError, MissingExtraError, ServiceError
-        As the encoders themselves.
-
+    Raises `OptionError`: there is none of a name, or weights belong to none of them or to several;
+    `InputError`, `MapError`, `MissingExtraError` or `ServiceError`: as the encoders themselves.
     """
     from placegraph.indoor.encode import encoder, parse_encoder
 

@@ -20,13 +20,8 @@ _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
 def write_file(path: str | os.PathLike[str], chunks: Iterable[bytes | memoryview]) -> Path:
     """Replace a file atomically; a link stays a link.
 
-    Raises
-    ------
-    MapLockedError
-        Another process is writing this file.
-    MapError
-        It cannot be written; the old file is untouched.
-
+    Raises `MapLockedError`: another process is writing this file; `MapError`: it cannot be written;
+    the old file is untouched.
     """
     target = resolve_path(path)
     check_target(target)

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import EarthPose, no_anchor_error
-from placegraph.core.geometry import LocalPlane
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import GeoPoseError, MissingExtraError
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
-    from placegraph.core.geometry import Floats
 
 DECIMALS = 7
 """Decimals of degrees: a centimetre."""
@@ -127,11 +126,7 @@ class GeoExport:
         and ``unknown``, which names ``height`` and ``orientation`` where they are unknown (after a
         sentence) and written as 0 and the identity.
 
-        Raises
-        ------
-        GeoPoseError
-            There is no mode, or its scene map has no anchor.
-
+        Raises `GeoPoseError`: there is no mode, or its scene map has no anchor.
         """
         if not self.modes:
             raise GeoPoseError(f"There is no pose. {self.reason}")
@@ -148,11 +143,7 @@ class GeoExport:
         property ``mode`` counts from 1. The collection also has ``status`` and ``reason``. It is empty
         without modes.
 
-        Raises
-        ------
-        GeoPoseError
-            No mode lies in a map with an anchor.
-
+        Raises `GeoPoseError`: no mode lies in a map with an anchor.
         """
         features = list(_mode_features(self.modes))
         if self.modes and not features:

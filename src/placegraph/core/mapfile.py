@@ -422,15 +422,9 @@ def map_writer(path: Path_) -> Iterator[Write]:
     Take it before a long build: an unwritable folder or a second writer is then refused at once.
     The old file stays untouched until the new one is complete on disk.
 
-    Raises
-    ------
-    MapLockedError
-        Another process, or another thread, is writing this file.
-    MapError
-        The file cannot be written.
-    OptionError
-        Metadata are not JSON, or an array is not plain numbers.
-
+    Raises `MapLockedError`: another process, or another thread, is writing this file; `MapError`:
+    the file cannot be written; `OptionError`: metadata are not JSON, or an array is not plain
+    numbers.
     """
     target = resolve_path(path)
     check_target(target)
@@ -469,13 +463,8 @@ def read_map(
     two file descriptors. Shortening the file in place would then end this process: ask
     `MapFile.watch` before reading.
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty, a folder, or may not be read.
-    MapError
-        It is foreign, truncated, damaged, of another kind, or of a newer version.
-
+    Raises `InputError`: the file is missing, empty, a folder, or may not be read; `MapError`: it is
+    foreign, truncated, damaged, of another kind, or of a newer version.
     """
     with open_file(path) as file:
         header = read_head(file, Path(path))

@@ -95,22 +95,15 @@ def render(
 ) -> Rendering:
     """Return a picture of the map from one pose; for many, keep a `Renderer`.
 
-    Parameters
-    ----------
-    map_from_camera
-        (4, 4) rigid, any six degrees of freedom [m]; camera axes x right, y down, z forward.
-    camera
-        Size, intrinsics and distortion of the picture.
-    samples
-        Rays a pixel at edges of objects, of materials and of faces, whose colours are mixed: 1, 2,
-        4, 8 or 16. 1 leaves stairs.
-    device
-        ``auto`` or ``cpu``, which are the same.
+    Raises `OptionError`: the pose is not rigid or not finite, `samples` is another number, there is
+    no such device.
 
-    Raises
-    ------
-    OptionError
-        The pose is not rigid or not finite, `samples` is another number, there is no such device.
+    `map_from_camera`: (4, 4) rigid, any six degrees of freedom [m]; camera axes x right, y down, z
+        forward.
+    `camera`: size, intrinsics and distortion of the picture.
+    `samples`: rays a pixel at edges of objects, of materials and of faces, whose colours are mixed:
+        1, 2, 4, 8 or 16. 1 leaves stairs.
+    `device`: ``auto`` or ``cpu``, which are the same.
     """
     check_device(device)
     return Renderer(scene).render(map_from_camera, camera, samples=samples)

@@ -128,15 +128,10 @@ def build_with(build: Callable[..., Any], argument: str, rules: str) -> Builders
 class IslandParser:
     """Parser by islands (LALR): chunks that the grammar does not expect are left out, or end an island.
 
-    Parameters
-    ----------
-    grammar, start
-        Text and first rule of a grammar of lark; the terminals are types of chunks. The first rule
-        becomes a `Clause`.
-    build
-        Called as soon as a rule is complete; see `Grammar`.
-    skipped
-        Types of chunks that may be left out where the grammar expects something else.
+    `grammar`, `start`: text and first rule of a grammar of lark; the terminals are types of chunks.
+        The first rule becomes a `Clause`.
+    `build`: called as soon as a rule is complete; see `Grammar`.
+    `skipped`: types of chunks that may be left out where the grammar expects something else.
     """
 
     def __init__(self, grammar: str, start: str, build: Builders, skipped: Collection[str]) -> None:
@@ -228,14 +223,10 @@ class _Rule(NamedTuple):
 class Grammar:
     """A grammar of lark whose terminals are all declared, and what its rules become.
 
-    Parameters
-    ----------
-    text, start
-        The grammar and its first rule.
-    build
-        By the name of each rule, or its alias, the function that is called with the children once
-        the rule is complete. Rules whose names begin with an underscore have none: their children
-        stand in for them.
+    `text`, `start`: the grammar and its first rule.
+    `build`: by the name of each rule, or its alias, the function that is called with the children
+        once the rule is complete. Rules whose names begin with an underscore have none: their
+        children stand in for them.
     """
 
     def __init__(self, text: str, start: str, build: Builders) -> None:
@@ -267,11 +258,8 @@ class Parse:
     def feed(self, kind: str, value: Any = None) -> Any:  # noqa: ANN401  # what the builder makes
         """Take a token in; at `END`, what the whole has become.
 
-        Raises
-        ------
-        UnexpectedTokenError
-            The grammar has no place for it; rules that were complete before it have been built.
-
+        Raises `UnexpectedTokenError`: the grammar has no place for it; rules that were complete
+        before it have been built.
         """
         states, values = self._states, self._values
         while True:

@@ -141,10 +141,8 @@ def check_text(text: str, example: str = "A bakery is north of me.") -> None:
 
     `example`: what a description is like, for the message to somebody who gave none.
 
-    Raises
-    ------
-    DescriptionError
-        If it is empty, longer than `LONGEST_TEXT`, or no text; says how to mend it.
+    Raises `DescriptionError`: if it is empty, longer than `LONGEST_TEXT`, or no text; says how to
+    mend it.
     """
     if not isinstance(text, str):
         raise DescriptionError(
@@ -223,14 +221,9 @@ def scan_text(
 ) -> list[list[Word]]:
     """Cut a text into sentences of words, distances and marks.
 
-    Parameters
-    ----------
-    labels
-        (start, end) of stretches that are one label each, in order.
-    sites
-        Labels that name a crossing or a house.
-    shortened
-        Words that a full stop may shorten without ending the sentence: "St. Mary's".
+    `labels`: (start, end) of stretches that are one label each, in order.
+    `sites`: labels that name a crossing or a house.
+    `shortened`: words that a full stop may shorten without ending the sentence: "St. Mary's".
     """
     sentences: list[list[Word]] = [[]]
     at = offset
@@ -285,10 +278,7 @@ class Terminal(NamedTuple):
 class Phrases:
     """Phrases by their first word, longest first.
 
-    Parameters
-    ----------
-    known
-        Terminals of each phrase, by its words in lower case.
+    `known`: terminals of each phrase, by its words in lower case.
     """
 
     def __init__(self, phrases: Mapping[tuple[str, ...], tuple[Terminal, ...]]) -> None:

@@ -126,15 +126,9 @@ class Vectors:
     def of(cls, ids: ArrayLike, vectors: ArrayLike, positions: ArrayLike | None = None) -> Self:
         """Check and sort rows in any order, of any length; raises `OptionError` for malformed ones.
 
-        Parameters
-        ----------
-        ids
-            (C,) integers from 0, each once.
-        vectors
-            (C, D), finite, none of them zero.
-        positions
-            (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
-
+        `ids`: (C,) integers from 0, each once.
+        `vectors`: (C, D), finite, none of them zero.
+        `positions`: (C, 2) longitude and latitude [deg]; None: what the rows stand for has none.
         """
         names = np.asarray(ids)
         rows = unit(vectors, "Vectors")
@@ -248,21 +242,13 @@ class EmbeddedStore:
     def of_rows(cls, content: Vectors, *, origin: Origin | None = None, bits: int = 16) -> Self:
         """Make a store of checked rows.
 
-        Parameters
-        ----------
-        content
-            What to store.
-        origin
-            What the vectors were made from.
-        bits
-            Of a number: 32 keeps float32 as they are, 16 rounds them without a change in ranking,
-            8 changes about one in fifty of the best ten and halves the memory of a search again.
+        Raises `OptionError`: there is no such number of bits.
 
-        Raises
-        ------
-        OptionError
-            There is no such number of bits.
-
+        `content`: what to store.
+        `origin`: what the vectors were made from.
+        `bits`: of a number: 32 keeps float32 as they are, 16 rounds them without a change in
+            ranking, 8 changes about one in fifty of the best ten and halves the memory of a search
+            again.
         """
         if bits not in BITS:
             raise OptionError(f"bits is {bits}; choose one of {', '.join(map(str, BITS))}.")
@@ -293,20 +279,11 @@ class EmbeddedStore:
     ) -> Neighbours:
         """Return the nearest `n` rows of each query, best first, equal ones by id (Eq. 12-13).
 
-        Parameters
-        ----------
-        queries
-            (Q, D) of any length but zero.
-        n
-            How many; what is not there is -1 with similarity -inf.
-        region
-            Only cells whose centre lies in it.
+        Raises `OptionError`: Queries, `n` or the region are out of range.
 
-        Raises
-        ------
-        OptionError
-            Queries, `n` or the region are out of range.
-
+        `queries`: (Q, D) of any length but zero.
+        `n`: how many; what is not there is -1 with similarity -inf.
+        `region`: only cells whose centre lies in it.
         """
         asked = checked_queries(queries, n, self.dimension)
         scaled = asked * self.steps
@@ -339,13 +316,8 @@ class EmbeddedStore:
     def open(cls, path: str | PathLike[str], origin: Origin | None = None) -> Self:
         """Open a file; with `origin`, only one that was made from that map by that model.
 
-        Raises
-        ------
-        InputError, MapError
-            It is no sound file of vectors.
-        StoreError
-            It was made from another map, or by another model.
-
+        Raises `InputError` or `MapError`: it is no sound file of vectors; `StoreError`: it was made
+        from another map, or by another model.
         """
         file = read_map(path, KIND, VERSION)
         with check_contents(path, "Make it again with `placegraph city embed`."):
@@ -462,29 +434,16 @@ def load_store(
 ) -> VectorStore:
     """Write vectors to a file, or bring them to a server, and open the store.
 
-    Parameters
-    ----------
-    where
-        As for `open_store`. A file is replaced in one step.
-    content
-        What to store.
-    name
-        Of the store on a server, such as ``monaco``; a file has none.
-    origin
-        What the vectors were made from.
-    bits
-        Of a number in a file; a server keeps float32.
-    resume
-        Go on with a load into a server that was not finished.
-    progress
-        Is told the step, how many rows are done, and of how many.
-    timeout
-        Longest wait for a server's answer to a short question [s].
+    Raises `Errors of `EmbeddedStore.of_rows` and `save` or `or of `load_milvus`.`.
 
-    Raises
-    ------
-    Errors of `EmbeddedStore.of_rows` and `save`, or of `load_milvus`.
-
+    `where`: as for `open_store`. A file is replaced in one step.
+    `content`: what to store.
+    `name`: of the store on a server, such as ``monaco``; a file has none.
+    `origin`: what the vectors were made from.
+    `bits`: of a number in a file; a server keeps float32.
+    `resume`: go on with a load into a server that was not finished.
+    `progress`: is told the step, how many rows are done, and of how many.
+    `timeout`: longest wait for a server's answer to a short question [s].
     """
     if not is_uri(where):
         store = EmbeddedStore.of_rows(content, origin=origin, bits=bits)

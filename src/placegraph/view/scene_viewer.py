@@ -343,25 +343,15 @@ def open_viewer(
 ) -> Viewer:
     """Serve a map to browsers.
 
-    Parameters
-    ----------
-    camera_paths
-        Names and (T, 4, 4) map_from_camera.
-    run
-        An estimate with its particles: made with `FilterOptions(record=True)`, or read by
+    Raises `MissingExtraError`: viser is not installed; `OptionError`: the host is none of this
+    computer's, or the port is out of range.
+
+    `camera_paths`: names and (T, 4, 4) map_from_camera.
+    `run`: an estimate with its particles: made with `FilterOptions(record=True)`, or read by
         `placegraph.indoor.pose.record.read_run`.
-    host
-        Address to listen at: 127.0.0.1 serves this computer alone, 0.0.0.0 all that can reach it.
-    port
-        Port; the next free one where it is taken.
-
-    Raises
-    ------
-    MissingExtraError
-        viser is not installed.
-    OptionError
-        The host is none of this computer's, or the port is out of range.
-
+    `host`: address to listen at: 127.0.0.1 serves this computer alone, 0.0.0.0 all that can reach
+        it.
+    `port`: port; the next free one where it is taken.
     """
     try:
         import viser

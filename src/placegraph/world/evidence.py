@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.core.estimate import Evidence
+from placegraph.core.estimate import CityEstimate, Evidence, SceneMode
 from placegraph.core.geo import Anchor, EarthPose
 from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.indoor.language.likeness import table
@@ -17,7 +17,7 @@ from placegraph.indoor.language.sentence import Kind, Sentence
 from placegraph.indoor.map.floor import find_storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
-from placegraph.world.sentence import ParsedSentence, compare_floors, parse_sentence
+from placegraph.world.sentence import FloorStatement, ParsedSentence, compare_floors, parse_sentence
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, SceneMode
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.map.scene import Scene
     from placegraph.world.estimate import WorldQuery
-    from placegraph.world.sentence import FloorStatement
     from placegraph.world.towns import BuildingMatch, TownMatch
     from placegraph.world.world import World
 
@@ -70,13 +69,9 @@ def fit_prior(
 ) -> Floats:
     """Score how well (K,), `WRONG_FIX_SHARE` to 1, places fit a location prior.
 
-    Parameters
-    ----------
-    lonlats, covariances
-        (K, 2) longitude, latitude [deg] of the places; (K, 3) east, both, north [m^2].
-    lonlat, radius
-        Of the prior: a Gaussian of which half lies within the radius [m].
-
+    `lonlats`, `covariances`: (K, 2) longitude, latitude [deg] of the places; (K, 3) east, both,
+        north [m^2].
+    `lonlat`, `radius`: of the prior: a Gaussian of which half lies within the radius [m].
     """
     there = (float(lonlat[0]), float(lonlat[1]))
     spread = (radius / 1.1774) ** 2

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.estimate import SceneEstimate, Status
+from placegraph.core.estimate import Evidence, Place, PoseEstimate, PoseMode, SceneEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
 from placegraph.indoor.library.localize import defer_colourless, localize_in_scenes
@@ -26,7 +26,7 @@ from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery, add_answers
-from placegraph.world.evidence import collect_evidence, list_rooms, match_outdoors
+from placegraph.world.evidence import WorldEvidence, collect_evidence, list_rooms, match_outdoors
 from placegraph.world.status import (
     decide_by_frames,
     decide_by_text,
@@ -35,9 +35,7 @@ from placegraph.world.status import (
 )
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import Evidence, Place, PoseEstimate, PoseMode
     from placegraph.io.capture.frame import Frame
-    from placegraph.world.evidence import WorldEvidence
     from placegraph.world.towns import TownMatch
     from placegraph.world.world import World
 

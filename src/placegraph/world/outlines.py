@@ -92,22 +92,12 @@ class _MapObject(NamedTuple):
 def find_footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
     """Find the footprints of the buildings of a name, at most a few.
 
-    Parameters
-    ----------
-    path
-        Extract of OpenStreetMap, or a city map.
-    name
-        Of the building or of something in it, such as a shop; an address, or an id: ``way/12``.
-    level
-        OpenStreetMap's level; entrances of others are left out.
+    Raises `InputError` or `MapError`: the file cannot be read; `OptionError`: nothing there has
+    that name, or what has it stands in no building.
 
-    Raises
-    ------
-    InputError, MapError
-        The file cannot be read.
-    OptionError
-        Nothing there has that name, or what has it stands in no building.
-
+    `path`: extract of OpenStreetMap, or a city map.
+    `name`: of the building or of something in it, such as a shop; an address, or an id: ``way/12``.
+    `level`: OpenStreetMap's level; entrances of others are left out.
     """
     if path.suffix.lower() == ".city":
         things, grain = _read_city(path)
@@ -286,11 +276,7 @@ class OuterWalls:
 def find_outer_walls(scene: Scene) -> OuterWalls:
     """Find the outer walls of a map of one scene: the outline of its rooms, inner walls closed.
 
-    Raises
-    ------
-    OptionError
-        The map is of several scenes, or has no room.
-
+    Raises `OptionError`: the map is of several scenes, or has no room.
     """
     if len(scene.scenes) != 1:
         raise OptionError(

@@ -28,13 +28,12 @@ from placegraph.indoor.language.likeness import EXACT, match_labels, room_kind, 
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.io.osm.indoor_osm import parse_levels
 from placegraph.language.text import IgnoredText, check_text
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Description, Relation
+from placegraph.outdoor.language.description import Statement as OutdoorStatement
 from placegraph.outdoor.likelihood.query import ends
 from placegraph.outdoor.search.request import parse as read_outside
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.language.description import Statement as OutdoorStatement
     from placegraph.world.towns import Town, TownWords
 
 WRONG_FLOOR_SHARE = 0.12
@@ -219,26 +218,14 @@ def parse_sentence(
 ) -> ParsedSentence:
     """Parse a text for all towns and for rooms.
 
-    Parameters
-    ----------
-    text
-        One or more sentences.
-    towns
-        Cities, and worlds in shards, by name.
-    things
-        Labels of the objects in the rooms of the world, and names of these rooms.
-    heading
-        Where the speaker looks [rad], clockwise from north.
-    names
-        Names of scenes and buildings, which no city needs to know.
-    language
-        Of the text, as of `CityMap.locate`.
+    Raises `DescriptionError`: the text is empty, too long, or no text.
 
-    Raises
-    ------
-    DescriptionError
-        The text is empty, too long, or no text.
-
+    `text`: one or more sentences.
+    `towns`: cities, and worlds in shards, by name.
+    `things`: labels of the objects in the rooms of the world, and names of these rooms.
+    `heading`: where the speaker looks [rad], clockwise from north.
+    `names`: names of scenes and buildings, which no city needs to know.
+    `language`: of the text, as of `CityMap.locate`.
     """
     check_text(text, "I am in the library on Main Street, by the window.")
     floors, left = read_floors(text)

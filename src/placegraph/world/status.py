@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.estimate import Status
+from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.indoor.status import SURE_SCENE, diagnostics_of
-from placegraph.world.evidence import list_rooms
+from placegraph.world.evidence import SceneEvidence, WorldEvidence, list_rooms
 from placegraph.world.sentence import compare_floors
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import PoseEstimate
     from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery
-    from placegraph.world.evidence import SceneEvidence, WorldEvidence
     from placegraph.world.towns import TownMatch
     from placegraph.world.world import World
 

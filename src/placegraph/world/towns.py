@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geojson import is_inside
 from placegraph.core.geometry import Floats
-from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
+from placegraph.outdoor.language.description import SPEAKER, WITHIN, Description, Relation
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH
@@ -24,11 +24,12 @@ from placegraph.outdoor.search.locate import (
     score_positions,
     search_views,
 )
-from placegraph.outdoor.search.posterior import PRIOR_ELSEWHERE
+from placegraph.outdoor.search.posterior import PRIOR_ELSEWHERE, Posterior
 from placegraph.outdoor.search.request import (
     Hints,
     LocationPrior,
     Matching,
+    Request,
     TextContext,
     hint_swapped,
     make_request,
@@ -38,11 +39,8 @@ from placegraph.outdoor.search.status import find_obstacle, infer_claim
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Evidence
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.search.ask import Question
-    from placegraph.outdoor.search.posterior import Posterior
-    from placegraph.outdoor.search.request import Request
     from placegraph.world.estimate import WorldQuery
 
 SHARE_NEAREST, SHARE_NEXT, FALLOFF, SHARE_ANY = 0.8, 0.4, 12.0, 0.003

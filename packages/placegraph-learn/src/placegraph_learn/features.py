@@ -27,31 +27,18 @@ _HEADS = ("head", "fc", "classifier", "fc_norm", "attn_pool")
 class Backbone:
     """A network of timm that turns an image into a grid of features.
 
-    Parameters
-    ----------
-    model
-        Name in timm, of any network with features of places: ViTs, convolutional networks.
-    pretrained
-        With the weights that timm's hub has, where no file is given; without, drawn by chance (the
-        same each time), which only tests want.
-    weights
-        File: a state dict of PyTorch, or safetensors, spelled as timm or as its authors spell it.
-    layer
-        Which of the network's stages or blocks, counted from 0, or from the end by -1.
-    device
-        `cpu`, `cuda` or `auto`.
+    Raises `MissingExtraError`: timm is not installed, or its torchvision is another PyTorch's;
+    `OptionError`: there is no such model, layer or device, or it has no features of places;
+    `InputError`: the file is missing, cut short, or holds another network's weights;
+    `ServiceError`: no file is given, and the hub cannot be reached.
 
-    Raises
-    ------
-    MissingExtraError
-        timm is not installed, or its torchvision is another PyTorch's.
-    OptionError
-        There is no such model, layer or device, or it has no features of places.
-    InputError
-        The file is missing, cut short, or holds another network's weights.
-    ServiceError
-        No file is given, and the hub cannot be reached.
-
+    `model`: name in timm, of any network with features of places: ViTs, convolutional networks.
+    `pretrained`: with the weights that timm's hub has, where no file is given; without, drawn by
+        chance (the same each time), which only tests want.
+    `weights`: File: a state dict of PyTorch, or safetensors, spelled as timm or as its authors
+        spell it.
+    `layer`: which of the network's stages or blocks, counted from 0, or from the end by -1.
+    `device`: `cpu`, `cuda` or `auto`.
     """
 
     def __init__(
@@ -209,25 +196,14 @@ _SLOPE = 0.05  # ... and this share of its depth
 class FeaturesEncoder:
     """Patches by a backbone's features, objects by the mean feature of the patches that saw them.
 
-    Parameters
-    ----------
-    model
-        Name in timm: DINOv2, DINOv3, SigLIP and other ViTs, or a convolutional network.
-    pretrained, weights, layer, device
-        Of `Backbone`.
-    size
-        Longer side of the images that the network sees [px]; as much as gives 16 patches if not
+    Raises `OptionError`: the size is less than a patch, or the temperature not positive;
+    `MissingExtraError`, `InputError` or `ServiceError`: as `Backbone` does.
+
+    `model`: name in timm: DINOv2, DINOv3, SigLIP and other ViTs, or a convolutional network.
+    `pretrained`, `weights`, `layer`, `device`: of `Backbone`.
+    `size`: longer side of the images that the network sees [px]; as much as gives 16 patches if not
         given. The shorter follows from the image; both are whole numbers of patches.
-    temperature
-        Cosine that counts one nat.
-
-    Raises
-    ------
-    OptionError
-        The size is less than a patch, or the temperature not positive.
-    MissingExtraError, InputError, ServiceError
-        As `Backbone` does.
-
+    `temperature`: cosine that counts one nat.
     """
 
     name = "features"

@@ -43,17 +43,10 @@ _SMALLEST = 32  # in smaller images there is nothing to match [px]
 class _DenseMatcher(ViewByView):
     """Dense matches, the surest of each block of pixels.
 
-    Raises
-    ------
-    MissingExtraError
-        The library is not installed, or does not load.
-    InputError
-        Weights are missing, no weights, or another network's.
-    ServiceError
-        No file is given and a hub cannot be reached.
-    OptionError
-        An option is out of its range, or the library cannot run on this device.
-
+    Raises `MissingExtraError`: the library is not installed, or does not load; `InputError`:
+    weights are missing, no weights, or another network's; `ServiceError`: no file is given and a
+    hub cannot be reached; `OptionError`: an option is out of its range, or the library cannot run
+    on this device.
     """
 
     name = ""

@@ -38,13 +38,8 @@ class Progress:
 def open_folder(folder: str | PathLike[str], plan: Mapping[str, Any]) -> dict[str, Any]:
     """Make the folder of a training, or find it again; returns its plan as JSON gives it back.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be made or read.
-    OptionError
-        It holds a training of another plan.
-
+    Raises `InputError`: the folder cannot be made or read; `OptionError`: it holds a training of
+    another plan.
     """
     path = Path(folder)
     try:

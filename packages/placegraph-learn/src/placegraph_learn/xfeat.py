@@ -53,17 +53,9 @@ class _Cells:
 class XFeatMatcher(ViewByView):
     """XFeat features, nearest to each other both ways.
 
-    Raises
-    ------
-    MissingExtraError
-        kornia is not installed.
-    InputError
-        The weights are missing, no weights, or another network's.
-    ServiceError
-        No file is given and the hub cannot be reached.
-    OptionError
-        An option is out of its range, or there is no such device.
-
+    Raises `MissingExtraError`: kornia is not installed; `InputError`: the weights are missing, no
+    weights, or another network's; `ServiceError`: no file is given and the hub cannot be reached;
+    `OptionError`: an option is out of its range, or there is no such device.
     """
 
     name = "xfeat"

@@ -65,33 +65,18 @@ def build_world(
     Interrupted and called again with the same arguments, a build resumes; the bytes of the shards depend
     neither on that nor on the number of workers.
 
-    Parameters
-    ----------
-    extracts
-        Files in the formats of `build_city`, or URLs of such; where they overlap, objects are taken
-        once. What lies at a URL is fetched to ``WORLD/.build/extracts`` and stays there.
-    folder
-        Is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
-    options
-        See `BuildOptions`.
-    progress
-        Is told the step, how much of it is done, and of how much.
+    Raises `InputError`: an extract is missing, cannot be read, changed meanwhile, or none holds
+    anything worth naming; `MapError`: the folder cannot be written, as on a full disk; what is half
+    done in it is damaged; or a worker was killed again and again; `MapLockedError`: somebody else
+    is building there; `MissingExtraError` or `ServiceError`: Dask, or what a URL takes, is not
+    installed; the scheduler or a URL does not answer, or the former is of another version;
+    `OptionError`: an option is out of its range, or another build was begun in this folder.
 
-    Raises
-    ------
-    InputError
-        An extract is missing, cannot be read, changed meanwhile, or none holds anything worth naming.
-    MapError
-        The folder cannot be written, as on a full disk; what is half done in it is damaged; or a
-        worker was killed again and again.
-    MapLockedError
-        Somebody else is building there.
-    MissingExtraError, ServiceError
-        Dask, or what a URL takes, is not installed; the scheduler or a URL does not answer, or the
-        former is of another version.
-    OptionError
-        An option is out of its range, or another build was begun in this folder.
-
+    `extracts`: files in the formats of `build_city`, or URLs of such; where they overlap, objects
+        are taken once. What lies at a URL is fetched to ``WORLD/.build/extracts`` and stays there.
+    `folder`: is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
+    `options`: see `BuildOptions`.
+    `progress`: is told the step, how much of it is done, and of how much.
     """
     options = options or BuildOptions()
     if is_url(folder):
@@ -332,28 +317,14 @@ def run_tasks(
 ) -> Generator[tuple[int, Made]]:
     """Yield numbers and results of all tasks, in the order in which they are done; close it if left.
 
-    Parameters
-    ----------
-    work
-        Function of a module, so that other processes find it.
-    tasks
-        Its arguments, once each; again where a worker was killed.
-    workers
-        Processes of this machine; 1: this one itself.
-    scheduler
-        Address of a Dask scheduler (``tcp://host:port``), whose workers do it instead.
+    Raises `MissingExtraError`: dask is wanted, and not installed; `MapError`: a task's worker was
+    killed again and again; `OptionError`: `workers` is less than 1; `ServiceError`: the scheduler
+    does not answer, or is of another version.
 
-    Raises
-    ------
-    MissingExtraError
-        Dask is wanted, and not installed.
-    MapError
-        A task's worker was killed again and again.
-    OptionError
-        `workers` is less than 1.
-    ServiceError
-        The scheduler does not answer, or is of another version.
-
+    `work`: function of a module, so that other processes find it.
+    `tasks`: its arguments, once each; again where a worker was killed.
+    `workers`: processes of this machine; 1: this one itself.
+    `scheduler`: address of a Dask scheduler (``tcp://host:port``), whose workers do it instead.
     """
     if workers < 1:
         raise OptionError(f"workers is {workers}; give at least 1.")

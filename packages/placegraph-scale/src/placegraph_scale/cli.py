@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,8 +18,6 @@ from placegraph.errors import MapError
 from placegraph_scale.options import BuildOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from placegraph.indoor.library import SceneLibrary
     from placegraph_scale.library.write import NamedEntry
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from placegraph.core import files
-from placegraph.core.geo import MAX_ZOOM, tile_bounds
+from placegraph.core.geo import MAX_ZOOM, Box, tile_bounds
 from placegraph.core.mapfile import DIGEST_SIZE
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.io.osm.osm import one_line
@@ -18,8 +18,6 @@ from placegraph.io.osm.urls import is_missing, is_url, open_file_system
 from placegraph.maps import WORLD
 
 if TYPE_CHECKING:
-    from placegraph.core.geo import Box
-
     Progress = Callable[[str, int, int | None], None]
 
 NAME, WORDS, SHARDS = WORLD, "words.table", "shards"
@@ -146,13 +144,8 @@ def check_digest(path: Path, digest: str) -> None:
 def bring(world: WorldFile, url: str, progress: Progress | None = None) -> WorldFile:
     """Bring a world to a URL, and return it; `world.json` comes last, so that a world there is complete.
 
-    Raises
-    ------
-    MapError
-        Something cannot be written there.
-    MissingExtraError, OptionError
-        fsspec is not installed; or knows no such URL.
-
+    Raises `MapError`: something cannot be written there; `MissingExtraError` or `OptionError`:
+    fsspec is not installed; or knows no such URL.
     """
     system, root = open_file_system(url)
     try:
@@ -182,15 +175,9 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> World
 def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = None) -> Path:
     """Fetch a world from a URL into a folder of this machine, and return that.
 
-    Raises
-    ------
-    InputError
-        There is no world, or a file of it is missing.
-    MapError
-        Something cannot be read there or written here, or `world.json` is none.
-    MissingExtraError, OptionError
-        fsspec is not installed; or knows no such URL.
-
+    Raises `InputError`: there is no world, or a file of it is missing; `MapError`: something cannot
+    be read there or written here, or `world.json` is none; `MissingExtraError` or `OptionError`:
+    fsspec is not installed; or knows no such URL.
     """
     system, root = open_file_system(url)
     folder = Path(folder)

@@ -65,15 +65,8 @@ class Server:
     def connect(cls, uri: str, timeout: float = 10.0) -> Server:
         """Connect to ``http://[user:password@]host:port[/database]`` within `timeout` [s].
 
-        Raises
-        ------
-        MissingExtraError
-            pymilvus is not installed.
-        OptionError
-            The URI or the time is none.
-        ServiceError
-            Nobody answers there.
-
+        Raises `MissingExtraError`: pymilvus is not installed; `OptionError`: the URI or the time is
+        none; `ServiceError`: nobody answers there.
         """
         check_uri(uri)
         if not 0.0 < timeout <= LONGEST:
@@ -284,15 +277,9 @@ class MilvusStore:
     ) -> Self:
         """Open the store of that name, or made from that map by that model, or both.
 
-        Raises
-        ------
-        ServiceError
-            The server is down, or answers nonsense.
-        StoreError
-            There is none, or only of another map or model, or several fit.
-        IncompleteStoreError
-            Its load was begun and not finished, or rows are missing.
-
+        Raises `ServiceError`: the server is down, or answers nonsense; `StoreError`: there is none,
+        or only of another map or model, or several fit; `IncompleteStoreError`: its load was begun
+        and not finished, or rows are missing.
         """
         server = Server.connect(uri, timeout)
         try:
@@ -464,15 +451,9 @@ def load_milvus(
     After a crash, of this process or the server, the rows that are there are counted by ranges of
     ids, and only what is missing is sent.
 
-    Raises
-    ------
-    ServiceError
-        The server died meanwhile; load again with `resume`.
-    IncompleteStoreError
-        An earlier load was not finished, and this one shall not resume.
-    StoreError
-        The unfinished load, or the store, is of other rows.
-
+    Raises `ServiceError`: the server died meanwhile; load again with `resume`;
+    `IncompleteStoreError`: an earlier load was not finished, and this one shall not resume;
+    `StoreError`: the unfinished load, or the store, is of other rows.
     """
     tell = progress or (lambda _step, _done, _total: None)
     final = collection_name(name, origin)

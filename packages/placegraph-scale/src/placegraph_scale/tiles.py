@@ -22,13 +22,12 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.files import write_file
-from placegraph.core.geo import tile_bounds, tile_key, tile_ranges
+from placegraph.core.geo import Box, tile_bounds, tile_key, tile_ranges
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import offsets_of
 from placegraph.errors import InputError, MapError, PlacegraphError
@@ -40,6 +39,7 @@ from placegraph.outdoor.map.extract import (
     THING,
     ElementTable,
     LabelledElement,
+    Progress,
     clip,
     drop_duplicates,
     drop_largest,
@@ -50,10 +50,6 @@ from placegraph.outdoor.map.extract import (
 )
 from placegraph_scale.folder import digest_of
 from placegraph_scale.shards.words import count_words
-
-if TYPE_CHECKING:
-    from placegraph.core.geo import Box
-    from placegraph.outdoor.map.extract import Progress
 
 HEAD = struct.Struct("<4sQIIII")
 """Magic, bytes that follow, crc32 of these and of the numbers behind it: objects, parts, points."""
@@ -230,26 +226,14 @@ def split(
     Memory does not grow with the extract, but for the ways that its relations are made of; nodes of a
     large one lie on disk, 12 bytes each. Killed and called again, it passes over what it had read.
 
-    Parameters
-    ----------
-    path
-        Extract, see `read_columns`.
-    folder
-        Is filled with ``KEY.things``.
-    zoom, margin
-        Which tiles, and how far around them objects are taken [m].
-    vocabulary
-        Which tags are worth naming; the shipped one where not given.
-    progress
-        Is told how far it is.
+    Raises `InputError`: the extract cannot be read, changed meanwhile, or holds nothing worth
+    naming; `MapError`: the folder cannot be written, as on a full disk.
 
-    Raises
-    ------
-    InputError
-        The extract cannot be read, changed meanwhile, or holds nothing worth naming.
-    MapError
-        The folder cannot be written, as on a full disk.
-
+    `path`: extract, see `read_columns`.
+    `folder`: is filled with ``KEY.things``.
+    `zoom`, `margin`: which tiles, and how far around them objects are taken [m].
+    `vocabulary`: which tags are worth naming; the shipped one where not given.
+    `progress`: is told how far it is.
     """
     vocabulary, state = vocabulary or Vocabulary.default(), _state(path)
     begun = Split.load(folder)

@@ -103,13 +103,8 @@ def serve(
 ) -> None:
     """Serve until SIGTERM or Ctrl-C; `ready` is called with the URL once the socket is open.
 
-    Raises
-    ------
-    MissingExtraError
-        The extra `serve` is not installed.
-    OptionError
-        The address is taken, or is none of this machine.
-
+    Raises `MissingExtraError`: the extra `serve` is not installed; `OptionError`: the address is
+    taken, or is none of this machine.
     """
     try:
         import uvicorn

@@ -477,13 +477,8 @@ _EACH = 6
 def capture_in(path: Path, folder: Path, options: ServeOptions) -> Capture:
     """Capture of a ZIP, whose files are unpacked into an empty folder.
 
-    Raises
-    ------
-    InputError
-        It is no whole ZIP, a name leads out of it, or it holds no capture.
-    RequestError
-        It has too many files, or too large ones.
-
+    Raises `InputError`: it is no whole ZIP, a name leads out of it, or it holds no capture;
+    `RequestError`: it has too many files, or too large ones.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -278,13 +278,8 @@ def _read_message(text: str) -> Live:
 async def save_upload(request: Request, options: ServeOptions) -> AsyncIterator[dict[str, Any]]:
     """Save an upload in a temporary folder; yield the folder, its files by name, and the request.
 
-    Raises
-    ------
-    InputError
-        The form holds neither images nor a capture, or a field is no JSON.
-    RequestError
-        It holds too many files, or too large ones.
-
+    Raises `InputError`: the form holds neither images nor a capture, or a field is no JSON;
+    `RequestError`: it holds too many files, or too large ones.
     """
     form = request.form(max_files=2 * options.images + 2, max_fields=20, max_part_size=1 << 20)
     async with form as fields:

@@ -328,16 +328,10 @@ def describe_room(graph: SceneGraph, rows: Sequence[int]) -> Floats:
 def ratios(words: Iterable[str], rows: Table, library: Table, like: Floats) -> Floats:
     """Return the likelihood ratio (n,) of the looks that words state, against usual objects.
 
-    Parameters
-    ----------
-    words
-        Attributes of one thing: "dark", "blue", "in the corner".
-    rows
-        (n, C) looks of the things (`COLUMNS`).
-    library, like
-        (m, C) looks of all that is known, and (m,) how well each is the thing that is spoken of:
-        what is usual is usual of these.
-
+    `words`: attributes of one thing: "dark", "blue", "in the corner".
+    `rows`: (n, C) looks of the things (`COLUMNS`).
+    `library`, `like`: (m, C) looks of all that is known, and (m,) how well each is the thing that
+        is spoken of: what is usual is usual of these.
     """
     out = np.ones(len(rows))
     for kind, entries in appearance_words().classify(words).items():

@@ -168,14 +168,9 @@ def kind_by_name(name: str, else_: Floats) -> Floats:
 def kinds_of(contents: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_) -> Floats:
     """Return the probability (U, R) of each kind of room by the objects in it.
 
-    Parameters
-    ----------
-    contents
-        (U, T) how well the things of the table are among what each holds.
-    undivided
-        (U,) which may be homes whose rooms nobody told apart: they have a room of a kind as their
-        most telling thing says, as where a stove is there is a kitchen.
-
+    `contents`: (U, T) how well the things of the table are among what each holds.
+    `undivided`: (U,) which may be homes whose rooms nobody told apart: they have a room of a kind
+        as their most telling thing says, as where a stove is there is a kitchen.
     """
     known = table()
     # what is there, and to a lesser degree what is not

@@ -272,12 +272,8 @@ class Referents:
 class PoseFits:
     """Fits of statements at the K positions and A headings of a table.
 
-    Parameters
-    ----------
-    referents
-        Objects that are spoken of.
-    views
-        Panoramas at the positions.
+    `referents`: objects that are spoken of.
+    `views`: panoramas at the positions.
     """
 
     def __init__(self, referents: Referents, views: VisibilityTable) -> None:

@@ -64,17 +64,10 @@ _WAYS = frozenset(("door", "doors", "doorway", "opening", "entrance", "passage",
 def read(text: str) -> Sentence:
     """Read a text: where somebody is in a place, and what it holds.
 
-    Parameters
-    ----------
-    text
-        English; the words for things may be any ("KitchenTable", "chest of drawers").
+    Raises `DescriptionError`: if the text is empty, too long, or no text; A text of which nothing
+    is understood is no error: it gives a sentence without statements that says what was ignored.
 
-    Raises
-    ------
-    DescriptionError
-        If the text is empty, too long, or no text. A text of which nothing is understood is no
-        error: it gives a sentence without statements that says what was ignored.
-
+    `text`: english; the words for things may be any ("KitchenTable", "chest of drawers").
     """
     check_text(text, "I am next to the sofa, facing the window.")
     reader = Reader(text)

@@ -159,12 +159,8 @@ def of_scenes(
 class _UnitFits:
     """Fits of the things of a sentence to the units of an index, each found once.
 
-    Parameters
-    ----------
-    columns
-        The units.
-    library
-        What is usual: how large a couch is, how many are green.
+    `columns`: the units.
+    `library`: what is usual: how large a couch is, how many are green.
     """
 
     def __init__(self, sentence: Sentence, columns: Columns, library: Columns) -> None:
@@ -335,10 +331,7 @@ def rank_scenes(
 class TextIndex:
     """Finds scenes by text; scenes have rows as in a list.
 
-    Parameters
-    ----------
-    rooms
-        Of each graph the names of its objects' rooms (`score`); of none if not given.
+    `rooms`: of each graph the names of its objects' rooms (`score`); of none if not given.
     """
 
     def __init__(
@@ -427,26 +420,15 @@ def score(
 ) -> Score:
     """Return the log-likelihood ratio of a text for a scene against an average scene.
 
-    Parameters
-    ----------
-    sentence
-        What `read` made of the text.
-    graph
-        Scene graph of a room, or of a home; or a map, which knows its rooms and colours.
-    rooms
-        (N,) name or number of the room of each object, empty where unknown, as attribute `room`
-        of a map's objects; without, relations "same room" say what is together.
-    library
-        Index that says how rare things are; else they are as rare as in homes (`rooms.toml`), and
-        sizes and colours, of which nobody knows what is usual, say nothing.
-    attributes
-        (N,) what else is known of the objects; see `TextIndex.add`.
+    Raises `OptionError`: there is not one room for each object.
 
-    Raises
-    ------
-    OptionError
-        There is not one room for each object.
-
+    `sentence`: what `read` made of the text.
+    `graph`: scene graph of a room, or of a home; or a map, which knows its rooms and colours.
+    `rooms`: (N,) name or number of the room of each object, empty where unknown, as attribute
+        `room` of a map's objects; without, relations "same room" say what is together.
+    `library`: index that says how rare things are; else they are as rare as in homes
+        (`rooms.toml`), and sizes and colours, of which nobody knows what is usual, say nothing.
+    `attributes`: (N,) what else is known of the objects; see `TextIndex.add`.
     """
     columns = columns_of([_units(graph, rooms, attributes)])
     ratios = score_statements(sentence, columns, None if library is None else library.columns)

@@ -58,31 +58,17 @@ def localize(
     best mode's. `stats["retrieval"]` holds what the search said. Maps are only read. Where the
     search finds that no scene fits, only a clear pose is `OK`.
 
-    Parameters
-    ----------
-    capture
-        A capture, or frames in order of time.
-    frames, search
-        Which of them, all if not given; how scenes are searched.
-    most
-        Scenes localized in at most: the next only as long as no pose is certain.
-    description
-        What somebody says of the place: helps to find the scene, and the pose in it.
-    encoder
-        Says what patches show, by name or one of the library's own; if not given, the library's
-        encoder of labels for captures that have some.
-    **options
-        Of `SceneMap.localize`: options, refine, matcher, seed, device, progress.
+    Raises `OptionError`: the library is empty; nothing that the frames show can be compared;
+    `InputError` or `MapError`: an image is broken; a map is gone, or another one than was added;
+    `MissingExtraError`: an option needs an extra.
 
-    Raises
-    ------
-    OptionError
-        The library is empty; nothing that the frames show can be compared.
-    InputError, MapError
-        An image is broken; a map is gone, or another one than was added.
-    MissingExtraError
-        An option needs an extra.
-
+    `capture`: a capture, or frames in order of time.
+    `frames`, `search`: which of them, all if not given; how scenes are searched.
+    `most`: scenes localized in at most: the next only as long as no pose is certain.
+    `description`: what somebody says of the place: helps to find the scene, and the pose in it.
+    `encoder`: says what patches show, by name or one of the library's own; if not given, the
+        library's encoder of labels for captures that have some.
+    `options`: of `SceneMap.localize`: options, refine, matcher, seed, device, progress.
     """
     if most < 1:
         raise OptionError(f"most is {most}; give at least 1.")

@@ -170,13 +170,8 @@ def encode_frames(
 
     `exact`: patches keep the vectors that they have, instead of the nearest of some `WORDS`.
 
-    Raises
-    ------
-    OptionError
-        There is no frame; no encoder has anything to encode.
-    InputError
-        An image is broken.
-
+    Raises `OptionError`: there is no frame; no encoder has anything to encode; `InputError`: an
+    image is broken.
     """
     if not frames:
         raise OptionError("frames: the query has no frame; give at least one.")
@@ -442,26 +437,14 @@ class SceneCollection(ABC):
     ) -> SceneEstimate:
         """Return the scenes that a capture was taken in, or a text describes, likeliest first.
 
-        Parameters
-        ----------
-        query
-            A capture or frames in order of time; or a text: "a kitchen with two sinks".
-        frames
-            Which frames; all if not given.
-        description
-            What somebody says of the place where a capture was taken.
-        options
-            `SearchOptions`; what measured best if not given. Of captures only.
-        most
-            Modes returned at most.
+        Raises `OptionError`: the library is empty; the query has nothing that can be compared, or
+        understood; `InputError`: an image is broken.
 
-        Raises
-        ------
-        OptionError
-            The library is empty; the query has nothing that can be compared, or understood.
-        InputError
-            An image is broken.
-
+        `query`: a capture or frames in order of time; or a text: "a kitchen with two sinks".
+        `frames`: which frames; all if not given.
+        `description`: what somebody says of the place where a capture was taken.
+        `options`: `SearchOptions`; what measured best if not given. Of captures only.
+        `most`: modes returned at most.
         """
         if most < 1:
             raise OptionError(f"most is {most}; give at least 1.")

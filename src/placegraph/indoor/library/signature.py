@@ -83,22 +83,13 @@ def compute_signature(
 ) -> Signature:
     """Compute the signature of a map.
 
-    Parameters
-    ----------
-    encoders
-        Whose vectors are kept: the map's own where they are of this encoder, else made anew.
-    captures
-        Images of the map, for encoders that need some; their odometry is map_from_camera.
-    height
-        Of the camera above the floor [m]; as `FilterOptions` has it if not given.
+    Raises `OptionError`: no object says anything to any encoder; no place of it is free; it has too
+    many objects; `MapError`: its vectors are of another encoder.
 
-    Raises
-    ------
-    OptionError
-        No object says anything to any encoder; no place of it is free; it has too many objects.
-    MapError
-        Its vectors are of another encoder.
-
+    `encoders`: whose vectors are kept: the map's own where they are of this encoder, else made
+        anew.
+    `captures`: images of the map, for encoders that need some; their odometry is map_from_camera.
+    `height`: of the camera above the floor [m]; as `FilterOptions` has it if not given.
     """
     if len(scene) > MAX_OBJECTS:
         raise OptionError(

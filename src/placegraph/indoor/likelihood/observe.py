@@ -410,13 +410,8 @@ _USUAL = 2.0  # median of the depth in a room [m]
 def check_unit(diagonal: float, observations: Sequence[Observation]) -> None:
     """Refuse depth that cannot be in metres; `diagonal` is the map's [m].
 
-    Raises
-    ------
-    InputError
-        The median of all frames is absurd; the message names `camera.json` and what would fit.
-    OptionError
-        The same for frames in memory.
-
+    Raises `InputError`: the median of all frames is absurd; the message names `camera.json` and
+    what would fit; `OptionError`: the same for frames in memory.
     """
     found = [_some(s.depth) for s in observations if s.depth is not None]
     readings = np.concatenate([np.zeros(0, np.float32), *found])

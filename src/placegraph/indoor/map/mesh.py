@@ -30,11 +30,8 @@ WHITE.flags.writeable = False
 class Mesh:
     """V vertices, T triangles and K textures; arrays are read-only and checked.
 
-    Raises
-    ------
-    OptionError
-        Arrays do not fit each other, a row points nowhere, a number is not finite.
-
+    Raises `OptionError`: arrays do not fit each other, a row points nowhere, a number is not
+    finite.
     """
 
     vertices: NDArray[np.float32]

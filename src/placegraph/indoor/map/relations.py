@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.graph import SceneGraph
 from placegraph.indoor.map.floor import is_floor, singular_forms, split_label
 from placegraph.indoor.map.mesh import Mesh
 
@@ -136,7 +135,6 @@ def overlap_2d(boxes: Boxes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Floa
 STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (
     "standing on", "inside", "attached to", "above", "next to", "same room",
 )  # fmt: skip
-RELATIONS = (STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM)
 
 CONTACT = 0.05  # What is nearer than this touches [m]
 SUPPORT = 0.1
@@ -425,15 +423,6 @@ def interpret_relation(query: str) -> frozenset[Meaning]:
     )
 
 
-def matches_relation(query: str, relation: str) -> bool:
-    """Return whether an edge "A `relation` B" says that A is `query` B.
-
-    "near" matches "close by" and "next to", "on" matches "lying on". "under" matches neither "above"
-    nor "standing on", which say it of B: `find_related` turns such edges around.
-    """
-    return normalize_relation(relation) in interpret_relation(query)
-
-
 def matches_label(query: str, label: str) -> bool:
     """Return whether a label may be what is asked for: "chairs" and "desk chair", "DeskChair" and "chair".
 
@@ -448,54 +437,10 @@ def matches_label(query: str, label: str) -> bool:
     return set(wanted[:-1]) <= set(own[:-1]) or set(own[:-1]) <= set(wanted[:-1])
 
 
-def find_related(graph: SceneGraph, subject: str, query: str, target: str) -> NDArray[np.int64]:
-    """Find pairs (K, 2) of rows between which a relation holds, under whichever name; sorted.
-
-    `subject` and `target` are labels, "sofa" and "plant", or empty for anything; `query` is the
-    relation of the subject to the target: "next to", "on top of", "under".
-    """
-    wanted = interpret_relation(query)
-    labels = dict.fromkeys(graph.labels)
-    first, second = (
-        np.array([fits[label] for label in graph.labels], np.bool_)
-        for fits in (
-            {label: matches_label(end, label) for label in labels} for end in (subject, target)
-        )
-    )
-    of = {relation: normalize_relation(relation) for relation in dict.fromkeys(graph.relations)}
-    pairs: set[tuple[int, int]] = set()
-    for a, relation, b in zip(
-        graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True
-    ):
-        name, turned = of[relation]
-        if (name, turned) in wanted and first[a] and second[b]:
-            pairs.add((a, b))
-        if _drop_symmetric_turn(name, not turned) in wanted and first[b] and second[a]:
-            pairs.add((b, a))
-    if (SAME_ROOM, False) in wanted:
-        for room in _group_connected(graph, [of[r][0] == SAME_ROOM for r in graph.relations]):
-            pairs.update((a, b) for a in room if first[a] for b in room if second[b] and a != b)
-    return np.array(sorted(pairs), np.int64).reshape(-1, 2)
-
-
 def _strip_fillers(name: str) -> str:
     """Return words of a relation in lower case, but for those that change nothing."""
     words = [word for word in re.split(r"[\s_-]+", name.lower()) if word]
     return " ".join([word for word in words if word not in _IDLE] or words)
-
-
-def _group_connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]:
-    """Return groups of rows that the chosen edges connect."""
-    group: dict[int, list[int]] = {}
-    for a, b in zip(
-        graph.sources[list(chosen)].tolist(), graph.targets[list(chosen)].tolist(), strict=True
-    ):
-        one, other = group.setdefault(a, [a]), group.setdefault(b, [b])
-        if one is not other:
-            small, large = sorted((one, other), key=len)
-            large.extend(small)
-            group.update(dict.fromkeys(small, large))
-    return {id(rows): rows for rows in group.values()}.values()
 
 
 def _drop_symmetric_turn(relation: str, turned: bool) -> Meaning:

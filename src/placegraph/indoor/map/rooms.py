@@ -220,15 +220,9 @@ def assign_rooms(
 def find_rooms(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     """Return rooms of a mesh of N objects.
 
-    Parameters
-    ----------
-    mesh
-        Triangles of the objects, z up, metres.
-    labels
-        Of the N objects.
-    floor
-        Height of the floor [m, map]. Of several storeys it is this one's rooms that are found.
-
+    `mesh`: triangles of the objects, z up, metres.
+    `labels`: of the N objects.
+    `floor`: height of the floor [m, map]. Of several storeys it is this one's rooms that are found.
     """
     corners, normals = mesh.vertices[mesh.triangles], mesh.normals()
     corners[:, :, 2] -= floor

@@ -178,28 +178,18 @@ class Scene(PickleFields):
     ) -> Self:
         """Map of one scene.
 
-        Parameters
-        ----------
-        mesh
-            Triangles of the objects; every object has at least one. Coordinates are snapped to the
-            file's steps (`Mesh.quantize`), triangles brought into its order (`mesh_order`), textures
-            decoded from what the file will hold.
-        ids, labels, names
-            Of the N objects.
-        floor
-            Height of the floor [m, map].
-        attributes, relations
-            Of each object, or of none; edges (source row, relation, target row).
-        scene, source
-            Names for messages.
-        encoded
-            Encoded textures, if there are any already.
+        Raises `OptionError`: there is no object, or no triangle; columns do not fit; the floor is
+        not a number.
 
-        Raises
-        ------
-        OptionError
-            There is no object, or no triangle; columns do not fit; the floor is not a number.
-
+        `mesh`: triangles of the objects; every object has at least one. Coordinates are snapped to
+            the file's steps (`Mesh.quantize`), triangles brought into its order (`mesh_order`),
+            textures decoded from what the file will hold.
+        `ids`, `labels`, `names`: of the N objects.
+        `floor`: height of the floor [m, map].
+        `attributes`, `relations`: of each object, or of none; edges (source row, relation, target
+            row).
+        `scene`, `source`: names for messages.
+        `encoded`: encoded textures, if there are any already.
         """
         if not np.isfinite(floor):
             raise OptionError(f"floor is {floor}; it must be a height in metres.")

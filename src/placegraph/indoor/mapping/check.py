@@ -581,15 +581,9 @@ def check(
 ) -> list[Finding]:
     """Find what is odd about a map, worst first; empty where nothing is.
 
-    Parameters
-    ----------
-    scene
-        The map; it is only read.
-    options
-        Localizing's options: at their camera heights places are looked for.
-    size, seconds
-        Of the map file [bytes], and what opening it took [s], where they are known.
-
+    `scene`: the map; it is only read.
+    `options`: localizing's options: at their camera heights places are looked for.
+    `size`, `seconds`: of the map file [bytes], and what opening it took [s], where they are known.
     """
     found = chain(
         _check_units(scene), _check_up_axis(scene), _check_floors(scene),

@@ -139,6 +139,10 @@ def export(
 
     What a file has no place for is told by `list_losses`. The old file stays until the new one is complete.
 
+    Raises `OptionError`: the ending is another, camera paths do not fit, `path` holds something
+    else already, or rooms are wanted of a map that has none or is not anchored; `MapError` or
+    `MapLockedError`: the file cannot be written.
+
     Parameters
     ----------
     scene, path
@@ -149,14 +153,6 @@ def export(
         Whether to replace a file that was not written by this function.
 
     Returns the files that were written.
-
-    Raises
-    ------
-    OptionError
-        The ending is another, camera paths do not fit, `path` holds something else already, or
-        rooms are wanted of a map that has none or is not anchored.
-    MapError, MapLockedError
-        The file cannot be written.
 
     """
     path, ending = Path(path), _ending_of(path)

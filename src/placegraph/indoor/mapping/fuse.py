@@ -353,29 +353,18 @@ def fuse(
 ) -> FusedSurface:
     """Fuse depth and colour of frames into one mesh.
 
-    Parameters
-    ----------
-    frames, poses
-        Frames with depth, and (T, 4, 4) map_from_camera [m]; the frames' odometry if not given.
-        Frames without depth, or whose pose is broken (not finite, not rigid, a slip off both
-        neighbours), are passed over, and counted.
-    voxel, reach
-        Edge of a voxel and greatest depth that is used [m].
-    truncation
-        Distances from the surface beyond this are cut [m]; thinner things come out thicker or not
-        at all. Four voxels if not given.
-    options
-        What else can be set.
-    progress, left_out
-        Are told how many frames are done, of how many; and what was passed over, by reason.
+    Raises `InputError`: an image is broken, no frame has depth and a pose, or they show no surface;
+    `OptionError`: an option is out of range, or memory ends and voxels may not become coarser.
 
-    Raises
-    ------
-    InputError
-        An image is broken, no frame has depth and a pose, or they show no surface.
-    OptionError
-        An option is out of range, or memory ends and voxels may not become coarser.
-
+    `frames`, `poses`: frames with depth, and (T, 4, 4) map_from_camera [m]; the frames' odometry if
+        not given. Frames without depth, or whose pose is broken (not finite, not rigid, a slip off
+        both neighbours), are passed over, and counted.
+    `voxel`, `reach`: edge of a voxel and greatest depth that is used [m].
+    `truncation`: distances from the surface beyond this are cut [m]; thinner things come out
+        thicker or not at all. Four voxels if not given.
+    `options`: what else can be set.
+    `progress`, `left_out`: are told how many frames are done, of how many; and what was passed
+        over, by reason.
     """
     options = options or FuseOptions()
     counts: Counter[str] = Counter() if left_out is None else left_out

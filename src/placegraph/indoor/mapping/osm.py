@@ -85,13 +85,8 @@ class Level:
 def select_level(plan: IndoorOsm, level: float | None) -> Level:
     """Select one level of a file's rooms; what has no level is on all where it is a door, else on level 0.
 
-    Raises
-    ------
-    OptionError
-        There are several levels and none is chosen, or there is none such.
-    InputError
-        The rooms are spread over more than a building.
-
+    Raises `OptionError`: there are several levels and none is chosen, or there is none such;
+    `InputError`: the rooms are spread over more than a building.
     """
     levels, notes = plan.levels, []
     nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
@@ -472,11 +467,7 @@ def export_shapes(scene: Scene) -> list[IndoorShape]:
     A room is outlined by its own floor; where floors go through several rooms, by the free floor,
     to a decimetre.
 
-    Raises
-    ------
-    OptionError
-        A scene has no anchor, or no room.
-
+    Raises `OptionError`: a scene has no anchor, or no room.
     """
     shapes = []
     for s, name in enumerate(scene.scenes):

@@ -50,20 +50,12 @@ def simplify(
 ) -> Mesh:
     """Simplify a mesh to fewer triangles; objects and textures stay.
 
-    Parameters
-    ----------
-    mesh
-        Triangles in any order; twins (the same three corners twice) become one.
-    error
-        Greatest distance of a new vertex from the planes of the triangles it replaces [m]; 0 joins
-        only what lies in one plane. Textures slide by `SLIDE` times as much at most.
-    colour
-        Greatest change of colours at vertices, 0 to 1.
-    target
-        Stop at about this many triangles, even though the bound would allow fewer.
-    left_out
-        Is told of twins.
-
+    `mesh`: triangles in any order; twins (the same three corners twice) become one.
+    `error`: greatest distance of a new vertex from the planes of the triangles it replaces [m]; 0
+        joins only what lies in one plane. Textures slide by `SLIDE` times as much at most.
+    `colour`: greatest change of colours at vertices, 0 to 1.
+    `target`: stop at about this many triangles, even though the bound would allow fewer.
+    `left_out`: is told of twins.
     """
     if not len(mesh):
         return mesh

@@ -63,22 +63,13 @@ class Hits:
 class RayCaster:
     """Closest hits with a triangle mesh, ready to be asked by any number of threads.
 
-    Parameters
-    ----------
-    vertices
-        (V, 3) [m], finite; kept as float32.
-    triangles
-        (T, 3) rows of vertices. Triangles without area are never hit.
-    backend
-        ``embree`` (needs the wheel ``embreex``), ``bvh``, or ``auto``: Embree where it is there and
-        proves itself (`embree.explain_unavailable`), else the tree.
+    Raises `OptionError`: the mesh has no triangle, or `backend` is unknown; `MissingExtraError`:
+    embree is asked for and cannot serve.
 
-    Raises
-    ------
-    OptionError
-        The mesh has no triangle, or `backend` is unknown.
-    MissingExtraError
-        Embree is asked for and cannot serve.
+    `vertices`: (V, 3) [m], finite; kept as float32.
+    `triangles`: (T, 3) rows of vertices. Triangles without area are never hit.
+    `backend`: ``embree`` (needs the wheel ``embreex``), ``bvh``, or ``auto``: Embree where it is
+        there and proves itself (`embree.explain_unavailable`), else the tree.
     """
 
     def __init__(

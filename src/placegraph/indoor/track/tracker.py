@@ -111,19 +111,12 @@ class Tracker:
     fit but do not tell a place alone, the pose holds by odometry, with a growing covariance. A pose that
     frames contradict for a while is given up and searched again.
 
-    Parameters
-    ----------
-    query
-        Query without frames; its description and shares are of where the stream begins, and dropped once
-        the pose is known.
-    camera
-        Camera of the frames, which may refocus; frames of another size or view are refused.
+    Raises `OptionError`: the options are of a recipe that cannot be followed frame by frame
+    (`FilterOptions.tracked`).
 
-    Raises
-    ------
-    OptionError
-        The options are of a recipe that cannot be followed frame by frame (`FilterOptions.tracked`).
-
+    `query`: query without frames; its description and shares are of where the stream begins, and
+        dropped once the pose is known.
+    `camera`: camera of the frames, which may refocus; frames of another size or view are refused.
     """
 
     def __init__(self, query: PoseQuery, camera: Camera | None = None) -> None:
@@ -166,13 +159,8 @@ class Tracker:
     def update(self, frame: Frame) -> PoseEstimate:
         """Estimate the pose of a frame.
 
-        Raises
-        ------
-        OptionError
-            The frame is of another camera; it has nothing that can be compared with the map.
-        InputError
-            Its images are broken; the tracker is as it was before.
-
+        Raises `OptionError`: the frame is of another camera; it has nothing that can be compared
+        with the map; `InputError`: its images are broken; the tracker is as it was before.
         """
         observation = self._sighted(frame)
         keyframe = not self.keyframes or is_apart(self.keyframes[-1].frame, frame)
@@ -409,13 +397,8 @@ class Relocalizer:
     def anywhere(self, frames: Sequence[Frame], rng: Generator) -> tuple[str, PoseEstimate]:
         """Search frames in all maps: name of the map of the last frame, empty if none, and estimate.
 
-        Raises
-        ------
-        OptionError
-            Nothing that the frames show can be compared.
-        InputError, MapError
-            An image is broken, or depth is not in metres; a map of the library is gone.
-
+        Raises `OptionError`: nothing that the frames show can be compared; `InputError` or
+        `MapError`: an image is broken, or depth is not in metres; a map of the library is gone.
         """
         if isinstance(self.maps, Scene):
             return self.near(frames, self.scenes[0], None, rng)

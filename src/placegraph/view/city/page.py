@@ -336,13 +336,8 @@ def write_page(
     The file loads nothing else: style, scripts and map stand in it. It is about 2 MB at most,
     however large the city: around the modes everything is drawn, beyond that an outline.
 
-    Parameters
-    ----------
-    city
-        The map the estimate was made on.
-    question
-        The question that would tell the modes apart, as of `CityEstimate.next_question`.
-
+    `city`: the map the estimate was made on.
+    `question`: the question that would tell the modes apart, as of `CityEstimate.next_question`.
     """
     heading = f"Where am I? {city.source.partition('.')[0].replace('_', ' ')}"
     tiles = CityTiles(city)

@@ -46,16 +46,9 @@ def draw_city(
 ) -> Path:
     """Draw a city as a PNG.
 
-    Parameters
-    ----------
-    size
-        Width and height [px].
+    Raises `OptionError`: a side is outside `SMALLEST` to `LARGEST` px.
 
-    Raises
-    ------
-    OptionError
-        A side is outside `SMALLEST` to `LARGEST` px.
-
+    `size`: width and height [px].
     """
     width, height = _check_map(size)
     frame = Frame.around(city_bounds(city.objects), width, height - FOOT)
@@ -76,18 +69,10 @@ def write_picture(
 ) -> Path:
     """Draw an estimate as a PNG: the best mode's surroundings, or the rivals where it is ambiguous.
 
-    Parameters
-    ----------
-    city
-        The map the estimate was made on.
-    size
-        Width and height [px].
+    Raises `OptionError`: a side is outside `SMALLEST` to `LARGEST` px.
 
-    Raises
-    ------
-    OptionError
-        A side is outside `SMALLEST` to `LARGEST` px.
-
+    `city`: the map the estimate was made on.
+    `size`: width and height [px].
     """
     width, height = _check_map(size)
     sheet = Sheet(width, height)

@@ -79,23 +79,13 @@ def place_names(
 ) -> list[Text]:
     """Place names for the items of a map drawn at `scale` [px/m], around `occupied` space.
 
-    Parameters
-    ----------
-    objects
-        What has names.
-    items
-        What is on the map.
-    scale
-        Pixels per metre.
-    face
-        Typeface, for the widths.
-    occupied
-        Where nothing may stand; what is placed is added.
-    skip
-        Rows of objects that are lettered otherwise.
-    already
-        Names that stand there; streets are named again only far from them.
-
+    `objects`: what has names.
+    `items`: what is on the map.
+    `scale`: pixels per metre.
+    `face`: typeface, for the widths.
+    `occupied`: where nothing may stand; what is placed is added.
+    `skip`: rows of objects that are lettered otherwise.
+    `already`: names that stand there; streets are named again only far from them.
     """
     items = list(items)
     wanted = _wanted(objects, items, scale, face, skip)

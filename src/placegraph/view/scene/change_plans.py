@@ -39,25 +39,13 @@ BUILDING, FAINT, ENTRANCE = "ink", "soft-ink", "for"
 """Colours."""
 
 
-def draw_anchors(
-    scene: SceneMap,
-    path: str | Path,
-    footprints: Sequence[Footprint] = (),
-    *,
-    width: int = 1200,
-) -> Path:
+def draw_anchors(scene: SceneMap, path: str | Path, footprints: Sequence[Footprint] = ()) -> Path:
     """Draw a map of one scene where it stands, as a PNG with north at the top.
 
     The best candidate of its anchor is drawn in full, the walls of the others faintly, each with its
     number at the map's origin; footprints with their entrances around them.
 
-    Raises
-    ------
-    GeoPoseError
-        The map stands nowhere.
-    OptionError
-        The width is no width of a picture.
-
+    Raises `GeoPoseError`: the map stands nowhere.
     """
     if not scene.anchors:
         raise no_anchor_error(scene.source)
@@ -71,7 +59,7 @@ def draw_anchors(
     for k in reversed([1, *near] if near else []):
         marks.append(Disc(origin[k], 8.0, "mode" if k == 1 else FAINT, text=str(k)))
     bounds = _extend_bounds(plan.bounds, marks)
-    layout = Layout.of(bounds, [], width=width)
+    layout = Layout.of(bounds, [], width=1200)
     frame = Frame.around(bounds, *layout.large)
     sheet = Sheet(layout.width, layout.height)
     room: list[Item] = [paint_room(plan, frame), *place_names(plan, frame, OccupiedPlaces())]
@@ -170,20 +158,11 @@ def write_diff(
     What moved is outlined where it was (dashed) and is now, with an arrow; what appeared is green,
     what vanished red.
 
-    Parameters
-    ----------
-    scene
-        The earlier map.
-    diff
-        From it to a later look.
-    width
-        Of the picture [px].
+    Raises `OptionError`: the width is no width of a picture.
 
-    Raises
-    ------
-    OptionError
-        The width is no width of a picture.
-
+    `scene`: the earlier map.
+    `diff`: from it to a later look.
+    `width`: of the picture [px].
     """
     plan = RoomPlan(scene)
     layout = Layout.of(plan.bounds, [], width=width)

@@ -60,32 +60,14 @@ _GOLDEN = 0.618033988749895
 
 
 def write_overlay(
-    scene: SceneMap,
-    estimate: PoseEstimate,
-    capture: Iterable[Frame],
-    path: str | Path,
-    *,
-    samples: int = 4,
+    scene: SceneMap, estimate: PoseEstimate, capture: Iterable[Frame], path: str | Path
 ) -> Path:
     """Draw the map over the last frame of an estimate, at its best pose, as a PNG.
 
     Where a refinement was accepted, two pictures more show the pose before it.
 
-    Parameters
-    ----------
-    scene
-        The map the estimate was made on.
-    capture
-        Frames, among them the estimate's last.
-    samples
-        As of `scene.render`.
-
-    Raises
-    ------
-    OptionError
-        The estimate has no pose, or its last frame is not among the frames.
-    InputError
-        The image is broken.
+    Raises `OptionError`: the estimate has no pose, or its last frame is not among the frames;
+    `InputError`: the image is broken.
     """
     from placegraph.indoor.refine.correspondences import (
         shrink_camera,  # compiled code: not for cities
@@ -107,7 +89,7 @@ def write_overlay(
     coarse = [refinement.coarse] if refinement is not None and refinement.accepted else []
     for mode in (best, *coarse):
         pose = mode.map_from_camera
-        rendering = renderer.render(pose, camera, samples=samples)
+        rendering = renderer.render(pose, camera, samples=4)
         drawn.append((rendering, rendering.normals(scene.mesh, pose)))
     query = resize_image(frame.rgb(), camera.width, camera.height)
     sheet = draw_overlay(query, *drawn[0], before=drawn[1] if coarse else None)
@@ -125,21 +107,12 @@ def draw_overlay(
 
     Under a right pose the lines lie on the query's own edges, and things go on from square to square.
 
-    Parameters
-    ----------
-    query
-        (H, W, 3) uint8, sRGB.
-    rendering
-        The map from the pose in question, of the same size.
-    normals
-        (H, W, 3) of the rendering (`Rendering.normals`).
-    before
-        Rendering and normals from the pose before it was refined: two pictures more, below.
+    Raises `OptionError`: the pictures are of different sizes.
 
-    Raises
-    ------
-    OptionError
-        The pictures are of different sizes.
+    `query`: (H, W, 3) uint8, sRGB.
+    `rendering`: the map from the pose in question, of the same size.
+    `normals`: (H, W, 3) of the rendering (`Rendering.normals`).
+    `before`: rendering and normals from the pose before it was refined: two pictures more, below.
     """
     shown = _rendered_colours(query, rendering)
     pictures = [query, shown, *_overlay_edges(query, rendering, normals)]

@@ -573,27 +573,15 @@ def write_plan(
     how the particles gathered; the large panel shows modes, the way through the map, and why the
     estimate has its status. x grows to the right, y upwards.
 
-    Parameters
-    ----------
-    scene
-        The map the estimate was made on. Of merged scenes the best mode's is drawn.
-    truth
-        (T, 4, 4) map_from_camera of the frames, where it is known.
-    title
-        What was localized, such as the name of the capture.
-    camera
-        Whose field of view is drawn; 63 degrees where not given.
-    capture
-        Frames that were localized. Dots show where their depth and colours agree with the map: at a
-        wrong place many differ.
-    width
-        Of the picture [px]; 1600 with several passes or few frames, else 1200 where not given.
+    Raises `OptionError`: the width is no width of a picture.
 
-    Raises
-    ------
-    OptionError
-        The width is no width of a picture.
-
+    `scene`: the map the estimate was made on. Of merged scenes the best mode's is drawn.
+    `truth`: (T, 4, 4) map_from_camera of the frames, where it is known.
+    `title`: what was localized, such as the name of the capture.
+    `camera`: whose field of view is drawn; 63 degrees where not given.
+    `capture`: frames that were localized. Dots show where their depth and colours agree with the
+        map: at a wrong place many differ.
+    `width`: of the picture [px]; 1600 with several passes or few frames, else 1200 where not given.
     """
     drawing = Drawing(scene, estimate, truth, title, camera, capture)
     steps = [len(record.steps) for record in estimate.history]
@@ -621,11 +609,7 @@ def write_plan_animation(
 
     Parameters as of `write_plan`.
 
-    Raises
-    ------
-    OptionError
-        The estimate has no history, or the width is no width of a picture.
-
+    Raises `OptionError`: the estimate has no history, or the width is no width of a picture.
     """
     if not any(record.steps for record in estimate.history):
         raise OptionError(

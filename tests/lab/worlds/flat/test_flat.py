@@ -3,7 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, PlacegraphError
-from placegraph_lab.worlds.flat.flat import OUTSIDE, SOLID, Flat, list_shipped
+from placegraph_lab.worlds.drawing import list_shipped
+from placegraph_lab.worlds.flat.flat import OUTSIDE, SOLID, Flat
 
 CHAMBER = """
 [flat]
@@ -52,7 +53,7 @@ def test_a_closed_door_blocks_and_divides():
     assert Flat.parse("[drawing]\n#####\n# + #\n#####\n[legend]\n").blocked[1, 2]
 
 
-@pytest.mark.parametrize("name", list_shipped())
+@pytest.mark.parametrize("name", list_shipped("flats"))
 def test_shipped_flats_load(name):
     flat = Flat.load(name)
     rooms, things = (3, 20) if name == "altbau" else (1, 8)

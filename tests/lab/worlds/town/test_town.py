@@ -2,7 +2,8 @@ import osmium
 import pytest
 
 from placegraph.errors import InputError
-from placegraph_lab.worlds.town.town import Town, list_shipped
+from placegraph_lab.worlds.drawing import list_shipped
+from placegraph_lab.worlds.town.town import Town
 
 
 def osm(text, tmp_path):
@@ -82,7 +83,7 @@ def test_same_town_same_bytes(tmp_path):
     assert one == Town.parse(CROSSING).write_osm(tmp_path / "two.osm").read_bytes()
 
 
-@pytest.mark.parametrize("name", list_shipped())
+@pytest.mark.parametrize("name", list_shipped("towns"))
 def test_shipped_towns_load(name, tmp_path):
     town = Town.load(name)
     nodes, ways, _ = osm_of(town, tmp_path)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import MapEncoder, Patches
-from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder, LabelsEncoder
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
@@ -35,9 +35,6 @@ from placegraph_lab.tables.indoor.windows import (
     measure_coverage,
     office_windows,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode.labels import LabelsEncoder
 
 SHARE = 0.3
 _SAME = 1e-5  # cosines nearer to 1 are of one label

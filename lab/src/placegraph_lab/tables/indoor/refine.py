@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import time
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -39,7 +40,7 @@ from placegraph_lab.tables.indoor.metrics import (
     position_error,
     rotation_error,
 )
-from placegraph_lab.tables.indoor.windows import Window, start_of, without_depth
+from placegraph_lab.tables.indoor.windows import Window, disturb_pose, without_depth
 
 Kind = Literal["PLANE_ICP", "GICP"]
 
@@ -412,7 +413,9 @@ def ask(
     `matcher` is what `job.matcher` names: the word, or the matcher itself where it has weights.
     """
     capture = window.capture if job.depth else without_depth(window.capture)
-    start = start_of(window, seed)
+    # The same start for all who ask about a window
+    rng = np.random.default_rng([seed, zlib.crc32(window.name.encode())])
+    start = disturb_pose(window.truth, rng)
     encoder = encoder_of(job.coarse, scene, window, seed) if job.coarse else None
     began = time.perf_counter()
     if job.coarse is not None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -47,14 +47,11 @@ from placegraph_lab.tables.indoor.windows import (
     sample_frames,
     true_poses,
 )
-from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
+from placegraph_lab.tables.runner import INDOOR, WORLDS, Run, code_key
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import write_walk
 from placegraph_lab.worlds.home.home import STYLES, change_home, home, scene_of, visit
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.runner import Run
 
 LAYOUT = """DIR/3RScan has 3RScan.json and a folder a scan (or scenes/SCAN), with its mesh, semseg.v2.json
 and sequence/ or sequence.zip; where SceneGraphLoc's lists lie in DIR/3RScan/files, they part the rooms.

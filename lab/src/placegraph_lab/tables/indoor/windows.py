@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.random import Generator
@@ -274,11 +273,6 @@ def disturb_pose(
     start[:3, 3] += metres * step / np.linalg.norm(step)
     start[:3, :3] = rotation_from_vector(turn) @ truth[:3, :3]
     return start
-
-
-def start_of(window: Window, seed: int) -> Floats:
-    """The disturbed start (4, 4) of a window's last frame: the same for all who start there."""
-    return disturb_pose(window.truth, np.random.default_rng([seed, crc32(window.name.encode())]))
 
 
 def without_depth(capture: Capture) -> Capture:

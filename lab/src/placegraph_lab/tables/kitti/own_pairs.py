@@ -50,12 +50,8 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Description, ...]:
     ``longitude``, ``latitude`` [deg], and perhaps ``heading_deg`` and ``near`` (longitude, latitude
     and perhaps a radius in metres).
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty or not UTF-8; or a line is no such object: the message names line
-        and field.
-
+    Raises `InputError`: the file is missing, empty or not UTF-8; or a line is no such object: the
+    message names line and field.
     """
     path = Path(path)
     try:

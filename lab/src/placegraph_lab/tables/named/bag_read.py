@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Capture, Frame
 from placegraph_io.ros.decode import decode_message
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import Quick, Run, option, render, table
+from placegraph_lab.tables.runner import Quick, Run, render, table
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.bag import Container
 
@@ -54,15 +54,12 @@ COLUMNS = (
 @table()
 def bag_read(
     run: Run,
-    megabytes: Annotated[int, option("Size of each bag.")] = 300,
-    rounds: Annotated[int, option("Of which the median counts.")] = 5,
-    frames: Annotated[int, option("Of a bag of tiny images, which is opened alone.")] = 13_000,
     *,
     quick: Quick = False,
 ) -> None:
     """Read rates of bags [MB/s], beside `rosbags` and `mcap` alone."""
-    if quick:
-        megabytes, rounds, frames = 40, 3, 1000
+    # Size of each bag, rounds of which the median counts, frames of a bag that is opened alone
+    megabytes, rounds, frames = (40, 3, 1000) if quick else (300, 5, 13_000)
     walk = open_capture(run.data / "house/seq00", labels=None)
     with tempfile.TemporaryDirectory() as name:
         rows = [

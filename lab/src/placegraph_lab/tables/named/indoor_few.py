@@ -348,7 +348,6 @@ def indoor_few(
     parts: Annotated[str, lab.option(f"With commas: {', '.join(PARTS)}.")] = "",
     windows: Annotated[int, lab.option("Most windows of a length of each recording.")] = 24,
     *,
-    verbose: Annotated[bool, lab.option("Write what became of each window.")] = False,
     quick: lab.Quick = False,
     fresh: Annotated[bool, lab.option("Make all maps anew.")] = False,
 ) -> None:
@@ -364,8 +363,6 @@ def indoor_few(
         for kind in kinds:
             row = measure_case(maps, case, kind, lengths, half)
             run.log(lab.render(COLUMNS, [row]).splitlines()[-1])
-            if verbose:
-                run.log("\n".join(map(_describe, [a for n in row.answers.values() for a in n])))
             rows.append(row)
     for part in wanted:
         mine = [r for r in rows if r.part == part]
@@ -373,12 +370,3 @@ def indoor_few(
         columns = [c for c in COLUMNS if part == "present" or c.title != "right"]
         lab.show(title, columns, [*mine, *pool_rows(rows, part)])
     run.save({"rows": rows}, complete=not (sets or parts) and half == "even")
-
-
-def _describe(answer: Answer) -> str:
-    error = "" if np.isinf(answer.position) else f"{answer.position:.3f} m {answer.rotation:.2f}° "
-    mark = "FALSE " if answer.is_false else ""
-    return (
-        f"  {answer.window} ({answer.frames}): {mark}{answer.status} {error}"
-        f"p {answer.probability:.3f}, {answer.milliseconds:.0f} ms: {answer.reason}"
-    )

@@ -226,7 +226,6 @@ COLUMNS = (
 def languages(
     run: Run,
     cities: Annotated[str, option("Towns, by commas.")] = "vancouver,monaco",
-    texts: Annotated[int, option("Texts a town and language.")] = 100,
     seed: Seed = 0,
     *,
     quick: Quick = False,
@@ -235,7 +234,7 @@ def languages(
     rows: list[dict[str, Any]] = []
     for town in parts(cities):
         city = open_city(town, run.osm, run.cache)
-        queries = translate_queries(run.osm / EXTRACTS[town], 20 if quick else texts, seed)
+        queries = translate_queries(run.osm / EXTRACTS[town], 20 if quick else 100, seed)
         found = {code: score_texts(city, code, of) for code, of in queries}
         english_recall = max(found["en"]["recall"], 1e-9)
         rows += [

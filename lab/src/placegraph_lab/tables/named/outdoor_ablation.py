@@ -238,7 +238,6 @@ def outdoor_ablation(
     epochs: Annotated[int, lab.option("Epochs of a training.")] = 5,
     only: Annotated[str, lab.option("Variants, or VARIANT/SEED, with commas; all.")] = "",
     seeds: Annotated[str, lab.option("Seeds of the trainings, with commas.")] = "0,1",
-    on: Annotated[str, lab.option("Cities to measure on, with commas; all.")] = "",
     *,
     seed: lab.Seed = 0,
     device: lab.Device = "auto",
@@ -247,7 +246,7 @@ def outdoor_ablation(
     """Ablation of the network: trainings of full length that differ in one part."""
     names, work = list(TRAINED), run.cache / "ablation"
     base = TrainOptions(epochs=epochs, descriptions=seed, check=100)
-    measured = names_of(on)
+    measured = names_of("")
     if quick:
         names, queries, only, seeds = names[2:3], 20, only or f"{OURS},no cross attention", "0"
         base = replace(base, epochs=1, examples=32, steps=4, batch=8, check=16)

@@ -127,7 +127,6 @@ def outdoor_dialogue(
     run: Run,
     cities: Annotated[str, option("Names with commas.")] = "vancouver,ankara,liechtenstein,andorra",
     queries: Annotated[int, option("Dialogues a city.")] = 100,
-    most: Annotated[int, option("Questions at the most.")] = 8,
     seed: Seed = 0,
     *,
     quick: Quick = False,
@@ -149,7 +148,7 @@ def outdoor_dialogue(
                 right, asked = [], []
                 for query in told:
                     viewpoint = bins.city.plane.to_plane((query.longitude, query.latitude))
-                    course = dialogue(city, query, Speaker(bins, viewpoint), asking, rng, most=most)
+                    course = dialogue(city, query, Speaker(bins, viewpoint), asking, rng, most=8)
                     hits = [distance(e, query, city) <= RIGHT for e in course]
                     right.append([hits[min(k, len(hits) - 1)] for k in AFTER])
                     asked.append(len(course) - 1)

@@ -254,15 +254,12 @@ def can_run(kind: str) -> bool:
 def outdoor_pairs(
     run: Run,
     city: Annotated[str, option(CITY)] = "vancouver",
-    texts: Annotated[int, option("Texts.")] = 20,
-    cells: Annotated[int, option("Cells a text.")] = 1000,
     seed: Seed = 0,
     *,
     quick: Quick = False,
 ) -> None:
     """Pairs of a text and a cell matched in a second, on one core and on two."""
-    if quick:
-        texts, cells = 3, 200
+    texts, cells = (3, 200) if quick else (20, 1000)
     extract = extract_of(city, run.osm)
     built = extract.open(run.cache)  # once, not in every process
     asked = Question(extract, run.cache, texts, min(cells, len(built.cells)), seed, quick)

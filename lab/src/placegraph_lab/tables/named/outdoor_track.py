@@ -200,8 +200,6 @@ COLUMNS = (
 def outdoor_track(
     run: lab.Run,
     cities: Annotated[str, lab.option("Names with commas.")] = "monaco,toronto,vancouver,ankara",
-    walks: Annotated[int, lab.option("Walks a city and setting.")] = 100,
-    statements: Annotated[int, lab.option("Sentences at a place.")] = 2,
     seed: lab.Seed = 0,
     *,
     quick: lab.Quick = False,
@@ -209,17 +207,16 @@ def outdoor_track(
     """A few sentences along a walk, against one place at a time."""
     rows: list[dict[str, Any]] = []
     names = names_of(cities)
-    if quick:
-        names, walks = names[:1], 5
+    names, walks = (names[:1], 5) if quick else (names, 100)
     with run.progress() as progress:
         task = progress.add_task("walking", total=len(names) * len(SETTINGS) * len(METHODS))
         for name in names:
             city, osm = open_city(name, run.osm, run.cache), run.osm / EXTRACTS[name]
-            for walk in make_walks(osm, n=2, statements=statements, seed=seed + 1):
+            for walk in make_walks(osm, n=2, statements=2, seed=seed + 1):
                 for method in METHODS:  # warm
                     follow(city, walk, method)
             for setting in SETTINGS:
-                made = make_walks(osm, n=walks, statements=statements, setting=setting, seed=seed)
+                made = make_walks(osm, n=walks, statements=2, setting=setting, seed=seed)
                 for method in METHODS:
                     head = {"city": name, "setting": setting, "method": method}
                     rows.append(head | ask(city, made, method))

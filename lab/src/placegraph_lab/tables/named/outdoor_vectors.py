@@ -132,7 +132,7 @@ def faiss_index(kind: str) -> Build:
     return build
 
 
-def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
+def contenders(count: int) -> Iterator[tuple[str, Build]]:
     """Name and builder of what is measured on so many vectors."""
     yield "numpy, float32", plain_numpy
     yield "ours, exact, float32", build_store(32)
@@ -143,9 +143,9 @@ def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
         yield "faiss, exact", faiss_index("exact")
         if large:
             yield "faiss, lists", faiss_index("lists")
-        if large and count <= min(graphs, SEVERAL):
+        if large and count <= SEVERAL:
             yield "faiss, HNSW", faiss_index("HNSW")
-    if find_spec("usearch") and count <= graphs:
+    if find_spec("usearch") and count <= 1_000_000:  # more take long
         yield "usearch, HNSW, float16", usearch_graph("f16")
         if count <= SEVERAL:
             yield "usearch, HNSW, 8 bits", usearch_graph("i8")
@@ -189,9 +189,6 @@ def outdoor_vectors(
         "447,1616,3409,5225,50000,1000000"
     ),
     queries: Annotated[int, option("Queries of each size.")] = 200,
-    graphs: Annotated[
-        int, option("Largest size that graphs (HNSW) are built for: minutes.")
-    ] = 1_000_000,
     city: Annotated[str, option("City whose cells are measured, too.")] = "",
     seed: Seed = 0,
     *,
@@ -209,7 +206,7 @@ def outdoor_vectors(
     for world in worlds:
         vectors, asked = world()
         first, count = len(rows), len(vectors)
-        for name, build in contenders(count, graphs):
+        for name, build in contenders(count):
             run.log(f"{count:,}: {name}")
             rows.append(time_store(name, build, vectors, asked))
         show(f"{count:,} vectors", COLUMNS, rows[first:])

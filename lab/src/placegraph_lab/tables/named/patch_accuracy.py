@@ -236,13 +236,11 @@ def patch_accuracy(
     run: Run,
     encoders: Annotated[str, option("Names and options.")] = "appearance; labels",
     every: Annotated[int, option("Of the recordings' frames, every so many.")] = 2,
-    homes: Annotated[int, option("Drawn homes.")] = HOMES,
     *,
     quick: Quick = False,
 ) -> None:
     """Accuracy of encoders on patches where poses are known: house, office, homes."""
-    if quick:
-        every, homes = 10, 2
+    every, homes = (10, 2) if quick else (every, HOMES)
     asked: dict[str, Encoder] = {}
     for spec in parts(encoders, ";"):
         asked[spec] = encoder(spec)

@@ -44,9 +44,6 @@ def reliability(
     minutes: Annotated[float, lab.option("Of each part; 0 prints what was written down.")] = 5.0,
     only: Annotated[str, lab.option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
     seed: lab.Seed = 0,
-    also: Annotated[
-        str, lab.option("JSON files of other runs, with commas, whose rows are taken along.")
-    ] = "",
     mended: Annotated[
         str,
         lab.option(
@@ -71,7 +68,7 @@ def reliability(
         lab.check_names(lab.parts(only), PARTS, "part"),
         run.out or lab.LAB / "results/reliability.json",
     )
-    now = [row for name in lab.parts(also) for row in read_rows(Path(name))]
+    now: list[Row] = []
     dropped = set(wanted) if fresh else set()
     healed, asked = ({n.strip() for n in told.split(";")} - {""} for told in (mended, names))
 

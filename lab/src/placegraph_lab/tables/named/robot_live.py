@@ -27,7 +27,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.track.belief import Odometry
+from placegraph.indoor.track.belief import LivePose, Odometry
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables import runner as lab
@@ -40,7 +40,6 @@ from placegraph_lab.tables.statistics import run_apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
-    from placegraph.indoor.track.belief import LivePose
     from placegraph.indoor.track.live import LiveTracker
 
 PERIOD = 0.2  # seconds from an image to the next

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -21,7 +21,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.world import AnchorFit, fit_building, fit_capture
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, table
 from placegraph_lab.tables.statistics import reliability
 from placegraph_lab.worlds.flat.flat import DOOR, OUTSIDE, Flat
 from placegraph_lab.worlds.flat.interior import Interior
@@ -275,14 +275,13 @@ def report(answers: Sequence[dict[str, Any]]) -> str:
 def scene_anchor(
     run: Run,
     seed: Seed = 0,
-    houses: Annotated[int, option("Homes that are drawn.")] = 200,
     *,
     quick: Quick = False,
 ) -> None:
     """Anchors fitted to walls, entrances and fixes: right orientation, errors [m, degrees]."""
     asked = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in run.track(range(6 if quick else houses), "fitting"):
+        for number in run.track(range(6 if quick else 200), "fitting"):
             drawn = house(seed, number)
             answers = (ask(drawn, row, Path(folder), number) for row in (*BUILDINGS, *WALKS))
             asked += [a | {"house": number} for a in answers if a is not None]

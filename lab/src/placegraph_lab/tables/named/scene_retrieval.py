@@ -213,19 +213,15 @@ def scene_retrieval(
     encoders: Annotated[str, lab.option(f"Rows, with semicolons between: {'; '.join(ROWS)}.")] = "",
     scenes: Annotated[int, lab.option("Scenes of the large library; 0: none.")] = 10_000,
     *,
-    development: Annotated[bool, lab.option("Homes to tune with; tables are of others.")] = False,
-    thin: Annotated[
-        bool, lab.option("One walk a home: as it was, of every second months later.")
-    ] = False,
     fresh: lab.Fresh = False,
     quick: lab.Quick = False,
 ) -> None:
     """Recall of the scene that a walk was taken in: homes, rooms of the house, the office."""
     rows = lab.check_names(lab.parts(encoders, ";"), ROWS, "row")
     if quick:
-        rows, scenes, thin = rows[:1], 0, True
+        rows, scenes = rows[:1], 0
     journal = run.journal(fresh=fresh)
-    places, walks = read_walks(run, 0 if development else FIRST, thin=thin)
+    places, walks = read_walks(run, FIRST, thin=quick)
     study = Study(places, walks, run.cache, journal, run.log)
     measured, large = [], []
     for name in rows:
@@ -239,9 +235,9 @@ def scene_retrieval(
     record = {
         "scenes": [p.name for p in places],
         "walks": [w.name for w in walks],
-        "walks_of_a_home": 1 if thin else 2,
+        "walks_of_a_home": 1 if quick else 2,
         "paper": PAPER,
         "rows": figures(measured),
         "scale": large,
     }
-    run.save(record, complete=not (encoders or development))
+    run.save(record, complete=not encoders)

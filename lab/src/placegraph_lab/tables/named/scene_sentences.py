@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import log
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -26,7 +26,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import find_relations
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.windows import house_windows
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, table
 from placegraph_lab.tables.scene.sentences import (
     FACTS,
     WRONG,
@@ -323,16 +323,12 @@ def _scenes(homes: int, house: SceneMap | None, rng: np.random.Generator) -> lis
 def scene_sentences(
     run: Run,
     seed: Seed = 0,
-    homes: Annotated[int, option("Procedural homes.")] = 60,
-    each: Annotated[int, option("Sentences a scene and row.")] = 4,
-    every: Annotated[int, option("Frames from one asked about to the next.")] = 8,
-    draws: Annotated[int, option("Sets of ten rooms that a described room stands among.")] = 20,
     *,
     quick: Quick = False,
 ) -> None:
     """Recall of the scene that a sentence describes, and of poses with a sentence about them."""
-    if quick:
-        homes, each, every, draws = 12, 1, 100, 1
+    # Homes, sentences a scene and row, frames from one asked about to the next, sets of ten rooms
+    homes, each, every, draws = (12, 1, 100, 1) if quick else (60, 4, 8, 20)
     glb = run.data / "house/map/house.glb"
     house = build_scene(glb, None) if glb.exists() else None
     if house is None:

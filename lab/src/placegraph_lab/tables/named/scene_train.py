@@ -72,19 +72,13 @@ def scene_train(
     held_out: Annotated[int, option("Homes that are not learned.")] = 8,
     frames: Annotated[int, option("Images of a walk through a home.")] = 10,
     epochs: Annotated[int, option("Rounds over all images.")] = 20,
-    batch: Annotated[int, option("Images a step.")] = 8,
-    others: Annotated[int, option("Other homes a patch is told from.")] = 3,
-    points: Annotated[int, option("Points of an object.")] = 64,
-    rate: Annotated[float, option("Learning rate of the first epoch.")] = 4e-3,
     seed: Seed = 0,
     quick: Quick = False,
 ) -> None:
     """Training of SceneGraphLoc's network on procedural homes, evaluated in other homes."""
     if quick:
         homes, held_out, frames, epochs = 4, 1, 3, 1
-    options = TrainOptions(
-        epochs=epochs, batch=batch, others=others, points=points, rate=rate, seed=seed
-    )
+    options = TrainOptions(epochs=epochs, batch=8, others=3, points=64, rate=4e-3, seed=seed)
     torch.set_num_threads(1)
     work = run.cache / run.name
     start, busy = perf_counter(), process_time()

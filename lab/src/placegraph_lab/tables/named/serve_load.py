@@ -16,17 +16,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from urllib.error import URLError
 from urllib.request import urlopen
 
-from placegraph.demo.world import FLAT, unpack
+from placegraph.demo.town import FLAT, unpack
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, table
 
 SCRIPT = Path(__file__).parents[1] / "data/requests.lua"
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")
@@ -158,14 +158,11 @@ HEADER = ["asked", "at once", "a second", "p50 ms", "p95 ms", "CPU ms each", "fa
 def serve_load(
     run: Run,
     seed: Seed = 0,
-    requests: Annotated[int, option("Cheap requests over which memory is watched.")] = 100_000,
-    seconds: Annotated[int, option("Of each load.")] = 20,
     *,
     quick: Quick = False,
 ) -> None:
     """Sentences and images a second that a server answers, idle WebSockets, and its memory."""
-    if quick:
-        requests, seconds = 1_000, 4
+    requests, seconds = (1_000, 4) if quick else (100_000, 20)
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         world = unpack(folder / "raw")

@@ -411,7 +411,6 @@ def maps(run: Run) -> dict[str, CityMap]:
 @table()
 def statuses(
     run: Run,
-    texts: Annotated[int, option("Texts a town and setting.")] = 100,
     seed: Seed = 0,
     *,
     fit: Annotated[bool, option("Fit the coefficients of status.py, and print only them.")] = False,
@@ -419,7 +418,7 @@ def statuses(
 ) -> None:
     """Precision and recall of `OK` on templates, people's texts and traps."""
     cities = maps(run)
-    sets = text_sets(run.osm, run.data / "text", cities, 20 if quick else texts, seed)
+    sets = text_sets(run.osm, run.data / "text", cities, 20 if quick else 100, seed)
     if fit:
         for name, trust in fit_calibrations(run.track(sets, "sets"), cities).items():
             print(f"{name}: Trust({trust.level:.2f}, {trust.slope:.2f})")

@@ -26,7 +26,7 @@ from placegraph.vectors.stores import Vectors, load_store
 from placegraph_lab.tables.named.outdoor_vectors import draw_clusters
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.statistics import peak, run_apart
 
 WORD_BATCH = 10_000
@@ -299,9 +299,6 @@ def format_rows(rows: Sequence[Row]) -> str:
 @table()
 def vector_scale(
     run: Run,
-    files: Annotated[str, option("Sizes of the embedded store.")] = "1000000,4000000,10000000",
-    server: Annotated[str, option("Sizes on a Milvus server.")] = "1000000",
-    lite: Annotated[str, option("Sizes in Milvus Lite.")] = "250000",
     city: Annotated[
         str, option("City whose words and vectors are searched together.")
     ] = "vancouver",
@@ -311,11 +308,13 @@ def vector_scale(
     quick: Quick = False,
 ) -> None:
     """Vectors by the million, and words beside them: rows a second, times, recall, bytes."""
+    # Sizes of the embedded store, in Milvus Lite, and on a Milvus server
+    stores = ([1_000_000, 4_000_000, 10_000_000], [250_000], [1_000_000])
     if quick:
-        files, server, lite, city = "100000", "", "10000", "monaco"
+        stores, city = ([100_000], [10_000], []), "monaco"
     rows: list[Row] = []
-    for module, sizes in zip(MEASURES, (files, lite, server), strict=True):
-        for size in map(int, parts(sizes)):
+    for module, sizes in zip(MEASURES, stores, strict=True):
+        for size in sizes:
             if module and not find_spec(module):
                 run.log(f"{module} is not installed")
                 continue

@@ -214,7 +214,6 @@ def _call(command: Sequence[str], environment: dict[str, str] | None = None) -> 
 @table()
 def weight(
     run: Run,
-    times: Annotated[int, option("Runs of each command with nothing compiled.")] = 3,
     *,
     starts: Annotated[bool, option("Time commands, with nothing compiled and all.")] = True,
     installs: Annotated[
@@ -236,7 +235,7 @@ def weight(
     if starts:
         house = run.data / "house"
         extract = run.osm / "vancouver_2015.osm.pbf"
-        figures += time_commands(extract, house / "map/house.glb", house / "seq00", times)
+        figures += time_commands(extract, house / "map/house.glb", house / "seq00", 3)
     if installs:
         figures += install(root)
     header = (Column(title, title) for title in ("", "at 9cf6d59", "now", "aim"))

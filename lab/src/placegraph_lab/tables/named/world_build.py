@@ -24,7 +24,6 @@ from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, render, table
 
 CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
-AFTER = 1000  # tiles after which a build that is done once is killed
 EVERY = 0.5  # memory is looked at in steps of this time [s]
 
 
@@ -111,14 +110,6 @@ def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str
     } | (split or {})
 
 
-def build_killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
-    first = build(osm, world, workers, kill_after=AFTER)
-    again = build(osm, world, workers)
-    summed = ("seconds", "cpu_s")
-    both = {k: first[k] + again[k] if k in summed else max(first[k], again[k]) for k in again}
-    return first | both | {"killed_after_s": first["seconds"], "taken_up_s": again["seconds"]}
-
-
 def shards(world: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes()[-32:] for path in sorted((world / "shards").glob("*"))}
 
@@ -144,7 +135,6 @@ def world_build(
     workers: Annotated[str, option("Numbers of processes with commas.")] = "1,2",
     seed: Seed = 0,
     *,
-    once: Annotated[bool, option("One build each, killed and taken up again.")] = False,
     quick: Quick = False,
 ) -> None:
     """Speed and memory of building a world, and builds resumed after a kill."""
@@ -160,18 +150,17 @@ def world_build(
             shutil.rmtree(world, ignore_errors=True)
             size = osm.stat().st_size
             row: dict[str, Any] = {"copies": n, "nodes": nodes, "pbf_bytes": size, "workers": many}
-            row |= build_killed(osm, world, many) if once else build(osm, world, many)
+            row |= build(osm, world, many)
             made = shards(world)
             row |= {"shards": len(made), "same": before in {None, tuple(made.items())}}
             row["bytes"] = sum(path.stat().st_size for path in (world / "shards").glob("*"))
             before = tuple(made.items())
             rows.append(row)
-        if not once:
-            run.log(f"{n} x: killed and taken up again")
-            shutil.rmtree(world)
-            build(osm, world, many, kill_after=max(1, len(made) // 3))
-            build(osm, world, many)
-            rows[-1]["same_after_kill"] = shards(world) == made
+        run.log(f"{n} x: killed and taken up again")
+        shutil.rmtree(world)
+        build(osm, world, many, kill_after=max(1, len(made) // 3))
+        build(osm, world, many)
+        rows[-1]["same_after_kill"] = shards(world) == made
         shutil.rmtree(world)
     print(render(COLUMNS, rows))
     run.save({"extracts": CITIES, "load": float(np.mean(os.getloadavg())), "rows": rows})

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -27,7 +27,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.outdoor.city import build_city
 from placegraph.world import World
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, table
 from placegraph_lab.worlds.home.home import home, scene_of
 from placegraph_lab.worlds.home.visit import record, visit
 
@@ -171,12 +171,11 @@ def report(answers: Sequence[dict[str, Any]]) -> str:
 def world_locate(
     run: Run,
     seed: Seed = 0,
-    buildings: Annotated[int, option("Houses of the quarter, at most 240.")] = 200,
     *,
     quick: Quick = False,
 ) -> None:
     """Recall of building, room and pose in a quarter, by sentence, film and fix."""
-    buildings = 6 if quick else min(buildings, 240)
+    buildings = 6 if quick else 200
     with tempfile.TemporaryDirectory() as folder:
         world, visits = quarter(buildings, Path(folder), seed)
         world.library  # noqa: B018  # made when first asked for: its time is no query's

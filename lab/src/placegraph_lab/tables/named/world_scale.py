@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections import Counter
@@ -163,11 +162,6 @@ def world_scale(
     city: Annotated[str, option("City that is copied.")] = "vancouver",
     copies: Annotated[str, option("Numbers of copies with commas.")] = "1,2,19",
     queries: Annotated[int, option("Queries of each kind.")] = 60,
-    compared: Annotated[
-        int, option("Of these so many are compared with an exhaustive search.")
-    ] = 5,
-    compare_up_to: Annotated[int, option("In maps of so many copies at most.")] = 2,
-    maps: Annotated[Path | None, option("Folder of maps: built there once, and kept.")] = None,
     seed: Seed = 0,
     *,
     quick: Quick = False,
@@ -175,36 +169,28 @@ def world_scale(
     """Cost of a search in maps of up to ten million cells, and agreement with full search."""
     if quick:
         copies, queries = "1,2", 10
-    folder = run.cache if maps is None else maps
-    open_city(city, run.osm, folder)
+    open_city(city, run.osm, run.cache)
     texts = texts_of(run.osm / EXTRACTS[city], queries, seed)
     rows: list[dict[str, Any]] = []
     for n in (int(c) for c in copies.split(",")):
-        path = folder / f"world_{city}_{n}.city"
-        made = _made(run, folder / f"{city}.city", path, n, seed)
+        path = run.cache / f"world_{city}_{n}.city"
+        run.log(f"{n} x: building")
+        made = run_apart(build, run.cache / f"{city}.city", path, n, seed)
         run.log(f"{n} x: asking")
         load_ = os.getloadavg()[0]
-        found = run_apart(ask, path, folder / f"{city}.city", texts)
+        found = run_apart(ask, path, run.cache / f"{city}.city", texts)
         run.log(f"{n} x: comparing")
-        same = run_apart(equal, path, texts, compared if n <= compare_up_to else 0)
+        same = run_apart(equal, path, texts, COMPARED if n <= 2 else 0)
         rows.append({"copies": n, "load": load_} | made | found | {"equal": same})
-        if maps is None:
-            path.unlink()
-            path.with_suffix(".json").unlink()
+        path.unlink()
     print(markdown(_HEADER, [_line(row) for row in rows]))
     kinds = [[f"{row['cells']:,}", kind, *_of_kind(row, kind)] for row in rows for kind in texts]
     print(markdown(_KINDS, kinds))
     run.save({"extract": EXTRACTS[city], "rows": rows})
 
 
-def _made(run: Run, small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:
-    told = path.with_suffix(".json")
-    if not (path.exists() and told.exists()):
-        run.log(f"{copies} x: building")
-        told.write_text(json.dumps(run_apart(build, small, path, copies, seed)))
-    made: dict[str, Any] = json.loads(told.read_text())
-    return made
-
+COMPARED = 5
+"""Texts that are compared with an exhaustive search, in maps of one and two copies."""
 
 _HEADER = [
     "cells", "map built (CPU)", "of it index", "build peak", "bytes/cell", "open (CPU)", "first query (CPU)",

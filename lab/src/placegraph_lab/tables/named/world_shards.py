@@ -16,7 +16,7 @@ import placegraph as pg
 from placegraph.maps import is_world
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
-from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import peak, run_apart
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
@@ -24,7 +24,6 @@ from placegraph_scale.shards import WorldFile
 
 if TYPE_CHECKING:
     from placegraph.world.world import World
-    from placegraph_lab.tables.outdoor.queries import Query
 
 ALONE = "one process"
 
@@ -231,9 +230,6 @@ def world_shards(
         str, lab.option("Numbers of copies with commas; the last is predicted.")
     ] = "2,4,8,19",
     queries: Annotated[int, lab.option("Queries of a kind.")] = 30,
-    worlds: Annotated[
-        Path | None, lab.option("Folder of worlds; what is there already is not built again.")
-    ] = None,
     seed: lab.Seed = 0,
     *,
     quick: lab.Quick = False,
@@ -241,7 +237,7 @@ def world_shards(
     """A world in shards against one map: agreement, time of texts as it grows, workers."""
     if quick:
         copies, queries = "1,2", 6
-    folder = Path(worlds or run.cache / "worlds")
+    folder = run.cache / "worlds"  # what is there already is not built again
     folder.mkdir(parents=True, exist_ok=True)
     osm, map_file, numbers = run.osm / EXTRACTS[city], folder / "whole.city", lab.parts(copies)
     run.log("building")

@@ -57,7 +57,6 @@ from PIL import ImageColor
 
 from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import Cell, Drawing, blots, legend_line, load, page, sections
-from placegraph_lab.worlds.drawing import list_shipped as drawings
 from placegraph_lab.worlds.flat.furniture import MODELS
 from placegraph_lab.worlds.flat.textures import PAINTERS, Material
 
@@ -309,11 +308,6 @@ class Flat(Drawing):
                     "draw it inside, or close the walls (#) around it."
                 )
         _ = self.objects  # says what stands in nothing
-
-
-def list_shipped() -> tuple[str, ...]:
-    """Names of the flats that ship with the package."""
-    return drawings("flats")
 
 
 COMPASS = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}

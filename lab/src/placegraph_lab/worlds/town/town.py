@@ -66,7 +66,6 @@ from placegraph_lab.worlds.drawing import (
     page,
     sections,
 )
-from placegraph_lab.worlds.drawing import list_shipped as drawings
 
 Tags = dict[str, str]
 
@@ -220,11 +219,6 @@ class Town(Drawing):
                     f"{self.where(cell)}: {glyph!r} has no meaning; "
                     f"add a line such as '{glyph}: amenity=bench' to [legend]."
                 )
-
-
-def list_shipped() -> tuple[str, ...]:
-    """Names of the towns that ship with the package."""
-    return drawings("towns")
 
 
 def _setting(line: str, where: str) -> tuple[str, list[str]]:

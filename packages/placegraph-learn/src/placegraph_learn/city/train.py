@@ -380,32 +380,18 @@ def train(
 ) -> Weights:
     """Train the network on cities and write a weights file (Eq. 17-19).
 
-    Parameters
-    ----------
-    cities
-        Maps by name. Every fourth square kilometre (`descriptions.held_out`) is left for evaluation.
-    out
-        Weights file to write.
-    folder
-        Holds what an interrupted training goes on from; the same call goes on.
-    pools
-        Folder of examples that several trainings may share; within `folder` if not given.
-    options
-        How to train.
-    vocabulary
-        Words of the speakers; the shipped one where not given.
-    device
-        ``cpu``, ``cuda`` or ``auto``.
-    progress
-        Is told how far the training is.
+    Raises `OptionError`: there are no cities, or the folder holds another training; `InputError`:
+    the file of word vectors cannot be read, or knows no word of the maps.
 
-    Raises
-    ------
-    OptionError
-        There are no cities, or the folder holds another training.
-    InputError
-        The file of word vectors cannot be read, or knows no word of the maps.
-
+    `cities`: maps by name. Every fourth square kilometre (`descriptions.held_out`) is left for
+        evaluation.
+    `out`: weights file to write.
+    `folder`: holds what an interrupted training goes on from; the same call goes on.
+    `pools`: folder of examples that several trainings may share; within `folder` if not given.
+    `options`: how to train.
+    `vocabulary`: words of the speakers; the shipped one where not given.
+    `device`: ``cpu``, ``cuda`` or ``auto``.
+    `progress`: is told how far the training is.
     """
     options, progress = options or TrainOptions(), progress or Progress()
     if not cities:

@@ -35,12 +35,8 @@ def read_word2vec(path: str | PathLike[str], wanted: Collection[str]) -> WordVec
     to 16 bits, as weights files keep them. The file is read once from front to back: only what is
     wanted is kept.
 
-    Raises
-    ------
-    InputError
-        The file is missing, packed, cut short, or of neither form; its header does not agree with
-        its size; a number is none; or it knows no wanted word.
-
+    Raises `InputError`: the file is missing, packed, cut short, or of neither form; its header does
+    not agree with its size; a number is none; or it knows no wanted word.
     """
     path = Path(path)
     exact: dict[str, NDArray[np.float32]] = {}

@@ -41,41 +41,27 @@ PUBLISHED = "dinov2"
 class SceneGraphLocEncoder:
     """The network of SceneGraphLoc as an `Encoder`.
 
-    Parameters
-    ----------
-    weights
-        Snapshot of the authors, or what `placegraph scene train` wrote; or `Weights` read before.
-    features
-        Image features that the network was trained on: one of `FEATURES`, or any `ImageFeatures`;
-        if not given those that the file names, and DINOv2's where it names none.
-    feature_weights
-        File with the weights of the features; without one they are fetched where there are any.
-    attributes
-        File with the attribute words in the order of training (`words.read_attributes`). Without
-        it the attributes of objects are vectors of zeros, as in networks trained here without.
-    rotate
-        Turn images before they are encoded: None each upright, by its gravity; True all clockwise once,
-        as 3RScan's as they are stored need (`read_scan3r_sequence` has already turned them); False none.
-    points
-        Where the points of objects come from (`inputs.rooms_of`).
-    views
-        False: no images of the map are used, and all objects count as never seen.
-    temperature
-        Cosine that counts one nat, instead of the file's.
-    device
-        ``cpu``, ``cuda`` or ``auto``.
-    seed
-        Draws the points: the same seed, the same vectors.
+    Raises `MissingExtraError`: a library that the features need is not installed; `InputError`: a
+    file is missing, cut short, or not what it should be (`weights.read_weights`); `OptionError`: no
+    weights are given, an option is out of range, or the features are not the network's.
 
-    Raises
-    ------
-    MissingExtraError
-        A library that the features need is not installed.
-    InputError
-        A file is missing, cut short, or not what it should be (`weights.read_weights`).
-    OptionError
-        No weights are given, an option is out of range, or the features are not the network's.
-
+    `weights`: snapshot of the authors, or what `placegraph scene train` wrote; or `Weights` read
+        before.
+    `features`: image features that the network was trained on: one of `FEATURES`, or any
+        `ImageFeatures`; if not given those that the file names, and DINOv2's where it names none.
+    `feature_weights`: file with the weights of the features; without one they are fetched where
+        there are any.
+    `attributes`: file with the attribute words in the order of training (`words.read_attributes`).
+        Without it the attributes of objects are vectors of zeros, as in networks trained here
+        without.
+    `rotate`: turn images before they are encoded: None each upright, by its gravity; True all
+        clockwise once, as 3RScan's as they are stored need (`read_scan3r_sequence` has already
+        turned them); False none.
+    `points`: where the points of objects come from (`inputs.rooms_of`).
+    `views`: False: no images of the map are used, and all objects count as never seen.
+    `temperature`: cosine that counts one nat, instead of the file's.
+    `device`: ``cpu``, ``cuda`` or ``auto``.
+    `seed`: draws the points: the same seed, the same vectors.
     """
 
     name = "scenegraphloc"
@@ -151,13 +137,8 @@ class SceneGraphLocEncoder:
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
         """See `Encoder.objects`; scenes that were merged are encoded each for itself (App. D).
 
-        Raises
-        ------
-        OptionError
-            There are no captures, and the encoder was not told to do without (`views=False`).
-        InputError
-            An image is broken.
-
+        Raises `OptionError`: there are no captures, and the encoder was not told to do without
+        (`views=False`); `InputError`: an image is broken.
         """
         if self.views and not captures:
             raise OptionError(

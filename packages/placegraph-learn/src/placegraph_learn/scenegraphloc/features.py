@@ -69,13 +69,8 @@ def features_named(
 ) -> ImageFeatures:
     """Return features by name, one of `FEATURES`; `weights` are a file with those of DINOv2.
 
-    Raises
-    ------
-    OptionError
-        There are none of this name, or `weights` are given to what has none.
-    InputError, MissingExtraError, ServiceError
-        As `dino.DinoFeatures.load`.
-
+    Raises `OptionError`: there are none of this name, or `weights` are given to what has none;
+    `InputError`, `MissingExtraError` or `ServiceError`: as `dino.DinoFeatures.load`.
     """
     if name == "dinov2":
         return DinoFeatures.load(weights, device=device)
@@ -199,20 +194,12 @@ _OFFSET = 0.1
 class DinoFeatures:
     """Value vectors of a block of a vision transformer: of patches, and of crops by the class token.
 
-    Parameters
-    ----------
-    model
-        Vision transformer of timm with a class token and a fused `qkv`; left as it is.
-    name
-        What it is called, with its weights: goes into `key`.
-    block
-        Row of the block, counted from 0.
+    Raises `OptionError`: the transformer has no such block, or its patches do not fill `LONG` and
+    `SHORT`.
 
-    Raises
-    ------
-    OptionError
-        The transformer has no such block, or its patches do not fill `LONG` and `SHORT`.
-
+    `model`: vision transformer of timm with a class token and a fused `qkv`; left as it is.
+    `name`: what it is called, with its weights: goes into `key`.
+    `block`: row of the block, counted from 0.
     """
 
     def __init__(self, model: Any, *, name: str, block: int = BLOCK, device: Any = "cpu") -> None:  # noqa: ANN401
@@ -240,17 +227,9 @@ class DinoFeatures:
     ) -> DinoFeatures:
         """Return DINOv2 by timm, with weights from a file or, without one, from timm's own hub.
 
-        Raises
-        ------
-        MissingExtraError
-            timm is not installed, or does not fit PyTorch.
-        InputError
-            The file is missing, cut short, or holds another network.
-        ServiceError
-            No file is given and the hub cannot be reached.
-        OptionError
-            There is no such model, block or device.
-
+        Raises `MissingExtraError`: timm is not installed, or does not fit PyTorch; `InputError`:
+        the file is missing, cut short, or holds another network; `ServiceError`: no file is given
+        and the hub cannot be reached; `OptionError`: there is no such model, block or device.
         """
         made = _created(import_timm(), model, weights)
 

@@ -272,25 +272,15 @@ def rooms_of(
 ) -> list[tuple[NDArray[np.int64], Room]]:
     """Return rooms of a map, one for each scene that was merged into it, with the rows of their objects.
 
-    Parameters
-    ----------
-    scene, views
-        The map, and what images show of its objects.
-    attributes
-        Attribute words to count; without any the vectors are zero.
-    count
-        Length of the vectors of attributes; that of `attributes` if larger.
-    source
-        Where points come from: spread over the triangles by area, as coarse maps need it, or the
-        vertices, the farthest from each other, as of the dense scans of 3RScan.
-    rng
-        Draws the points, of each room from the same state.
+    Raises `OptionError`: a scene has so many objects that its complete graph is no sense, or
+    `source` is neither.
 
-    Raises
-    ------
-    OptionError
-        A scene has so many objects that its complete graph is no sense, or `source` is neither.
-
+    `scene`, `views`: the map, and what images show of its objects.
+    `attributes`: attribute words to count; without any the vectors are zero.
+    `count`: length of the vectors of attributes; that of `attributes` if larger.
+    `source`: where points come from: spread over the triangles by area, as coarse maps need it, or
+        the vertices, the farthest from each other, as of the dense scans of 3RScan.
+    `rng`: draws the points, of each room from the same state.
     """
     if source not in {"surface", "vertices"}:
         raise OptionError(f"points is {source!r}; choose 'surface' or 'vertices'.")

@@ -208,11 +208,7 @@ def folder(path: str | PathLike[str]) -> list[World]:
     captures the first shows what objects look like and the others are learned; of a single one,
     every other image.
 
-    Raises
-    ------
-    OptionError
-        The folder holds no map with captures.
-
+    Raises `OptionError`: the folder holds no map with captures.
     """
     root = Path(path)
     found = sorted(root.glob("*.scene")) if root.is_dir() else []

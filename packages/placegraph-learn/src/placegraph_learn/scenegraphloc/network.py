@@ -19,11 +19,7 @@ RELATIONS, ATTRIBUTES, POSE = 41, 164, 7
 class Widths:
     """Widths of the network's layers, as `state_dict` shapes tell them.
 
-    Raises
-    ------
-    OptionError
-        A width is not positive, or no multiple of the heads that share it.
-
+    Raises `OptionError`: a width is not positive, or no multiple of the heads that share it.
     """
 
     feature: int = 1536

@@ -84,15 +84,9 @@ class Truth:
 def losses(patches: Tensor, objects: Tensor, truth: Truth) -> Tensor:
     """Return the loss of each patch that shows a candidate, in their order.
 
-    Parameters
-    ----------
-    patches
-        (P, E) unit vectors of one image.
-    objects
-        (M, E) unit vectors of the candidates: the objects of the image's room and of others.
-    truth
-        What the patches show.
-
+    `patches`: (P, E) unit vectors of one image.
+    `objects`: (M, E) unit vectors of the candidates: the objects of the image's room and of others.
+    `truth`: what the patches show.
     """
     right = truth.target[:, None] == torch.arange(len(objects), device=truth.target.device)
     other_patches = (truth.marks[:, None] != truth.marks[None]) & (truth.marks[None] != 0)
@@ -424,39 +418,22 @@ def train(
 ) -> Weights:
     """Train the network and write its weights.
 
-    Parameters
-    ----------
-    worlds
-        Places to learn from (`lessons.homes`, `lessons.folder`).
-    out
-        File to write, .safetensors; `SceneGraphLocEncoder` reads it.
-    folder
-        Holds places once looked at, a snapshot of the last epoch and the curves: an interrupted
-        training goes on by the same call, and ends with the very same weights.
-    held
-        Places, spread evenly, that are not learned but asked about after each epoch; the
+    Raises `OptionError`: there are too few places, an option is out of range, or the folder holds
+    another training; `InputError`: a map, a capture or the snapshot is damaged; `MapError`: the
+    weights cannot be written.
+
+    `worlds`: places to learn from (`lessons.homes`, `lessons.folder`).
+    `out`: file to write, .safetensors; `SceneGraphLocEncoder` reads it.
+    `folder`: holds places once looked at, a snapshot of the last epoch and the curves: an
+        interrupted training goes on by the same call, and ends with the very same weights.
+    `held`: places, spread evenly, that are not learned but asked about after each epoch; the
         temperature is calibrated on them.
-    teacher
-        How places are looked at: image features, attribute words, and so on; features of colour if
-        not given.
-    widths
-        Of the network's layers; `Widths.small` of the features if not given.
-    options
-        How to train.
-    device
-        ``cpu``, ``cuda`` or ``auto``.
-    progress
-        Is told how far the training is.
-
-    Raises
-    ------
-    OptionError
-        There are too few places, an option is out of range, or the folder holds another training.
-    InputError
-        A map, a capture or the snapshot is damaged.
-    MapError
-        The weights cannot be written.
-
+    `teacher`: how places are looked at: image features, attribute words, and so on; features of
+        colour if not given.
+    `widths`: of the network's layers; `Widths.small` of the features if not given.
+    `options`: how to train.
+    `device`: ``cpu``, ``cuda`` or ``auto``.
+    `progress`: is told how far the training is.
     """
     options, progress = options or TrainOptions(), progress or Progress()
     teacher = teacher or Teacher(ColourFeatures())

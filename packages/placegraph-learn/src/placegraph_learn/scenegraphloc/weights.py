@@ -50,12 +50,8 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     Both spellings of the graph attention are read: `lin.weight`, and `lin_src.weight` with an equal
     `lin_dst.weight`. Widths are those that the shapes tell.
 
-    Raises
-    ------
-    InputError
-        The file is missing, cut short or no checkpoint; a key is missing, unexpected or of a wrong
-        shape; a weight is not a number.
-
+    Raises `InputError`: the file is missing, cut short or no checkpoint; a key is missing,
+    unexpected or of a wrong shape; a weight is not a number.
     """
     state, notes = read_state(Path(path))
     network = network_of(state, str(path))

@@ -20,7 +20,7 @@ from placegraph.errors import MapError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.search import SearchOptions, infer_from_frames
 from placegraph.outdoor.language.words import tokens
-from placegraph.world.evidence import FIT_UNANCHORED, RemainingScenes, fit_prior
+from placegraph.world.evidence import FIT_UNANCHORED, OutdoorSearch, RemainingScenes, fit_prior
 from placegraph.world.world import World
 from placegraph_scale.library.shards import SceneShards, Shard
 from placegraph_scale.library.write import NamedEntry, pack_shard
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import Entry
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world.estimate import WorldQuery
-    from placegraph.world.evidence import OutdoorSearch
 
 
 LIKELIEST, NAMED, BESIDE = 16, 8, 8

@@ -391,13 +391,8 @@ class SceneShards(SceneCollection):
         A shard that is missing, damaged or of another version is left out, and named in `notes`.
         `encoders`: those that cannot be made by name alone.
 
-        Raises
-        ------
-        InputError
-            The folder is none of shards.
-        MapError
-            No shard is sound, or the background model is not; the encoders are others.
-
+        Raises `InputError`: the folder is none of shards; `MapError`: no shard is sound, or the
+        background model is not; the encoders are others.
         """
         folder = Path(folder)
         if not (folder / HEAD).is_file():

@@ -56,13 +56,8 @@ def write_shards(
 
     The background model is learned from the first shard: draw the order of scenes at random.
 
-    Raises
-    ------
-    OptionError
-        There is no scene, or two have one name, or the size is not positive.
-    MapError
-        They cannot be written.
-
+    Raises `OptionError`: there is no scene, or two have one name, or the size is not positive;
+    `MapError`: they cannot be written.
     """
     made = [encoder(e) if isinstance(e, str) else e for e in encoders]
     keys = [e.key for e in made]

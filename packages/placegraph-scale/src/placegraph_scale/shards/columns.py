@@ -143,13 +143,8 @@ def open_pages(
 ) -> tuple[MapFile, dict[str, PagedColumn]]:
     """Open a map file; its columns `paged` (names and types) are read in pages, all others now.
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty, a folder, or may not be read.
-    MapError
-        Its head or another column is damaged; it is of another kind or version.
-
+    Raises `InputError`: the file is missing, empty, a folder, or may not be read; `MapError`: its
+    head or another column is damaged; it is of another kind or version.
     """
     with open_file(path) as file:
         header, start = read_head(file, path), file.tell()

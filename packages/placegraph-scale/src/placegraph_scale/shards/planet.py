@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import CityEstimate, Place, Status
+from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import MapError
-from placegraph.outdoor.language.description import LISTENER
+from placegraph.outdoor.language.description import LISTENER, Description
 from placegraph.outdoor.likelihood.query import compile_query, ends
 from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.search.locate import MAX_SUPPORT
 from placegraph.outdoor.search.posterior import (
     FINE_OFFSETS,
     SPACING,
+    Mode,
     Posterior,
     apply_bayes,
     find_modes,
@@ -37,27 +38,22 @@ from placegraph.outdoor.search.status import (
 )
 from placegraph.world.towns import MAX_CITY_DISTANCE, BuildingMatch, TownMatch
 from placegraph_scale.folder import WORDS, WorldFile, check_digest
-from placegraph_scale.shards.search import Search
+from placegraph_scale.shards.search import CandidatePool, Search
 from placegraph_scale.shards.steps import (
     Fix,
     QueryLexicon,
+    RareObject,
     RareObjects,
     ShardQuery,
     WorldWords,
     distance,
 )
 from placegraph_scale.shards.words import WordTable
-from placegraph_scale.shards.workers import Cluster, LocalPool, ShardSource
+from placegraph_scale.shards.workers import Cluster, LocalPool, ShardSource, WorkerPool
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import Evidence
-    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.search.ask import Question
-    from placegraph.outdoor.search.posterior import Mode
     from placegraph.world.estimate import WorldQuery
-    from placegraph_scale.shards.search import CandidatePool
-    from placegraph_scale.shards.steps import RareObject
-    from placegraph_scale.shards.workers import WorkerPool
 
 Floats = NDArray[np.float64]
 
@@ -256,18 +252,11 @@ def _make_places(
 class Planet:
     """A folder of shards, asked as one map; a `Town` of the world that `open_world` makes.
 
-    Parameters
-    ----------
-    file
-        Contents of its `world.json`.
-    pool
-        Workers that look into shards; this process where not given.
+    Raises `InputError` or `MapError`: `words.table` is missing, damaged, newer, or not the one that
+    the world was finished with.
 
-    Raises
-    ------
-    InputError, MapError
-        `words.table` is missing, damaged, newer, or not the one that the world was finished with.
-
+    `file`: contents of its `world.json`.
+    `pool`: workers that look into shards; this process where not given.
     """
 
     def __init__(self, file: WorldFile, pool: WorkerPool | None = None) -> None:

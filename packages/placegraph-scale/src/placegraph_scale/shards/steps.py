@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
-from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens
-from placegraph.outdoor.map.index import REACH, STRIDE
+from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens, Query
+from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.objects import CityObjects, columns_of, index_of
 from placegraph.outdoor.map.street_graph import Blocks
 from placegraph.outdoor.search.locate import find_evidence
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.map.index import ViewIndex
     from placegraph.outdoor.map.names import NameIndex
     from placegraph.outdoor.search.ask import Question
     from placegraph_scale.shards.words import WordTable

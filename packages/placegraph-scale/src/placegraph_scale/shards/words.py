@@ -22,10 +22,12 @@ from sys import intern
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.core.files import write_error
+from placegraph.core.files import FileWatch, write_error
 from placegraph.core.geo import are_in_tile, check_zoom, parse_tile_key, tile_bounds
 from placegraph.core.mapfile import (
+    MapFile,
     check_contents,
     damage_error,
     pack_strings,
@@ -54,10 +56,6 @@ from placegraph_scale.shards.columns import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.core.files import FileWatch
-    from placegraph.core.mapfile import MapFile
     from placegraph.outdoor.map.city import City
 
 Found = TypeVar("Found")
@@ -606,27 +604,15 @@ def finish(
 ) -> WorldFile:
     """Read all shards of a folder, and write `words.table` and `world.json`, each in one step.
 
-    Parameters
-    ----------
-    folder
-        Holds ``shards/KEY.city``: maps of squares of the quadtree, and of `overlap` around.
-    zoom
-        Level of the quadtree: the number of digits of a key.
-    overlap
-        How far shards reach beyond their squares [m].
-    each
-        Applies a function to all paths, in order; one after the other where not given. The function
-        and what it returns can be sent to other processes.
+    Raises `InputError`: there is no shard; `MapError`: a shard is damaged, is no city, or is called
+    by no key of this zoom; a file cannot be written; `OptionError`: `zoom` or `overlap` is out of
+    its range.
 
-    Raises
-    ------
-    InputError
-        There is no shard.
-    MapError
-        A shard is damaged, is no city, or is called by no key of this zoom; a file cannot be written.
-    OptionError
-        `zoom` or `overlap` is out of its range.
-
+    `folder`: holds ``shards/KEY.city``: maps of squares of the quadtree, and of `overlap` around.
+    `zoom`: level of the quadtree: the number of digits of a key.
+    `overlap`: how far shards reach beyond their squares [m].
+    `each`: applies a function to all paths, in order; one after the other where not given. The
+        function and what it returns can be sent to other processes.
     """
     check_zoom(zoom)
     folder = Path(folder)

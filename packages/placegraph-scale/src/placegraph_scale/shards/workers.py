@@ -161,13 +161,8 @@ class LocalPool:
 def connect(address: str, timeout: float = TIMEOUT) -> Client:
     """Connect to a scheduler.
 
-    Raises
-    ------
-    MissingExtraError
-        Dask is not installed.
-    ServiceError
-        There is no scheduler, it has no worker, or it or a worker runs another version of Dask.
-
+    Raises `MissingExtraError`: dask is not installed; `ServiceError`: there is no scheduler, it has
+    no worker, or it or a worker runs another version of Dask.
     """
     try:
         from distributed import Client

@@ -249,18 +249,12 @@ UNSURE = 0.3
 def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff:
     """Find what moved, appeared, vanished or got another label from map `a` to map `b` of one place.
 
-    Parameters
-    ----------
-    a, b
-        The earlier map and the later one; their axes may differ by a rigid transform with z up.
-    options
-        When something counts as changed; `b_from_a` says how the axes differ, if that is known.
+    Raises `OptionError`: the maps cannot be laid on each other, or the transform given does not.
 
-    Raises
-    ------
-    OptionError
-        The maps cannot be laid on each other, or the transform given does not.
-
+    `a`, `b`: the earlier map and the later one; their axes may differ by a rigid transform with z
+        up.
+    `options`: when something counts as changed; `b_from_a` says how the axes differ, if that is
+        known.
     """
     options = options or DiffOptions()
     alignment = align(a, b, options)

@@ -49,29 +49,17 @@ def diff_capture(
 ) -> SceneDiff:
     """Find what moved, vanished and appeared since the map was made, as far as a capture shows it.
 
-    Parameters
-    ----------
-    scene
-        The map; it is only read.
-    capture
-        Frames; with depth all kinds of changes are found, without it only what colours tell of
-        objects before a background of another colour.
-    poses
-        (T, 4, 4) map_from_camera [m] of the frames, or what `scene.localize` said of the capture.
-    options
-        When something counts as changed.
-    name
-        Of the capture, for messages.
-    progress
-        Called with what is done, how far, and of how much.
+    Raises `InputError`: an image is broken; the estimate is lost, or the poses are none in this
+    map; `OptionError`: poses are none, not rigid, or not one for each frame.
 
-    Raises
-    ------
-    InputError
-        An image is broken; the estimate is lost, or the poses are none in this map.
-    OptionError
-        Poses are none, not rigid, or not one for each frame.
-
+    `scene`: the map; it is only read.
+    `capture`: frames; with depth all kinds of changes are found, without it only what colours tell
+        of objects before a background of another colour.
+    `poses`: (T, 4, 4) map_from_camera [m] of the frames, or what `scene.localize` said of the
+        capture.
+    `options`: when something counts as changed.
+    `name`: of the capture, for messages.
+    `progress`: called with what is done, how far, and of how much.
     """
     options = options or DiffOptions()
     frames, matrices = _select_frames(capture, poses, name)

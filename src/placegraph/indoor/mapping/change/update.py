@@ -272,24 +272,14 @@ def update(
     Each object that changed, and what a vanished one stood on or hung at, tells of it in its
     attribute ``history``.
 
-    Parameters
-    ----------
-    scene
-        The map the diff starts from.
-    diff
-        Of `diff` or `diff_capture`, or read from a file.
-    take
-        Kinds of changes, or ids of objects, that are taken over.
-    least_confidence
-        Changes less sure than this are left alone.
-    when
-        When it changed, for the history: such as 2026-11-21.
+    Raises `OptionError`: the diff is of another map; `take` names nothing there is; no object would
+    be left.
 
-    Raises
-    ------
-    OptionError
-        The diff is of another map; `take` names nothing there is; no object would be left.
-
+    `scene`: the map the diff starts from.
+    `diff`: of `diff` or `diff_capture`, or read from a file.
+    `take`: kinds of changes, or ids of objects, that are taken over.
+    `least_confidence`: changes less sure than this are left alone.
+    `when`: when it changed, for the history: such as 2026-11-21.
     """
     wanted = {take} if isinstance(take, str) else set(take)
     known = {*KINDS, *(c.id for c in diff if c.id), *(c.other for c in diff if c.other)}
@@ -331,13 +321,9 @@ def update_file(
     With `in_place` both may be one: what it was before is then kept beside it, as `NAME.bak`.
     Other parameters as of `update`.
 
-    Raises
-    ------
-    OptionError
-        `out` is the map itself, and `in_place` is not set; or as `update` does.
-    InputError, MapError, MapLockedError
-        The map cannot be read; the new one, or the copy, cannot be written.
-
+    Raises `OptionError`: `out` is the map itself, and `in_place` is not set; or as `update` does;
+    `InputError`, `MapError` or `MapLockedError`: the map cannot be read; the new one, or the copy,
+    cannot be written.
     """
     same = os.path.realpath(path) == os.path.realpath(out)
     if same and not in_place:

@@ -194,25 +194,16 @@ def segment(
     geometry has it. The same mesh and frames give the same objects, in whatever order the
     triangles come.
 
-    Parameters
-    ----------
-    vertices, triangles
-        (V, 3) [m, map], z up; (T, 3) rows of vertices.
-    colours
-        (V, 3) uint8 sRGB; none: the mesh is of one colour.
-    frames, poses
-        Frames with `labels()`: ids of labels with names, or ids of objects. Others are passed over.
-        And (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not given.
-    progress, left_out
-        Are told a stage, how much of it is done, and of how much; what could not be used, by reason.
+    Raises `OptionError`: some frames hold labels, others instances; `InputError`: an image of a
+    frame cannot be read.
 
-    Raises
-    ------
-    OptionError
-        Some frames hold labels, others instances.
-    InputError
-        An image of a frame cannot be read.
-
+    `vertices`, `triangles`: (V, 3) [m, map], z up; (T, 3) rows of vertices.
+    `colours`: (V, 3) uint8 sRGB; none: the mesh is of one colour.
+    `frames`, `poses`: frames with `labels()`: ids of labels with names, or ids of objects. Others
+        are passed over. And (len(frames), 4, 4) map_from_camera [m]; the frames' odometry if not
+        given.
+    `progress`, `left_out`: are told a stage, how much of it is done, and of how much; what could
+        not be used, by reason.
     """
     options = options or SegmentOptions()
     spots = np.asarray(vertices, np.float64).reshape(-1, 3)
