@@ -12,7 +12,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
-from numpy.typing import NDArray
 
 from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of, show_facts
@@ -31,6 +30,7 @@ from placegraph.indoor.options import PoseSearchOptions
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.map.textures import Detail
