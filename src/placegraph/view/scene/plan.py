@@ -149,20 +149,12 @@ def covariance_ring(mode: PoseMode) -> Floats:
     return ring
 
 
-def trajectory_marks(
-    map_from_camera: Floats, color: str, *, width: float = 2.0, heading_length: float = 0.0
-) -> list[Mark]:
-    """Return a trajectory (T, 4, 4) as a line, with dots and headings of a length [m]."""
+def trajectory_marks(map_from_camera: Floats, color: str, *, width: float = 2.0) -> list[Mark]:
+    """Return a trajectory (T, 4, 4) as a line with dots."""
     shown = map_from_camera[spread_evenly(len(map_from_camera), MAX_FRAMES)]
     at = shown[:, :2, 3]
     marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
-    for matrix in shown:
-        forward = matrix[:2, 2] / max(float(np.hypot(*matrix[:2, 2])), 1e-6)
-        if heading_length:
-            ends = np.stack([matrix[:2, 3], matrix[:2, 3] + heading_length * forward])
-            marks.append(Stroke(ends, color, 0.6 * width))
-        marks.append(Disc(matrix[:2, 3], 1.1 * width, color))
-    return marks
+    return [*marks, *(Disc(point, 1.1 * width, color) for point in at)]
 
 
 def camera_ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:

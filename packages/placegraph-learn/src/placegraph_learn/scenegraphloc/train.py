@@ -426,7 +426,7 @@ def train(
     `out`: file to write, .safetensors; `SceneGraphLocEncoder` reads it.
     `folder`: holds places once looked at, a snapshot of the last epoch and the curves: an
         interrupted training goes on by the same call, and ends with the very same weights.
-    `held`: places, spread evenly, that are not learned but asked about after each epoch; the
+    `held_out`: places, spread evenly, that are not learned but asked about after each epoch; the
         temperature is calibrated on them.
     `teacher`: how places are looked at: image features, attribute words, and so on; features of
         colour if not given.
