@@ -21,6 +21,8 @@ FORMATS = (
            ("labels", "label_column", "partial")),
     Format("ScanNet's exporter", "color/, pose/ and intrinsic_color.txt", f"{_DATASET}sens",
            "scannet_export", ("labels", "label_column")),
+    Format("HoloLens 2's StreamRecorder", "*_pv.txt, PV/ and Depth Long Throw/", f"{_DATASET}hololens",
+           "hololens"),
     Format("COLMAP", "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
            f"{_DATASET}colmap", "colmap", ("scale", "up")),
     Format("RTAB-Map", "a .db file", f"{_DATASET}rtabmap", "rtabmap"),

@@ -329,21 +329,28 @@ _VALID_RADIUS = 1.1  # relative to the farthest image corner; beyond, lens model
 
 
 class Registration:
-    """Registration of depth images to the colour camera, at the depth camera's resolution."""
+    """Registration of depth images to the colour camera, at the depth camera's resolution.
 
-    def __init__(self, colour: Camera, depth: Camera) -> None:
-        self.colour, self.depth = colour, depth
+    `rays`: (h, w, 3) of the depth camera's pixels, times which depth is a point; z = 1 if not given.
+    """
+
+    def __init__(
+        self, colour: Camera, depth: Camera, rays: NDArray[np.float64] | None = None
+    ) -> None:
+        self.colour, self.depth, self.rays = colour, depth, rays
         part = min(1.0, depth.fx / colour.fx, depth.fy / colour.fy)
         size = (max(1, round(colour.width * part)), max(1, round(colour.height * part)))
         self.camera = colour.resize(*size)
         """Camera of the registered images."""
 
-    def __reduce__(self) -> tuple[type[Registration], tuple[Camera, Camera]]:
-        return Registration, (self.colour, self.depth)
+    def __reduce__(self) -> tuple[type[Registration], tuple[Any, ...]]:
+        return Registration, (self.colour, self.depth, self.rays)
 
     @cached_property
     def _rays(self) -> NDArray[np.float64]:
-        """(h, w, 3) of the depth camera's pixels, z = 1."""
+        """(h, w, 3) of the depth camera's pixels."""
+        if self.rays is not None:
+            return self.rays
         v, u = np.mgrid[: self.depth.height, : self.depth.width]
         return self.depth.directions(np.stack([u + 0.5, v + 0.5], axis=-1))
 
