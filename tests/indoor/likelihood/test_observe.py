@@ -272,6 +272,16 @@ def test_ratios_average_to_one_over_the_map(seed, objects, wrong, sharpness):
     assert (view.semantic[:, objects] == 1).all()
 
 
+def test_eq_2_scores_agreement_by_its_cosine():
+    options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
+    table = [[0.8, -0.5, 0.1], [0.4, 0.4, -1.0]]
+    seen = patches((1, 3), rows=[0, 1, -1], table=table)
+    view = view_of(frame(), encoder=Says(seen), options=options)
+    np.testing.assert_allclose(view.semantic[0], [1.8, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(view.semantic[1], [1.4, 1.4, 0, 0], atol=1e-6)  # both are best
+    assert view.weight.tolist() == [1, 1, 0, 0]
+
+
 def test_what_fills_many_patches_counts_in_part():
     few = Likelihood(object_patches=9.0)
     options = PoseSearchOptions(likelihood=few)
