@@ -192,8 +192,8 @@ def make_rig(views: Sequence[View], steps: Floats) -> Rig:
             origins.append(np.broadcast_to(step[:3], view.directions.shape))
             directions.append(view.directions @ turned)
             depths.append(np.where(view.patch >= 0, view.depth, 0.0))
-    rig = (np.concatenate(column).astype(np.float32) for column in (origins, directions, depths))
-    return Rig(*rig)
+    columns = map(np.concatenate, (origins, directions, depths))
+    return Rig(*(np.ascontiguousarray(column, np.float32) for column in columns))
 
 
 def thin_view(view: View, step: int, offset: int) -> View:
