@@ -84,11 +84,7 @@ class Legs:
         """
         passed = self.passed[0][at]
         more = np.maximum(passed[:, None, :] - passed[:, :, None], 0)
-        return (
-            np.where((self.line[at] >= 0)[:, None, :], untold**more, 0.0)
-            * _LATER
-            * fit[at][:, None]
-        )
+        return np.asarray(untold**more * _LATER * (fit * (self.line >= 0))[at][:, None])
 
 
 class Matches(NamedTuple):
