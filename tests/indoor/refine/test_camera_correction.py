@@ -9,7 +9,9 @@ from tests.indoor.conftest import rebuild
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, rotation_from_vector
-from placegraph.indoor.options import RefineOptions
+from placegraph.indoor.options import PoseSearchOptions, RefineOptions
+from placegraph.indoor.pose.window import PoseQuery, observe
+from placegraph.indoor.refine import RefineSetup
 from placegraph.indoor.refine.camera_correction import (
     COUNT,
     FOCAL,
@@ -19,6 +21,7 @@ from placegraph.indoor.refine.camera_correction import (
     TILT,
     TIME,
     CameraCorrection,
+    _CameraSearch,
     calibrate_camera,
     depth_from_camera,
     reproject_depth,
@@ -27,6 +30,7 @@ from placegraph.indoor.refine.camera_correction import (
     turn_gravity,
 )
 from placegraph.indoor.refine.correspondences import PointMatches
+from placegraph.indoor.refine.refiner import Refiner
 from placegraph.io.capture.capture import Capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -207,7 +211,7 @@ def test_sentences_and_mended_frames(exact):
         np.testing.assert_allclose(after.depth(), before.depth() * np.exp(0.1), rtol=1e-5)
         np.testing.assert_array_equal(after.rgb(), before.rgb())
         assert after.images.labels() is None
-    assert CameraCorrection.identity().frames(frames)[0].images is frames[0].images
+    assert CameraCorrection().frames(frames)[0].images is frames[0].images
     assert share_view(frame.camera, frame.camera.resize(80, 60))
     assert not share_view(frame.camera, replace(frame.camera, fx=125.0))
     assert not share_view(frame.camera, None)
@@ -223,3 +227,13 @@ def test_depth_is_brought_to_where_the_camera_was(hall, way, kit):
     np.testing.assert_array_equal(
         np.isfinite(reproject_depth(seen, kit.camera, np.eye(4))), seen > 0
     )
+
+
+def test_images_take_part_if_the_first_frame_has_none(room, exact, monkeypatch):
+    first = exact.capture[0].index
+    part = rebuild(exact.capture, rgb=lambda f: None if f.index == first else f.rgb())
+    options = PoseSearchOptions().only(depth=True, colour=True)
+    window, asked = observe(PoseQuery.of(room, part, options=options)), []
+    monkeypatch.setattr(Refiner, "match", lambda _self, *_: asked.append(1) or [()] * len(part))
+    _CameraSearch(window, RefineSetup.of(None, "guided")).search(exact.poses.copy())
+    assert asked

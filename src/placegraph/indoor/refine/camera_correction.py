@@ -262,15 +262,10 @@ _DEVICE = 0.2  # cameras of one device stand no further apart [m]: depth or imag
 class CameraCorrection:
     """Corrections of a camera, by `calibrate_camera`."""
 
-    values: Floats
+    values: Floats = field(default_factory=lambda: np.zeros(COUNT))
     """(COUNT,)"""
-    errors: Floats
+    errors: Floats = field(default_factory=lambda: np.zeros(COUNT))
     """(COUNT,) standard deviations."""
-
-    @classmethod
-    def identity(cls) -> CameraCorrection:
-        """Make a correction that changes nothing."""
-        return cls(np.zeros(COUNT), np.zeros(COUNT))
 
     def frames(self, frames: Sequence[Frame]) -> list[Frame]:
         """Return frames of one capture as their camera should have them."""
@@ -465,11 +460,7 @@ PLAUSIBLE = 0.25
 ENOUGH = 300
 """Least number of matches that tell the focal length of images."""
 DULL = 0.35
-(
-    "Correlation of held-out parts of the images with the map at a pose that depth has fitted, "
-    "below\nwhich depth and images may not be of one place: right ones have 0.4 and more "
-    "(benchmark)."
-)
+"""Correlation of images with the map at a pose by depth, below which both may not be of one place."""
 APART = (0.03, 0.012)
 """Way [m] and turn [rad] between depth and images from which on they are not of one view."""
 ALIKE = 0.5
@@ -510,37 +501,25 @@ def find_camera_correction(
     window: Window, estimate: PoseEstimate, refining: RefineSetup
 ) -> CameraCorrection | None:
     """Find a correction of the camera of a window's frames; None: no clear fault."""
+    told, found = estimate.refinement, diagnostics_of(estimate).refinement
+    refined = told is not None and told.accepted
+    certain = estimate.status is Status.OK and refined and not (found and found.camera)
     few = len(window) < LEAST or not refining.options.joint or estimate.best is None
-    if few or not _needs_correction(estimate):
+    if few or certain:
         return None
     # depth tells enough at few places, and lags are told from frame to frame
     rows = np.arange(len(window))[-MOST:]
     case = _CameraSearch(_part(window, rows), refining)
     if not case.refiner(case.window).has_depth:
         return None
-    starts = [start[rows] for start in _starts(window, estimate)]
+    starts = [estimate.trajectory[-len(rows) :]]
+    if not refined:
+        steps, levels = between(window.poses[-1], window.poses[rows]), window.levels[rows]
+        modes = estimate.modes[:TRIAL_MODES]
+        starts = [pose_matrix(compose(mode.pose, steps), levels) for mode in modes]
     poses = starts[0] if len(starts) == 1 else case.nearest(starts)
     correction = case.search(poses.copy())
-    if correction is None:
-        return None
-    return correction if case.is_confirmed(poses) else None
-
-
-def _needs_correction(estimate: PoseEstimate) -> bool:
-    told = estimate.refinement
-    if estimate.status is not Status.OK or told is None or not told.accepted:
-        return True
-    search = diagnostics_of(estimate).refinement
-    return search is not None and bool(search.camera)
-
-
-def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:
-    """Return trajectories (T, 4, 4) to begin from."""
-    if estimate.refinement is not None and estimate.refinement.accepted:
-        return [estimate.trajectory[-len(window) :]]
-    steps = between(window.poses[-1], window.poses)
-    modes = estimate.modes[:TRIAL_MODES]
-    return [pose_matrix(compose(mode.pose, steps), window.levels) for mode in modes]
+    return correction if correction is not None and case.is_confirmed(poses) else None
 
 
 def _part(window: Window, rows: NDArray[np.int64]) -> Window:
@@ -553,7 +532,7 @@ class _CameraSearch:
 
     window: Window
     refining: RefineSetup
-    correction: CameraCorrection = field(default_factory=CameraCorrection.identity)
+    correction: CameraCorrection = field(default_factory=CameraCorrection)
 
     def refiner(self, window: Window, readings: int | None = None) -> Refiner:
         """Make a refiner of the frames with the correction so far."""
@@ -609,7 +588,8 @@ class _CameraSearch:
 
     def search(self, poses: Floats) -> CameraCorrection | None:
         """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""
-        coloured = self.window.scene.has_colours and self.window.observations[0].rgb is not None
+        seen = self.window.observations
+        coloured = self.window.scene.has_colours and any(s.rgb is not None for s in seen)
         for number in range(ROUNDS):
             refiner, matches = self.refiner(self.window), None
             free = [SCALE, FOCAL, *TILT]
