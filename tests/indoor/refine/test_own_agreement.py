@@ -55,7 +55,8 @@ def test_colours_that_fall_short_are_of_an_unsearched_place():
         )
     # a map made on one pass is asked from another: its own frames agree better
     other_pass = seen(depth=0.9, texture=0.43, tone=0.65)
-    assert searched_odds(other_pass, OWN, 0.5) < 0.0 < 1.1 < searched_odds(other_pass, unlike, 0.5)
+    assert searched_odds(other_pass, OWN, 0.5) < 0.0
+    assert searched_odds(other_pass, unlike, 0.5) > 1.1
     assert searched_odds(seen(texture=0.9, tone=2.0), OWN) == odds[0], "more is no fault"
     assert searched_odds(elsewhere, None) == math.inf
     # without colours depth counts, without a sense that is known nothing does
