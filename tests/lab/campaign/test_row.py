@@ -1,4 +1,3 @@
-import json
 from types import SimpleNamespace
 
 import pytest
@@ -64,13 +63,10 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
     with pytest.raises(KeyboardInterrupt):
         asked(minutes=2.0, only="fuzz")
     assert [row.seconds for row in module.read_rows(out)] == [60.0, 120.0, 60.0, 60.0]
-    there = tmp_path / "there.json"
-    there.write_text(json.dumps({"rows": [Row("soak", "c", 0, seed=3).to_dict()]}))
-    assert len(asked(minutes=0.0, also=str(there))) == 5
     asked(minutes=0.0, mended="fuzz/a/0; soak/b/0")
     assert [r.what for r in module.read_rows(out) if r.faults and not r.open] == ["a", "b"]
-    with pytest.raises(module.BadParameter, match="soak/c/3"):  # it has no faults
-        asked(minutes=0.0, mended="soak/c/3")
+    with pytest.raises(module.BadParameter, match="soak/c/0"):  # there is no such row
+        asked(minutes=0.0, mended="soak/c/0")
     capsys.readouterr()
     asked(minutes=0.0, only="soak")
     assert "fuzz" not in capsys.readouterr().out
