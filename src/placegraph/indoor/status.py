@@ -366,7 +366,7 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
             f"{refined.loose:.1f} m."
         )
     found, one_scene = diagnostics_of(estimate), len({m.scene for m in estimate.modes}) == 1
-    undecided = found.undecided and found.searched > FITS_NOWHERE
+    undecided = found.undecided and found.searched > log_odds(SURE, 0.0)
     if refined.landmarks is not None and undecided and refined.accepted and one_scene:
         # they were looked for in the whole map, and led to where the likelihood is largest
         status = Status.OK

@@ -71,22 +71,24 @@ def test_images_alone(room, walk, exact, kit):
 
 
 @pytest.mark.parametrize(
-    ("undecided", "accepted", "landmarks", "after"),
+    ("undecided", "accepted", "landmarks", "searched", "after"),
     [
-        (True, True, 40, Status.OK),
-        (True, True, None, Status.AMBIGUOUS),
-        (True, False, 40, Status.AMBIGUOUS),
-        (False, True, 40, Status.AMBIGUOUS),  # something else speaks against it
+        (True, True, 40, 2.0, Status.OK),
+        (True, True, None, 2.0, Status.AMBIGUOUS),
+        (True, False, 40, 2.0, Status.AMBIGUOUS),
+        (False, True, 40, 2.0, Status.AMBIGUOUS),  # something else speaks against it
+        (True, True, 22, 0.5, Status.AMBIGUOUS),  # so do colours: signs of a corridor are alike
     ],
 )
-def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, after):
+def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, searched, after):
     refiner = SimpleNamespace(
         matcher=None, seconds={}, stats={}, landmark_matches=landmarks, has_depth=True
     )
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
     judgement = FitCheck(accepted, "", fitted, {}, objection="" if accepted else "it is elsewhere")
-    before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=Diagnostics(undecided=undecided))
+    found = Diagnostics(undecided=undecided, searched=searched)
+    before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=found)
     assert _apply_check(before, refiner, judgement).status is after
 
 
