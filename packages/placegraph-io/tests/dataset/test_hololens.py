@@ -67,6 +67,12 @@ def test_what_is_lost_or_missing(recorded, save, tmp_path):
     (tmp_path / "Depth Long Throw_lut.bin").write_bytes(b"\0" * 12)
     with pytest.raises(InputError, match=r"lut.bin has 3 numbers, but 48 x 36 rays"):
         open_capture(tmp_path)
+    (listing,) = tmp_path.glob("*_pv.txt")
+    head, rows = listing.read_text().split("\n", 1)
+    listing.write_text(rows)
+    with pytest.raises(InputError, match=r"line 1: write `ox, oy, width, height` in the first"):
+        open_capture(tmp_path)
+    listing.write_text(f"{head}\n{rows}")
     (tmp_path / "PV").rename(tmp_path / "pictures")
     with pytest.raises(InputError, match=r"no PV/\*.png or PV/\*.bytes; unpack"):
         open_capture(tmp_path)

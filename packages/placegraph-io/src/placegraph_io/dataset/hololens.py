@@ -59,13 +59,19 @@ def read_hololens(path: Path) -> Capture:
     if not (depths and colours):
         lacking = "PV/*.png or PV/*.bytes" if depths else f"{_DEPTH}/*.pgm"
         raise InputError(f"{path} contains no {lacking}; unpack the recording's .tar files.")
-    listed = read_rows(next(path.glob("*_pv.txt")), (4, 19), "ticks, fx, fy, world_from_camera")
-    (ox, oy, *size), rows = listed[0][1], [(w, r) for w, r in listed[1:] if r[0] in colours]
+    (head, first), *listed = read_rows(
+        next(path.glob("*_pv.txt")), (4, 19), "ticks, fx, fy, world_from_camera"
+    )
+    if len(first) != 4 or any(len(row) != 19 for _, row in listed):
+        raise InputError(
+            f"{head}: write `ox, oy, width, height` in the first line, and only there."
+        )
+    (ox, oy, *size), rows = first, [(w, r) for w, r in listed if r[0] in colours]
     rigs = read_rows(path / f"{_DEPTH}_rig2world.txt", (17,), "ticks, world_from_rig")
     rig_of = {
         ticks: (where, pose) for where, (ticks, *pose) in rigs if pose[-1]
     }  # else not located
-    ((where, extrinsics),) = read_rows(path / f"{_DEPTH}_extrinsics.txt", (16,), "depth_from_rig")
+    where, extrinsics = read_rows(path / f"{_DEPTH}_extrinsics.txt", (16,), "depth_from_rig")[0]
     rig_from_depth = np.linalg.inv(orthonormalize_pose(extrinsics, where))
     rays, view = _read_rays(path, image_size(next(iter(depths.values()))))
     moments = np.array([row[0] for _, row in rows]) / _SECOND
