@@ -630,7 +630,8 @@ class InflectedNames(ProperNames):
             return 0
         bare = self._is_bare_name(at)
         noun = self.vocabulary.longest_match(self.lower, i)
-        common = bare and noun is not None and noun[0] > 1  # a "foot path" in its own script
+        # "chemin piéton" is a kind of road
+        common = noun is not None and noun[0] > 1 and not self.words[at].capital
         plain = not (place or bare) and self._is_small_name(i, at)
         if common or not (self.words[at].capital or bare or plain):
             return 0
