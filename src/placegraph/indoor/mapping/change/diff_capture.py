@@ -20,14 +20,9 @@ from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change import observe
 from placegraph.indoor.mapping.change.align import invert_rigid
+from placegraph.indoor.mapping.change.appeared import find_appeared, gather_clusters
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
-from placegraph.indoor.mapping.change.moves import (
-    Placement,
-    find_appeared,
-    find_moved,
-    gather_clusters,
-    measure_box,
-)
+from placegraph.indoor.mapping.change.moves import Placement, find_moved, measure_box
 from placegraph.indoor.render import check_pose
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
