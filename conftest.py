@@ -45,7 +45,7 @@ class FolderScheduling(LoadScopeScheduling):
     """Run the tests of one folder in one worker, which builds their maps and servers once.
 
     Large folders come first. Pages, programs and goldens come last, one by one, so that no worker waits
-    long for the other. xdist's groups do nothing under pytest 9.2: it reads the ids no more that hold them.
+    long for the other. pytest 9.2 ignores xdist's own groups.
     """
 
     def _split_scope(self, nodeid):

@@ -156,7 +156,7 @@ class Agreement:
     """Mean log-likelihood of the colours themselves, beside depth, per independent sample [nat]; NaN:
     no colours, or no depth."""
     texture: float = np.nan
-    """Correlation of steps of colour within surfaces (`correlate_textures`); NaN: no colours."""
+    """Correlation of the view's steps of colour with the map's, within surfaces; NaN: no colours."""
     frames: Floats = field(default_factory=lambda: np.full((0, 3), np.nan))
     """(T, 3) agreement of each frame by itself: semantic, depth, colour."""
 

@@ -247,7 +247,7 @@ NAMED_NOISE = 0.04
 """Share of wrong statements that the speaker is at a place that is named exactly."""
 ROAD_SHAPES = ("junction=", "highway=turning_", "highway=mini_roundabout")
 SHAPE_SHARE = 0.05
-"""Smallest share of all objects in sight of shapes of roads, which people tell apart from maps loosely."""
+"""Smallest share of all objects in sight of shapes of roads: what people call a roundabout, a map may not."""
 NAMED_SHARE = 0.01
 """Largest share of all objects in sight of a place that is named exactly."""
 MENTIONED = 0.7
