@@ -273,6 +273,12 @@ def test_a_prior_saves_the_search(room, walk, truth):
     right(room.localize(walk, frames=FIVE, prior=Prior(*pose[:2], spread=0.5)), truth(walk)[4])
 
 
+def test_a_prior_wider_than_the_map_changes_nothing(flat, flat_walk, truth):
+    pose, _ = split_pose(truth(flat_walk)[0])
+    wide = Prior(pose[0] + 40.0, pose[1] - 30.0, yaw=float(pose[3]) + 0.5, spread=170.0, turn=1.0)
+    right(flat.localize(flat_walk, frames=FIVE, prior=wide), truth(flat_walk)[4])
+
+
 def test_a_prior_that_is_wrong_is_not_believed(flat, flat_walk, truth):
     pose, _ = split_pose(truth(flat_walk)[0])
     far = max(flat.visibility(OPTIONS).positions, key=lambda p: np.linalg.norm(p[:2] - pose[:2]))

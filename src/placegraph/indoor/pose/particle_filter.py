@@ -351,7 +351,7 @@ def _start(
 ) -> Floats:
     """Draw the first particles of the first pass, as poses (N, 4) of the first frame."""
     prior = window.query.prior
-    if prior is not None:
+    if prior is not None and not prior.is_wide:
         return draw_near_prior(prior, window, spec.particles, rng)
     if options.start == "uniform":
         return draw_uniform_start(window, options, rng)

@@ -42,6 +42,28 @@ class Prior:
                 "than 0."
             )
 
+    @property
+    def is_wide(self) -> bool:
+        """Whether poses drawn around the prior would lie too far apart to find the right one."""
+        return self.spread > _WIDE
+
+    def log(self, positions: Floats, yaws: Floats) -> Floats:
+        """Return the log density (K, A) [nat, 0 at best] of positions (K, 3) and yaws (A,).
+
+        A share of `_OUTLIERS` is spread evenly, since compasses and fixes err indoors.
+        """
+        offset = positions - (self.x, self.y, self.z or 0.0)
+        squares = np.square(offset[:, : 2 if self.z is None else 3]).sum(axis=1) / self.spread**2
+        turn = np.zeros(len(yaws)) if self.yaw is None else (np.cos(yaws - self.yaw) - 1.0)
+        logs = turn / self.turn**2 - squares[:, None] / 2.0
+        mixed: Floats = np.log(_OUTLIERS + (1.0 - _OUTLIERS) * np.exp(logs - logs.max()))
+        return mixed
+
+
+_OUTLIERS = 0.05
+_WIDE = 1.0
+"""Spread above which a prior weights all places of the map [m]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogPrior:
@@ -62,8 +84,9 @@ class LogPrior:
         table: VisibilityTable,
         description: str | Sentence | None,
         shares: ArrayLike | None,
+        near: Prior | None = None,
     ) -> LogPrior:
-        """Return the log prior of a description and of shares (S,) of the merged scenes.
+        """Return the log prior of a description, shares (S,) of the merged scenes, and a wide prior.
 
         Raises
         ------
@@ -73,6 +96,8 @@ class LogPrior:
         """
         sentence = _read(description, scene)
         logs = np.zeros((len(table), AZIMUTHS), np.float32)
+        if near is not None:
+            logs += near.log(table.positions, np.arange(AZIMUTHS) * STEP)
         if sentence is not None:
             from placegraph.indoor.language.prior import prior
 

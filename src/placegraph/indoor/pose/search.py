@@ -110,7 +110,7 @@ def search(window: Window, rng: Generator) -> Floats:
         table, log_prior, prior = window.table, window.log_prior, window.query.prior
         first, *rounds = _TRIES
         aligned = any(views[i].terms[DEPTH] for i in spread(len(window), LOOKS))
-        if prior is None:
+        if prior is None or prior.is_wide:
             most = _ALIGNED if aligned else SEEDS
             seeds, _ = table_seeds(
                 table, views, window.poses, noise, last, most, log_prior=log_prior

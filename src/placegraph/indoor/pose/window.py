@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import hypot
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -269,10 +270,16 @@ class Window:
     @cached_property
     def log_prior(self) -> LogPrior | None:
         """Log prior of the last frame's pose; None: there is none."""
-        description, shares = self.query.description, self.query.shares
-        if description is None and shares is None:
+        description, shares, near = self.query.description, self.query.shares, self.query.prior
+        if near is not None and near.is_wide:
+            x, y, _, turn = (self.poses[-1] - self.poses[0]).tolist()
+            yaw = None if near.yaw is None else near.yaw + turn
+            near = replace(near, yaw=yaw, spread=hypot(near.spread, x, y))
+        else:
+            near = None  # poses are drawn around it
+        if description is None and shares is None and near is None:
             return None
-        return LogPrior.of(self.scene, self.table, description, shares)
+        return LogPrior.of(self.scene, self.table, description, shares, near)
 
     @cached_property
     def judging(self) -> Window:
