@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,7 +47,7 @@ class Prior:
         """Whether poses drawn around the prior would lie too far apart to find the right one."""
         return self.spread > _WIDE
 
-    def log(self, positions: Floats, yaws: Floats) -> Floats:
+    def log(self, positions: NDArray[Any], yaws: NDArray[Any]) -> Floats:
         """Return the log density (K, A) [nat, 0 at best] of positions (K, 3) and yaws (A,).
 
         A share of `_OUTLIERS` is spread evenly, since compasses and fixes err indoors.
