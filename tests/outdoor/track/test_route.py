@@ -18,6 +18,8 @@ SHOPS = [
     (115.0, 85.0, {"shop": "bakery", "name": "Rex"}),
     (250.0, 115.0, {"amenity": "bank", "name": "Chase"}),
     (215.0, 150.0, {"amenity": "pharmacy", "name": "Boots"}),
+    (115.0, 30.0, {"shop": "florist", "name": "Flora"}),
+    (85.0, 70.0, {"shop": "florist", "name": "Flora"}),
 ]
 UNLIT = (100, 0)  # the junction without lights
 EAST, NORTH = math.pi / 2, 0.0
@@ -59,6 +61,19 @@ Turn left at the third intersection. Pass Boots, then turn right at the light. S
 Turn left at the first light. Turn right at the next light. Go through two lights. Stop at Chase. = 250 100
 Go to the light and turn left, go two blocks and turn right. Walk 60 m and stop. = 60 200
 Turn left at the fourth intersection. At the end of the street turn left. Stop immediately. = 290 200
+Turn left at the second intersection. Stop at Flora on the left. = 100 70
+Turn left at the second intersection. Stop when you see Flora on your right. = 100 30
+Walk 200 m, then turn left at the intersection. Stop halfway down the block. = 200 50
+Take the second street on the left. Stop halfway down the block. = 100 50
+Take the second turning on the left. Stop halfway down the block. = 100 50
+Take the third left. Stop halfway down the block. = 200 50
+Carry on to the second crossroads and turn left. Stop halfway down the block. = 100 50
+At the second set of traffic lights turn left. Stop halfway down the block. = 200 50
+Turn left onto Lark Avenue. Stop just after Boots. = 200 165
+Go past Kite Avenue and take the next left. Stop at Boots. = 200 150
+Turn left into Kite Avenue, then take the first right. Stop at Chase. = 250 100
+Cross Kite Avenue and turn left at the next junction. Stop just after Boots. = 200 165
+Continue straight for three blocks and turn left. Stop halfway down the block. = 200 50
 """
 """Texts, and where their ways end [m east, north]; the first light is at the first junction."""
 
@@ -102,7 +117,8 @@ def test_the_way_and_its_evidence(follow, grid, at):
     assert np.hypot(*np.diff(way, axis=0).T).max() < 6.0
     evidence = {e.statement: e for e in estimate.evidence}
     assert [o.name for o in evidence["Boots"].objects] == ["Boots"]
-    assert "turn left" not in evidence or evidence["turn left"].verdict != "against"
+    assert {e.verdict for e in estimate.evidence} <= {"for", "silent"}
+    assert evidence["Boots"].verdict == "for"
     assert estimate.to_dict()["way"] == estimate.way.tolist()
     assert [f["properties"]["kind"] for f in estimate.geojson()["features"]].count("way") == 1
 

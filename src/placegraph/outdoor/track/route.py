@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.map.street_graph import Lines, Rows, StreetGraph, expand, join
 from placegraph.outdoor.search.posterior import PRIOR_ELSEWHERE, Posterior
 from placegraph.outdoor.track.route_text import Move, Step
@@ -35,16 +36,21 @@ MISCOUNT = np.array([1.0, 0.08, 0.015, 0.003])
 """Likelihood of a count that is off by none, one, two, or more."""
 GOES_ON = 0.05
 """Likelihood of an end of the street where it goes on."""
-UNTOLD, ANCHORED = 0.25, 0.02
-"""Likelihood of a junction that is passed untold, and after the text said at which one one is."""
+UNTOLD, ANCHORED, SOUGHT = 0.25, 0.02, 0.1
+"""Likelihood of a junction that is passed untold: usually, after the text said at which one one is, and
+on the way to a name at the end."""
 TURN_SIGMA, HEADING_SIGMA = np.deg2rad(32.0), np.deg2rad(25.0)
 """Standard deviations of the angle of a turn, and of the heading at the start [rad]."""
 START_SIGMA, START_REACH = 8.0, 40.0
 """Standard deviation of the start about a street, and its largest distance [m]."""
 MISSED_NAME, MISSED_KIND = 0.05, 0.4
 """Likelihoods of a landmark that is not there, by name or by kind."""
+WRONG_SIDE = 0.2
+"""Likelihood of a landmark that is not on the side that is told."""
 FAR_OFF = 0.005
 """Likelihood of an end that is not where the text says."""
+END = 60.0, 150.0
+"""Mean distance of an end from the last junction, by kinds alone and to a name [m]."""
 _LATER = np.triu(np.ones((MAX_EDGES, MAX_EDGES)))
 
 
@@ -111,8 +117,8 @@ class Transition(NamedTuple):
     move: Transit | Floats
     """Transition (n, N, N) within some legs; of a turn (4, K): leg and number of the edge before it,
     edge after it, weight."""
-    total: float
-    """Sum of the weights after the step."""
+    mean: float
+    """Mean likelihood of the step on all edges ahead."""
     objects: Matches | None = None
     """Places of the landmark."""
 
@@ -187,6 +193,9 @@ class Route:
             elif step.move in (Move.PASS, Move.REACH):
                 self._move(step, self._count(step))
                 self.anchor = step.move
+            elif step.move is Move.WALK:
+                self._move(step, self._walk(step.amount))
+                self.anchor = Move.REACH
             elif step.move is Move.MARK:
                 matches = self._match(step)
                 self._move(step, self._see(step, matches), matches)
@@ -195,7 +204,9 @@ class Route:
     def _move(self, step: Step, move: Transit, matches: Matches | None = None) -> None:
         weights = self._apply(move)
         total = float(weights.sum())
-        self.history.append(Transition(step, self.legs, self.weights, move, total, matches))
+        ahead = (self.weights * (self.legs.line >= 0)[:, ::-1].cumsum(axis=1)[:, ::-1]).sum()
+        mean = total / max(float(ahead), 1e-300)
+        self.history.append(Transition(step, self.legs, self.weights, move, mean, matches))
         self.weights = weights / max(total, 1e-300)
 
     def _apply(self, move: Transit) -> Floats:
@@ -218,6 +229,19 @@ class Route:
             off = np.minimum(np.abs(count - int(step.amount)), len(MISCOUNT) - 1)
             total = MISCOUNT[off] * there[at][:, None, :]
             return total * _LATER * (legs.line[at] >= 0)[:, None, :]
+
+        return move
+
+    def _walk(self, amount: float) -> Transit:
+        """Return the transition of going some metres to the end of an edge."""
+        legs, length = self.legs, np.append(self.streets.length, 0.0)
+        end = legs.far + length[legs.line]
+        begin = end if self.anchor is Move.REACH else np.maximum(legs.far, 0.0)
+
+        def move(at: slice) -> Floats:
+            off = (end[at][:, None, :] - begin[at][:, :, None] - amount) / (0.2 * amount + 20.0)
+            there = (legs.line >= 0)[at][:, None, :]
+            return (np.exp(-0.5 * off**2) + FAR_OFF) * _LATER * there
 
         return move
 
@@ -263,7 +287,8 @@ class Route:
         here = own[line]
         ahead = np.maximum(end, begin[np.append(self.streets.straight, -1)])[line]
         behind, before = (np.pad(x, ((0, 0), (1, 0)))[:, :-1] for x in (ahead, here))
-        shares = (0.5, 1.0, 0.8, 0.3)
+        crossed = step.where == "past" and (self.city.objects.kind[matches.row] == LINE).any()
+        shares = (0.1, 0.1, 1.0, 0.1) if crossed else (0.5, 1.0, 0.8, 0.3)
         seen = np.max(
             [w * x for w, x in zip(shares, (here, ahead, behind, before), strict=True)], axis=0
         )
@@ -288,17 +313,23 @@ class Route:
         order = np.lexsort((distance, own[k], i))  # the nearest sample of every edge
         pair = i[order] * len(edges) + own[k][order]
         best = order[np.diff(pair, prepend=-1) != 0]
-        row = outlines.row[line[i[best]]]
-        return Matches(edges[own[k[best]]], along[k[best]], fit[row], row)
+        i, k = i[best], k[best]
+        row, edge = outlines.row[line[i]], edges[own[k]]
+        east, north = (streets.ahead[sample[k]] * np.where(edge & 1, -1.0, 1.0)[:, None]).T
+        x, y = (points[i] - at[k]).T
+        wrong = (x * north - y * east) * step.side < 0.0
+        return Matches(edge, along[k], fit[row] * np.where(wrong, WRONG_SIDE, 1.0), row)
 
     def _end(self, steps: list[Step]) -> RouteEnds:
         """Return the posterior of the end by the last junction or turn and the steps after it."""
         legs, streets, reached = self.legs, self.streets, self.anchor is Move.REACH
+        named = any(s.names for s in steps)
         measured = any(s.move in (Move.SHARE, Move.WALK) for s in steps)
         how = steps[0].where if steps and steps[0].move is Move.REACH else ""
         spread = self.weights
         if not reached:
-            spread = self._apply(partial(legs.go_on, ANCHORED, legs.line >= 0))
+            untold = SOUGHT if named else ANCHORED
+            spread = self._apply(partial(legs.go_on, untold, legs.line >= 0))
         heavy = np.argsort(-spread, axis=None, kind="stable")[:MAX_ENDS]
         heavy = heavy[spread.ravel()[heavy] > 1e-5 * spread.max(initial=0.0)]
         t, n = np.unravel_index(heavy, spread.shape)
@@ -316,7 +347,7 @@ class Route:
         elif reached:
             log += np.logaddexp(-ahead / 12.0, np.log(0.3) - behind / 12.0)
         elif not measured:
-            log -= behind / 60.0
+            log -= behind / END[int(named)]
         likelihoods: list[tuple[Step, Matches | None, Floats]] = []
         for step in steps:
             amount, matches = step.amount, None
@@ -365,7 +396,7 @@ class Route:
         ]
         pieces = [self._points(legs, leg, n, float(ends.far[k]))]
         n = int(np.argmax(self.weights[leg, : n + 1]))
-        for step, before, weights, move, total, matches in reversed(self.history):
+        for step, before, weights, move, mean, matches in reversed(self.history):
             if isinstance(move, np.ndarray):  # a turn
                 own = np.flatnonzero(move[2] == legs.line[leg, 0])
                 leg, n = (int(x) for x in move[:2, own[np.argmax(move[3, own])]])
@@ -377,7 +408,7 @@ class Route:
             while n and not paths[n].any():
                 n -= 1
             m = int(np.argmax(paths[n]))
-            ratio = float(np.log(max(moved[m, n], 1e-12) / max(total, 1e-12)))
+            ratio = float(np.log(max(moved[m, n], 1e-12) / max(mean, 1e-12)))
             said.append((step, ratio, _pick(matches, legs.line[leg, max(0, n - 1) : n + 2])))
             n = m
         return np.concatenate(pieces[::-1]), said[::-1]

@@ -21,7 +21,7 @@ from placegraph.outdoor.search.posterior import Posterior, find_modes
 from placegraph.outdoor.search.request import Hints, Matching, find_off_map, make_request
 from placegraph.outdoor.search.status import Calibration, Claim, diagnose
 from placegraph.outdoor.track.route import Route, RouteEnds
-from placegraph.outdoor.track.route_text import JUNCTION, TURN, Move, Step, read_route
+from placegraph.outdoor.track.route_text import TURN, Move, Step, read_route
 
 AT_AN_END = Claim(100.0, Calibration(0.0, 1.0), Calibration(0.0, 1.0))
 """Claim for a text that tells a way along streets: people stop a shop or two away."""
@@ -34,7 +34,7 @@ OTHERS = re.compile(
 """Words of texts about the speaker, or by the compass: these are read as statements."""
 OPENING = re.compile(
     r"""\W*(?:(?:then|next|first|now|once|you|will|just)\s+)*(?:go|head|walk|start|begin|turn|continue|take
-    |make|bear|pass|follow|proceed|move|cross|keep|exit|travel|drive|from|after|at|as|when|with)\b""",
+    |make|bear|carry|pass|follow|proceed|move|cross|keep|exit|travel|drive|from|after|at|as|when|with)\b""",
     re.VERBOSE | re.IGNORECASE,
 )
 """First words of instructions."""
@@ -42,13 +42,10 @@ OPENING = re.compile(
 
 def read_instructions(text: str | Description, city: City) -> list[Step]:
     """Read the steps of a text that tells a way by turns and junctions; empty for other texts."""
-    if not isinstance(text, str) or not TURN.search(text) or not JUNCTION.search(text):
+    if not isinstance(text, str) or not TURN.search(text) or not OPENING.match(text):
         return []
-    if OTHERS.search(text) or not OPENING.match(text):
-        return []
-    steps = read_route(text, city)
-    told = {step.move for step in steps}
-    return steps if Move.TURN in told and told & {Move.PASS, Move.REACH, Move.MARK} else []
+    steps = [] if OTHERS.search(text) else read_route(text, city)
+    return steps if {Move.TURN} < {step.move for step in steps} else []
 
 
 def locate_route(

@@ -56,6 +56,8 @@ class Step:
     """... what kind it is."""
     where: str = ""
     """How the way lies to a landmark: "past", "before", "after" or at it; or to a junction: "before"."""
+    side: float = 0.0
+    """Side of the way on which a landmark is: -1 left, 1 right, 0 untold."""
 
 
 _ORDINALS = "first 1st,second 2nd,third 3rd,fourth 4th,fifth 5th,sixth 6th,seventh 7th"
@@ -73,14 +75,15 @@ _MODIFIER = "|".join((
 _MODIFIERS = rf"(?:(?:{_MODIFIER})\s+)*"
 TURN = re.compile(
     rf"""\b(?P<verb>turn(?:ing)?|make|making|take|taking|hang|bear|veer|keep|stay|go|head|then|and|another)
-    \s+(?P<mods>(?:to\s+(?:the|your)\s+)?{_MODIFIERS})(?P<side>left|right|around)
+    \s+(?P<mods>(?:to\s+(?:the|your)\s+)?{_MODIFIERS})
+    (?:(?:street|road|turn(?:ing)?|exit)\s+(?:on|to)\s+(?:the|your)\s+)?(?P<side>left|right|around)
     (?!\s+(?:corners?|side|near|far)\b)""",
     re.VERBOSE | re.IGNORECASE,
 )
 JUNCTION = re.compile(
     rf"""(?:\b(?P<how>through|past|pass(?:ing|ed)?|cross(?:ing)?|over|after|to|at|until|till|reach(?:ing)?
     |before|in|by|down|up|along|for|on|approach|go|going)\s+)?\b(?P<mods>{_MODIFIERS})
-    (?P<unit>(?:stop\s*)?lights?|signals?|intersections?|corners?|junctions?|crossings?|crosswalks?
+    (?P<unit>(?:stop\s*)?lights?|signals?|intersections?|corners?|junctions?|crossings?|cross(?:walks?|roads)
     |(?:t[- ])(?:intersection|junction)|blocks?|(?<=\bcross\s)(?:the\s)?(?:street|road)
     |(?<=(?:side|ross)\s)streets?|(?<=end\sof\sthe\s)(?:street|road))\b""",
     re.VERBOSE | re.IGNORECASE,
@@ -98,8 +101,12 @@ NAME = re.compile(
 WORD = re.compile(r"[^\W_]+(?:['’&-][^\W_]+)*")
 SENTENCE = re.compile(r"(?:[^.;!?]|\b(?:[A-Z]|St|Dr|Mrs?|Ms|Jr)\.(?=\s)|\.(?=\w))+")
 WHERE = re.compile(
-    r"\b(pass(?:ing|ed|es)?|past|before|after|onto|at|in front of|next to|by|near|outside|between"
-    r"|with|see|to)\b",
+    r"\b(pass(?:ing|ed|es)?|past|cross(?:ing)?|before|after|onto|at|in front of|next to|by|near|outside"
+    r"|between|with|see|to)\b",
+    re.IGNORECASE,
+)
+SIDE = re.compile(
+    r"(?:_|[^\W_]|[ &'’-]){0,40}?\b(?:on|to|at)\s+(?:the|your)\s+(?:(?:far|near)\s+)?(?P<side>left|right)\b",
     re.IGNORECASE,
 )
 TOO_FAR = re.compile(r"too\s+far|do\s+not\s+go|don['’]t\s+go", re.IGNORECASE)
@@ -224,8 +231,12 @@ def _place(text: str, first: int, step: Step) -> Step:
     """Add to a landmark how the way lies to it, by the words before it."""
     lead = WHERE.findall(" ".join(text[first : step.start].split()[-5:]))
     word = lead[-1].lower() if lead else ""
-    where = "past" if word.startswith("pas") else word if word in ("before", "after") else ""
-    return replace(step, where=where)
+    where = (
+        "past" if word.startswith(("pas", "cross")) else word if word in ("before", "after") else ""
+    )
+    beside = SIDE.match(text, step.end)
+    side = {"l": -1.0, "r": 1.0}[beside["side"][0].lower()] if beside else 0.0
+    return replace(step, where=where, side=side)
 
 
 def _order(text: str, steps: list[Step]) -> Iterator[Step]:
