@@ -1,16 +1,19 @@
-"""Columns of the objects of a city: what OpenStreetMap says of each and where it lies."""
+"""Columns of the objects of a city: what OpenStreetMap says of each, where it lies, and its lines."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.core.pickling import PickleFields
 from placegraph.outdoor.map.geometry_kernels import _boxes, _centers, _keep
+
+Rows = NDArray[np.int64]
 
 POINT, LINE, AREA = 0, 1, 2
 """Kinds of geometry."""
@@ -178,3 +181,85 @@ def simplify(
     keep = _keep(points, starts, tolerance)
     kept = np.concatenate(([0], np.cumsum(keep)))
     return points[keep], kept[starts]
+
+
+class Lines(NamedTuple):
+    """Lines of objects, one behind the other: a place on them is one number, its distance along all."""
+
+    points: Floats
+    """(V, 2) [m]"""
+    along: Floats
+    """(V,) [m], ascending; one line begins 1 m after the end of the one before."""
+    ends: Floats
+    """(L, 2) distances of the ends of every line [m]."""
+    row: Rows
+    """(L,) row of its object."""
+
+    @classmethod
+    def of_objects(cls, objects: CityObjects, rows: Rows) -> Lines:
+        """Take the lines and outlines of objects (n,)."""
+        own, part = expand(objects.part_starts[rows], np.diff(objects.part_starts)[rows])
+        count = np.diff(objects.point_starts)[part]
+        at = expand(objects.point_starts[part], count)[1]
+        points = objects.points[at].astype(np.float64)
+        step = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T)
+        last = np.cumsum(count) - 1
+        step[last + 1 - count] = 1.0
+        along = np.cumsum(step)
+        ends = np.column_stack([along[last + 1 - count], along[last]])
+        return cls(points, along, ends, rows[own])
+
+    def locate(self, at: Floats) -> Floats:
+        """Return the points (n, 2) [m] at distances (n,)."""
+        if not len(at):
+            return np.zeros((0, 2))
+        return np.column_stack([np.interp(at, self.along, axis) for axis in self.points.T])
+
+    def find_line(self, at: Floats) -> Rows:
+        """Find the line of distances (n,)."""
+        return np.searchsorted(self.ends[:, 0], at, "right") - 1
+
+    def sample(self, step: float, ends: Floats | None = None) -> tuple[Rows, Floats, Floats]:
+        """Sample lines, or stretches with ends (E, 2), at most `step` [m] apart.
+
+        Returns the stretch of every sample, its position (K, 2) [m], and the direction there (K, 2).
+        """
+        begin, end = (self.ends if ends is None else ends).T
+        count = np.ceil((end - begin) / step).astype(np.int64) + 1
+        own, k = expand(np.zeros(len(count), np.int64), count)
+        points = self.locate(begin[own] + (end - begin)[own] * k / np.maximum(count[own] - 1, 1))
+        each = np.arange(len(own))
+        ahead = points[each + (k < count[own] - 1)] - points[each - (k > 0)]
+        return own, points, ahead
+
+
+def expand(first: NDArray[np.integer[Any]], count: Rows) -> tuple[Rows, Rows]:
+    """Return the owner and the value of all entries of ranges (n,) by their begin and length."""
+    own = np.repeat(np.arange(len(first)), count)
+    return own, np.arange(len(own)) - np.repeat(np.cumsum(count) - count - first, count)
+
+
+def join(a: Floats, b: Floats, reach: float) -> tuple[Rows, Rows]:
+    """Return all pairs of rows of points (N, 2) and (M, 2) that lie within `reach` of each other."""
+
+    def keys(cells: Floats) -> Rows:
+        return (cells[:, 0].astype(np.int64) << 32) + cells[:, 1].astype(np.int64)
+
+    order = np.argsort(keys(np.floor(b / reach)), kind="stable")
+    sorted_keys = keys(np.floor(b / reach))[order]
+    i, j = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for shift in np.ndindex(3, 3):
+        key = keys(np.floor(a / reach) + shift - 1)
+        first, last = np.searchsorted(sorted_keys, key), np.searchsorted(sorted_keys, key, "right")
+        own, at = expand(first, last - first)
+        near = ((a[own] - b[order[at]]) ** 2).sum(axis=1) <= reach**2
+        i.append(own[near])
+        j.append(order[at[near]])
+    return np.concatenate(i), np.concatenate(j)
+
+
+def find_labelled(objects: CityObjects, labels: frozenset[str]) -> Rows:
+    """Find the rows of objects that bear one of some labels."""
+    wanted = [i for i, label in enumerate(objects.labels) if label in labels]
+    hits = np.flatnonzero(np.isin(objects.label_values, wanted))
+    return np.unique(np.searchsorted(objects.label_starts, hits, "right") - 1)

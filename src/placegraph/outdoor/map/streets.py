@@ -24,8 +24,7 @@ from placegraph.outdoor.language.words import (
     fold,
     ordinal,
 )
-from placegraph.outdoor.map.objects import LINE, CityObjects
-from placegraph.outdoor.map.street_graph import Lines, join
+from placegraph.outdoor.map.objects import LINE, CityObjects, Lines, join
 
 STEP = 8.0
 """Streets are sampled in steps of this length [m]."""

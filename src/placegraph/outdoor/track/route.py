@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.objects import LINE
-from placegraph.outdoor.map.street_graph import Lines, Rows, StreetGraph, expand, join
+from placegraph.outdoor.map.objects import LINE, Lines, Rows, expand, join
+from placegraph.outdoor.map.street_graph import StreetGraph
 from placegraph.outdoor.search.posterior import PRIOR_ELSEWHERE, Posterior
 from placegraph.outdoor.track.route_text import Move, Step
 
