@@ -271,6 +271,16 @@ def test_a_sentence_pretends_neither_height_nor_orientation():
     assert said["accuracy"] == {"position": pytest.approx(math.sqrt(250.0)), "orientation": None}
 
 
+@pytest.mark.parametrize(("share", "reaches"), [(0.5, True), (0.96, False)])
+def test_the_accuracy_reaches_all_modes_that_matter(share, reaches):
+    best = city_estimate().modes[0]
+    twin = replace(best, latitude=47.101, probability=1.0 - share)
+    both = CityEstimate(Status.AMBIGUOUS, (replace(best, probability=share), twin), "Two fit.")
+    metres = both.geopose()["accuracy"]["position"]
+    own = best.covariance.trace() / 2.0
+    assert metres == pytest.approx(math.sqrt(own) + (111.2 if reaches else 0.0), abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("estimate", "named"),
     [

@@ -122,18 +122,19 @@ class GeoExport:
 
         ``position`` (lat, lon [deg], h above the ellipsoid [m]) and ``quaternion`` (x, y, z, w: the
         body's axes, x right, y forward, z up, in east, north, up) belong to the standard. This library
-        adds ``accuracy`` (position [m], orientation [deg]), ``probability``, ``status``, ``reason``
-        and ``unknown``, which names ``height`` and ``orientation`` where they are unknown (after a
-        sentence) and written as 0 and the identity.
+        adds ``accuracy`` (position [m], orientation [deg]: it reaches every mode of the likeliest that
+        hold 95 %), ``probability``, ``status``, ``reason`` and ``unknown``, which names ``height`` and
+        ``orientation`` where they are unknown (after a sentence) and written as 0 and the identity.
 
         Raises `GeoPoseError`: there is no mode, or its scene map has no anchor.
         """
         if not self.modes:
             raise GeoPoseError(f"There is no pose. {self.reason}")
-        poses = earth_poses(self.modes[0])
-        if not poses:
+        if not earth_poses(self.modes[0]):
             raise no_anchor_error(getattr(self.modes[0], "scene", ""))
-        return poses[0].geopose() | {"status": self.status.name, "reason": self.reason}
+        poses = [pose for mode in self.modes for pose in earth_poses(mode)]
+        document = poses[0].geopose() | {"accuracy": reach_accuracy(poses)}
+        return document | {"status": self.status.name, "reason": self.reason}
 
     def geojson(self) -> dict[str, Any]:
         """Return a FeatureCollection whose features have the property ``kind``.
@@ -163,6 +164,28 @@ def earth_poses(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any w
         given = mode.longitude, mode.latitude, mode.covariance
         return (EarthPose.from_place(*given, probability=mode.probability),)
     return ()
+
+
+def reach_accuracy(poses: Sequence[EarthPose]) -> dict[str, float | None]:
+    """Return the accuracy (position [m], orientation [deg] or None) of the first pose for all of them.
+
+    The likeliest poses that hold `ELLIPSE_PROBABILITY` together count: from the first to each of
+    them, and its own accuracy there. A pose that holds this much alone keeps `EarthPose.accuracy`.
+    """
+    best, held, reach = poses[0], 0.0, {"position": 0.0, "orientation": 0.0}
+    plane = LocalPlane(best.longitude, best.latitude)
+    for pose in [best, *sorted(poses[1:], key=lambda pose: -pose.probability)]:
+        if held >= ELLIPSE_PROBABILITY:
+            break
+        held += pose.probability
+        up = np.nan_to_num(pose.height - best.height)
+        metres = np.hypot(np.linalg.norm(plane.to_plane([pose.longitude, pose.latitude])), up)
+        turn = 2.0 * np.arccos(min(abs(float(pose.quaternion @ best.quaternion)), 1.0))
+        for name, distance in (("position", metres), ("orientation", np.degrees(turn))):
+            own = pose.accuracy[name]
+            there = np.nan if own is None else distance + own
+            reach[name] = float(np.maximum(reach[name], there))  # NaN where one is unknown
+    return {name: value if isfinite(value) else None for name, value in reach.items()}
 
 
 def _mode_features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:

@@ -109,7 +109,7 @@ def test_what_cannot_be_searched(by_labels, rooms):
     unlabelled = rooms["study"].film(4, labels=None)
     for words, ask in (
         ("most", lambda: by_labels.search(film, most=0)),
-        ("no input for labels", lambda: by_labels.search(unlabelled)),
+        ("nothing to compare by labels", lambda: by_labels.search(unlabelled)),
         ("empty; add a scene", lambda: SceneLibrary("labels").search(film)),
         ("at least one", lambda: SceneLibrary(())),
         ("without repetitions", lambda: SceneLibrary(("labels", "labels"))),

@@ -16,7 +16,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geo import EarthPose
 from placegraph.core.geojson import earth_poses
 from placegraph.core.geometry import Camera
-from placegraph.errors import InputError, RequestError
+from placegraph.errors import GeoPoseError, InputError, OptionError, RequestError
 from placegraph.io.capture.frame import Frame
 from placegraph_io.dataset.colmap import model_camera
 from placegraph_serve.localize import find_best, notes
@@ -211,8 +211,8 @@ _CHANNELS = {1: "GRAY8", 3: "RGB24", 4: "RGBA32"}
 def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]:
     """Answer a request; `arguments`: `body` and `version`, None where the client does not say.
 
-    Where no image can be used, the pose is that of the geolocation reading, with its accuracy and the
-    status `LOST`.
+    Standard clients read the accuracy and nothing else. The pose is therefore that of the images only if
+    the estimate is `OK`, and that of the geolocation reading, with its accuracy, otherwise.
     """
     request = read_request(arguments["body"], arguments["version"])
     hints = hints_of(request)
@@ -220,15 +220,28 @@ def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]
     depth = [r for r in request.camera if _is_depth(r) and r["image"]]
     if not colour:
         why = "imageBytes is empty, so nothing can be compared with a map; send an image."
-        return _answer(request, [], Status.LOST.name, why)
+        return _answer(request, Status.LOST.name, why)
     frame, leveled = frame_of(colour[-1], depth, request.accelerometer, dispatcher.options)
     images = Images((frame,), moved=True, leveled=leveled)
-    estimate, _ = find_best(dispatcher.places, images, hints)
-    poses = [pose for mode in estimate.modes for pose in earth_poses(mode)]
-    if estimate.modes and not poses:
-        estimate.geopose()  # raises: nobody has placed that map on Earth
-    document = _answer(request, poses, estimate.status.name, estimate.reason)
-    return document | {"notes": notes(dispatcher.places, hints, estimate)}
+    try:
+        estimate, _ = find_best(dispatcher.places, images, hints)
+    except OptionError as error:  # the image shows nothing
+        return _answer(request, Status.LOST.name, str(error))
+    modes = [
+        pose.geopose() | {"building": pose.building, "level": pose.level, "room": pose.room}
+        for mode in estimate.modes
+        for pose in earth_poses(mode)
+    ]
+    said, found = list(notes(dispatcher.places, hints, estimate)), None
+    if estimate.status is Status.OK:
+        try:
+            found = estimate.geopose()
+        except GeoPoseError as error:  # its map has no anchor
+            if not request.geolocation:
+                raise
+            said.append(str(error))
+    document = _answer(request, estimate.status.name, estimate.reason, found)
+    return document | {"modes": modes, "notes": said}
 
 
 def hints_of(request: ProtocolRequest) -> Hints:
@@ -340,17 +353,10 @@ def camera_of(reading: dict[str, Any], photo: Photo) -> Camera | None:
 
 
 def _answer(
-    request: ProtocolRequest, poses: list[EarthPose], status: str, reason: str
+    request: ProtocolRequest, status: str, reason: str, found: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The response: the protocol's keys, and beside them status, reason and all modes."""
-    modes = [
-        pose.geopose() | {"building": pose.building, "level": pose.level, "room": pose.room}
-        for pose in poses
-    ]
-    source = "images"
-    if not modes:
-        modes, source = [_fallback(request, reason)], "geolocation"
-    best = modes[0]
+    """The response: the protocol's keys, and beside them status, reason and source of the pose."""
+    best = found or _fallback(request, reason)
     when = request.camera[-1].get("timestamp") if request.camera else None
     plain = {"position": best["position"], "quaternion": best["quaternion"]}
     return {
@@ -363,8 +369,8 @@ def _answer(
         **({"pose": plain} if request.version == 1 else {}),
         "status": status,
         "reason": reason,
-        "source": source,
-        "modes": modes,
+        "source": "images" if found else "geolocation",
+        "modes": [],
     }  # fmt: skip
 
 
@@ -372,7 +378,8 @@ def _fallback(request: ProtocolRequest, reason: str) -> dict[str, Any]:
     """Pose of the geolocation reading alone; `RequestError` where there is none."""
     if not request.geolocation:
         raise RequestError(
-            f"There is no pose. {reason} Send an image of a mapped place, or a geolocation reading.",
+            f"There is no certain pose. {reason} Send an image of a mapped place, or a geolocation "
+            "reading.",
             status=422,
             code="no_pose",
         )

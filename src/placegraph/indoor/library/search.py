@@ -179,10 +179,10 @@ def encode_frames(
     found = (_encode_by(frames, levels, e, exact) for e in encoders)
     parts = tuple(part for part in found if part is not None)
     if not parts:
-        names = ", ".join(e.name for e in encoders)
+        names = " or ".join(e.name for e in encoders)
         raise OptionError(
-            f"The frames cannot be compared, because they have no input for {names}. Give "
-            "labelled frames, or use a library encoded by `appearance`."
+            f"The frames show nothing to compare by {names}. Give images that show the place, or "
+            "labelled frames."
         )
     return Query(parts, level_frames(frames))
 
