@@ -353,10 +353,11 @@ def camera_of(reading: dict[str, Any], photo: Photo) -> Camera | None:
 
 
 def _answer(
-    request: ProtocolRequest, status: str, reason: str, found: dict[str, Any] | None = None
+    request: ProtocolRequest, status: str, reason: str, best: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """The response: the protocol's keys, and beside them status, reason and source of the pose."""
-    best = found or _fallback(request, reason)
+    source = "images" if best else "geolocation"
+    best = best or _fallback(request, reason)
     when = request.camera[-1].get("timestamp") if request.camera else None
     plain = {"position": best["position"], "quaternion": best["quaternion"]}
     return {
@@ -369,7 +370,7 @@ def _answer(
         **({"pose": plain} if request.version == 1 else {}),
         "status": status,
         "reason": reason,
-        "source": "images" if found else "geolocation",
+        "source": source,
         "modes": [],
     }  # fmt: skip
 
