@@ -26,6 +26,7 @@ from placegraph.core.estimate import PoseEstimate, PoseMode
 from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.options import PoseSearchOptions, RefineOptions
+from placegraph.indoor.pose.covariance import least_certain
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
@@ -143,6 +144,8 @@ class RefineOutcome:
     candidate: Errors | None = None  # of the refused pose, where it was kept
     sigmas: tuple[float, ...] = ()
     """(6,) error of each of `AXES` over the standard deviation that the covariance gives it."""
+    free: float = math.nan
+    """Error of the position over the standard deviation, along the direction that is least certain."""
     stages: dict[str, float] = field(
         default_factory=dict
     )  # seconds of each stage of the refinement
@@ -204,6 +207,7 @@ def measure_refined(
         reason=said.reason if said else "",
         candidate=None if refused is None else errors_of(refused, window.truth),
         sigmas=sigmas_of(best, window.truth) if best else (),
+        free=free_sigma(best, window.truth) if best else math.nan,
         stages=dict(stats.get("seconds", {})),
     )
 
@@ -215,6 +219,12 @@ def sigmas_of(mode: PoseMode, truth: Floats) -> tuple[float, ...]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(variance > 0, error / np.sqrt(np.abs(variance)), np.nan)
     return tuple(ratio.tolist())
+
+
+def free_sigma(mode: PoseMode, truth: Floats) -> float:
+    """Return the error along the least certain direction of the position, over its standard deviation."""
+    deviation, axis = least_certain(mode.covariance)
+    return float(axis @ (truth[:3, 3] - mode.map_from_camera[:3, 3]) / deviation)
 
 
 @dataclass(frozen=True)
@@ -289,7 +299,9 @@ def spread(results: Sequence[RefineOutcome]) -> dict[str, Any]:
 
     `rms` (6,) of `sigmas` is 1 if honest, above 1 if covariances are too small; `within_sigma` are the
     shares of each of `AXES` within 1, 2 and 3 standard deviations (.68, .95, .997),
-    `within_95_percent` that in the ellipsoid of all six: an unsound covariance holds nothing.
+    `within_95_percent` that in the ellipsoid of all six: an unsound covariance holds nothing. `nees`,
+    the mean squared error whitened by the covariance, is 6 if honest, and `free`, that along the least
+    certain direction of the position alone, 1.
     """
     posed = [r for r in results if len(r.sigmas) == len(AXES)]
     table = np.array([r.sigmas for r in posed], np.float64).reshape(-1, len(AXES))
@@ -305,6 +317,8 @@ def spread(results: Sequence[RefineOutcome]) -> dict[str, Any]:
             for k in (1, 2, 3)
         },
         "within_95_percent": inside / len(posed) if posed else None,
+        "nees": float((white[sound] ** 2).sum(axis=1).mean()) if len(errors) else None,
+        "free": float(np.mean([r.free**2 for r in posed])) if posed else None,
     }
 
 

@@ -7,19 +7,21 @@ Every answer is written down at once: run it again and it goes on where it was c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine.matching import Matcher, matcher
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import refine as rows_of
-from placegraph_lab.tables.indoor.bench import QUICK_EVERY, Bench, choose_jobs
+from placegraph_lab.tables.indoor.bench import BARE, QUICK_EVERY, Bench, Job, choose_jobs
 from placegraph_lab.tables.indoor.metrics import AXES
 from placegraph_lab.tables.indoor.refine import (
     GICP,
     LIMITS,
     MATCHERS,
     PAPER,
-    PLACES,
     STARTS,
     RefineJob,
     RefineOutcome,
@@ -39,14 +41,15 @@ from placegraph_lab.tables.indoor.report import (
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
     EVERY,
-    HALVES,
     LENGTHS,
     OFFICE_EVERY,
     Window,
 )
+from placegraph_lab.tables.named.indoor_few import SETS, Maps
 from placegraph_lab.tables.runner import Column as Col
 
 ask = rows_of.ask
+PLACES = rows_of.PLACES | {name: f"{name}, even frames mapped" for name in SETS}
 NEAREST = LIMITS.index((0.10, 5.0))
 RECALLS = " / ".join(f"{100 * m:.0f} cm {d:.0f}°" for m, d in LIMITS)
 SCORES = (
@@ -67,8 +70,17 @@ SPREADS = (
     Col("within 1 / 2 / 3 σ",
         lambda r: lab.shares(sum(w) / len(w) for w in r[1]["within_sigma"].values())),
     Col("within the 95 % ellipsoid", "1.within_95_percent", lab.share),
+    Col("squared: all six", "1.nees", 1), Col("least certain direction", "1.free", 2),
 )  # fmt: skip
-NORMAL = ["*a normal distribution*", "–", *["1.00"] * len(AXES), ".68/.95/1.00", ".95"]
+NORMAL = [
+    "*a normal distribution*",
+    "–",
+    *["1.00"] * len(AXES),
+    ".68/.95/1.00",
+    ".95",
+    "6.0",
+    "1.00",
+]
 
 
 def report(rows: Sequence[Row]) -> str:
@@ -80,7 +92,7 @@ def report(rows: Sequence[Row]) -> str:
                 lines = [line for r in mine if r.length == length for line in _lines(r)]
                 text += [f"#### {place_title}, {start_title}, {length} frames"]
                 text += [lab.render(SCORES, lines)]
-    house = [r for r in rows if r.job.place not in HALVES]
+    house = [r for r in rows if r.job.place == "house"]
     if house:
         recall = lambda s: s.after.recall[NEAREST]  # noqa: E731
         text += [
@@ -125,6 +137,32 @@ def spreads(*rows: Row) -> dict[str, dict[str, Any]]:
     return {k: spread([r for r in results if r.accepted is v]) for k, v in kinds.items()}
 
 
+class Recordings(Bench):
+    """Maps and windows of the benchmark, and of the recordings of `indoor_few`."""
+
+    few: Maps
+
+    def scene(self, name: str) -> SceneMap:
+        if name not in SETS:
+            return super().scene(name)
+        return replace(self.few.scene(name, 0, None, 2), landmarks=None)
+
+    def windows(self, place: str, length: int) -> list[Window]:
+        """Return windows as `Bench` does, and of a recording every second one, at most 24."""
+        if place not in SETS:
+            return super().windows(place, length)
+        return self.few.source(place).windows(slice(1, None, 2), length, 48)[::2]
+
+
+def recording_jobs() -> list[RefineJob]:
+    """Return a row for each recording of `indoor_few`: from the pose found by depth and colour."""
+    options, row = PoseSearchOptions().only(**BARE["depth + colour"]), "depth + colour"
+    return [
+        RefineJob(name, "found", row, "auto", Job("none", row, options, name, "none"))
+        for name in SETS
+    ]
+
+
 @lab.table("SG2Loc, Tables 1, 2, 4, 7, 9, 10")
 def indoor_refine(
     run: lab.Run,
@@ -146,8 +184,9 @@ def indoor_refine(
     if quick:
         windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(rows_of.QUICK)
-    jobs = choose_jobs(refine_jobs(lab.parts(matchers)), names)
-    bench = Bench(run.data, run.cache, every, office_every)
+    jobs = choose_jobs([*refine_jobs(lab.parts(matchers)), *recording_jobs()], names)
+    bench = Recordings(run.data, run.cache, every, office_every)
+    bench.few = Maps(run, fresh=False)
     weights = run.shared / "weights/xfeat.pt"
     made: dict[str, str | Matcher] = {word: word for word in ("auto", "guided", *GICP)}
 
