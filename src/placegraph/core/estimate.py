@@ -221,13 +221,9 @@ class Calibration:
     """
 
     focal_factor: tuple[float, float]
-    """Factor on fx and fy of the colour images."""
-    depth_focal_factor: tuple[float, float]
-    """Factor on fx and fy of the depth images."""
+    """Factor on fx and fy of the depth images, and of colour images of the same view."""
     depth_scale: tuple[float, float]
     """Factor on depth readings."""
-    camera_from_depth: NDArray[np.float64]
-    """(4, 4) pose of the depth camera in the axes of the colour camera [m]."""
     gravity_turn: NDArray[np.float64]
     """(3,) rotation vector in the camera's axes that corrects gravity [rad]."""
 

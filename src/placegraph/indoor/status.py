@@ -92,8 +92,8 @@ class RefinementDiagnostics:
     """Way from the coarse to the refined pose [m] ..."""
     turn_deg: float = 0.0
     """... and turn [deg]."""
-    camera: str = ""
-    """Hint that the camera is wrong, for a closer look; empty: none."""
+    scale_error: float = 0.0
+    """Logarithm by which the scale of depth looks off, for a closer look."""
     loose: float = 0.0
     """Distance by which a wrong scale of depth may move the pose [m]."""
 
@@ -318,10 +318,12 @@ def _describe_agreement(agreed: Agreement) -> str:
 
 
 def needs_fault_search(estimate: PoseEstimate) -> bool:
-    """Return whether an input fault may explain the status: no pose is certain, and no rival pose does."""
+    """Return whether an input fault may explain the status: no pose is certain or fits, no rival does."""
     found = diagnostics_of(estimate)
+    if estimate.status is Status.OK or found.odds > 2.0 * FAULT:
+        return False
     doubted = np.isfinite(found.odds) and found.odds < log_odds(SURE, 0.0)
-    return estimate.status is not Status.OK and not (found.undecided and not doubted)
+    return bool(doubted or not found.undecided)
 
 
 def confirms_fault(estimate: PoseEstimate) -> bool:
@@ -383,26 +385,21 @@ def decide_given(estimate: PoseEstimate, window: PoseEstimate) -> PoseEstimate:
 
 
 def choose_camera(
-    before: PoseEstimate,
-    after: PoseEstimate,
-    calibration: Calibration,
-    correction: str,
-    *,
-    tilt_only: bool,
-    implausible: bool,
-) -> PoseEstimate:
+    before: PoseEstimate, after: PoseEstimate, calibration: Calibration, correction: str,
+    *, tilt_only: bool,
+) -> PoseEstimate:  # fmt: skip
     """Return the better one of the answers before and after a camera correction.
 
-    The corrected answer is taken where it is `OK`, its refinement confirmed and the camera one that
-    can be; else the camera is a doubt about the other, if there is anything to doubt. Gravity is
-    none, since poses may lean: if it alone is corrected, an answer that is `OK` gives way only to one
-    that fits better. `correction`: a sentence that says what was wrong.
+    The corrected answer is taken where it is `OK` and its refinement confirmed; else the camera is a doubt
+    about the other, if there is anything to doubt. Gravity is none, since poses may lean: if it alone is
+    corrected, an answer that is `OK` gives way only to one that fits better. `correction`: a sentence that
+    says what was wrong.
     """
     ratios = [diagnostics_of(answer).ratio for answer in (before, after)]
     if tilt_only and before.status is Status.OK and ratios[1] <= ratios[0]:
         return before
     told = after.refinement
-    if after.status is Status.OK and told is not None and told.accepted and not implausible:
+    if after.status is Status.OK and told is not None and told.accepted:
         return replace(after, reason=f"{after.reason} {correction}", calibration=calibration)
     if tilt_only or before.status is Status.LOST:
         return before

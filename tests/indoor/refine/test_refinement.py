@@ -14,7 +14,7 @@ from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import FitCheck, _apply_check
-from placegraph.indoor.status import Diagnostics
+from placegraph.indoor.status import Diagnostics, RefinementDiagnostics
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -81,12 +81,12 @@ def test_images_alone(room, walk, exact, kit):
     ],
 )
 def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, searched, after):
-    refiner = SimpleNamespace(
-        matcher=None, seconds={}, stats={}, landmark_matches=landmarks, has_depth=True
-    )
+    refiner = SimpleNamespace(matcher=None, seconds={}, stats={})
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
-    judgement = FitCheck(accepted, "", fitted, {}, objection="" if accepted else "it is elsewhere")
+    objection = "" if accepted else "it is elsewhere"
+    told = RefinementDiagnostics(accepted=accepted, objection=objection, landmarks=landmarks)
+    judgement = FitCheck(told, "", fitted, {})
     found = Diagnostics(undecided=undecided, searched=searched)
     before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=found)
     assert _apply_check(before, refiner, judgement).status is after

@@ -15,6 +15,7 @@ from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.refinement import FitCheck
 from placegraph.indoor.refine.refiner import FittedTrajectory
 from placegraph.indoor.render import Renderer
+from placegraph.indoor.status import RefinementDiagnostics
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -177,7 +178,8 @@ def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch):
     assert before.status is Status.OK
     nothing = FittedTrajectory(np.eye(4)[None], None, [], np.eye(6))
     for objection in ("", "the camera is a liar"):
-        verdict = FitCheck(False, "Not refined: so it is.", nothing, {}, objection)
+        found = RefinementDiagnostics(objection=objection)
+        verdict = FitCheck(found, "Not refined: so it is.", nothing, {})
         monkeypatch.setattr(refinement, "confirm_fit", lambda *_, v=verdict: v)
         after = check_json(room.localize(walk, frames=FIVE))
         assert not after.refinement.accepted

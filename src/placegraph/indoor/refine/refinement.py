@@ -29,9 +29,7 @@ from placegraph.indoor.pose.estimate import estimate_pose, evidence_at, judge_re
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import (
-    DULL,
     OFF,
-    SUSPECT,
     find_camera_correction,
     measure_scale_error,
 )
@@ -228,34 +226,29 @@ SURE = 1.0
 SURER = 3.0
 """... and with images alone, which are wrong together more easily (benchmark)."""
 
+NOTHING = "nothing in the frames can be matched with the map"
+
 FELT = (0.005, float(np.radians(0.2)))
 """Least way [m] or turn [rad] by a sensor's lag that is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitCheck:
-    """Check of a refined trajectory: whether it is accepted, and why."""
+    """Check of a refined trajectory."""
 
-    accepted: bool
+    diagnostics: RefinementDiagnostics
     reason: str
     """One sentence."""
     candidate: FittedTrajectory
     """Trajectory that was checked: the full fit, or the fit by depth alone."""
     stats: dict[str, Any]
-    objection: str = ""
-    """Evidence against the coarse pose too, as half a sentence."""
-    shift: float = 0.0
-    """Way from the coarse pose [m] ..."""
-    turn_deg: float = 0.0
-    """... and turn [deg]."""
-    motion: float = 0.0
-    """Root mean square of the odometry's normalised errors."""
     correlation: float | None = None
     """Correlation of held-out parts of the images with the map; None: not compared."""
-    camera: str = ""
-    """Hint that the camera is wrong; empty: none."""
-    loose: float = 0.0
-    """Distance by which a wrong scale of depth may move the pose [m]."""
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether the trajectory is accepted."""
+        return self.diagnostics.accepted
 
 
 def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -> FitCheck:
@@ -273,11 +266,10 @@ def confirm_fit(refiner: Refiner, coarse: Floats, candidate: FittedTrajectory) -
         return replace(check, reason=f"{by}, unchecked.")
     with time_stage(refiner.seconds, "check"):
         way, against = _choose_candidate(refiner, coarse, ways)
-        factor = measure_scale_error(refiner, way.candidate)
-        way, camera = _widen_by_scale(refiner, way, factor), _suspect_camera(refiner, way, factor)
-        way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
+        way = _widen_by_scale(refiner, way)
     if against:
-        return replace(way, accepted=False, reason=f"Not refined: {against}.")
+        found = replace(way.diagnostics, accepted=False)
+        return replace(way, diagnostics=found, reason=f"Not refined: {against}.")
     reason = f"{way.reason}{_describe_lags(refiner, way.candidate)}"
     return replace(way, reason=reason, candidate=refiner.add_held_back(way.candidate))
 
@@ -291,23 +283,26 @@ def _check_plausibility(refiner: Refiner, coarse: Floats, candidate: FittedTraje
         "shift_m": round(shift, 4),
         "turn_deg": round(float(np.degrees(turn)), 3),
     }
-    against, objection, motion = _check_support(refiner, candidate, inliers), "", 0.0
+    against, objection, motion = "", "", 0.0
+    if candidate.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
+        against = f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     if not against and refiner.options.joint:
-        objection = against = _check_move(refiner, shift, turn)
-        if not against:
+        way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
+        if shift > way or turn > angle:
+            far = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees away"
+            objection = against = f"the fit ended {far}, at another place"
+        else:
             motion = stats["motion"] = _motion_error(refiner, candidate.poses)
             against = "it contradicts the odometry" if motion > BENT else ""
     # images alone do not outweigh depth
     objection = "" if refiner.has_depth else objection
-    by = (
-        f"Not refined: {against}."
-        if against
-        else f"Refined by {_describe_senses(refiner, inliers)}."
-    )
-    return FitCheck(
-        not against, by, candidate, stats, objection,
-        shift=stats["shift_m"], turn_deg=stats["turn_deg"], motion=motion,
+    senses = ["depth"] * refiner.has_depth + [f"{inliers} matches of images"] * bool(inliers)
+    by = f"Not refined: {against}." if against else f"Refined by {' and '.join(senses)}."
+    found = RefinementDiagnostics(
+        accepted=not against, objection=objection, motion=motion, has_depth=refiner.has_depth,
+        landmarks=refiner.landmark_matches, shift=stats["shift_m"], turn_deg=stats["turn_deg"],
     )  # fmt: skip
+    return FitCheck(found, by, candidate, stats)
 
 
 def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
@@ -330,24 +325,6 @@ def _describe_lags(refiner: Refiner, candidate: FittedTrajectory) -> str:
             its = "their stamps" if what == "images" else "its stamp"
             note += f" Note: {taken} taken {by} {side} {its}; this was corrected."
     return note
-
-
-def _check_support(refiner: Refiner, candidate: FittedTrajectory, inliers: int) -> str:
-    """Return why too few data support a fit; empty: enough do."""
-    if candidate.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
-        return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
-    return ""
-
-
-def _check_move(refiner: Refiner, shift: float, turn: float) -> str:
-    """Return why a fit is of another place; empty: it is not."""
-    way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
-    if shift <= way and turn <= angle:
-        return ""
-    return f"the fit ended {shift:.1f} m and {np.degrees(turn):.0f} degrees away, at another place"
-
-
-NOTHING = "nothing in the frames can be matched with the map"
 
 
 def _choose_candidate(
@@ -403,12 +380,14 @@ def _evidence(
     return found
 
 
-def _widen_by_scale(refiner: Refiner, way: FitCheck, factor: float) -> FitCheck:
-    """Widen the covariance for a scale of depth that is off by a logarithm `factor`.
+def _widen_by_scale(refiner: Refiner, way: FitCheck) -> FitCheck:
+    """Measure the error of depth's scale, and widen the covariance for a large one.
 
     The pose may then be off along the last frame's optical axis by that share of its median depth.
     """
     read, fit = refiner.readings()[-1], way.candidate
+    factor = measure_scale_error(refiner, fit)
+    way = replace(way, diagnostics=replace(way.diagnostics, scale_error=factor))
     depths = np.zeros(0) if read is None else read.depth[read.depth > 0]
     if abs(factor) <= OFF or not len(depths):
         return way
@@ -416,18 +395,8 @@ def _widen_by_scale(refiner: Refiner, way: FitCheck, factor: float) -> FitCheck:
     covariance = fit.covariance.copy()
     covariance[:3, :3] += np.outer(off, off)
     widened = replace(fit, covariance=covariance)
-    return replace(way, candidate=widened, loose=float(np.linalg.norm(off)))
-
-
-def _suspect_camera(refiner: Refiner, way: FitCheck, factor: float) -> str:
-    """Return a hint for `find_camera_correction` by a scale's logarithm `factor`; empty: none.
-
-    Rows *focal length*, *depth scale* and *depth aside*.
-    """
-    if abs(factor) > SUSPECT:
-        return f"the scale seems {factor:+.1%} off"
-    dull = refiner.has_depth and way.correlation is not None and way.correlation < DULL
-    return "images and depth disagree" if dull else ""
+    loose = replace(way.diagnostics, loose=float(np.linalg.norm(off)))
+    return replace(way, candidate=widened, diagnostics=loose)
 
 
 def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
@@ -442,13 +411,6 @@ def _motion_error(refiner: Refiner, poses: Floats) -> float:
         return 0.0
     errors, deviations = odometry_errors(refiner.problem(), poses)
     return round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
-
-
-def _describe_senses(refiner: Refiner, inliers: int) -> str:
-    parts = ["depth"] if refiner.has_depth else []
-    if inliers:
-        parts.append(f"{inliers} matches of images")
-    return " and ".join(parts)
 
 
 MOST = 30
@@ -530,7 +492,8 @@ def refine_from(
             check = confirm_fit(refiner, coarse, refiner.fit_trajectory(start, progress))
         else:
             nothing = FittedTrajectory(start, None, [], np.full((6, 6), np.nan))
-            check = FitCheck(False, f"Not refined: {error}", nothing, {})
+            found = RefinementDiagnostics(has_depth=False, landmarks=refiner.landmark_matches)
+            check = FitCheck(found, f"Not refined: {error}", nothing, {})
     if check.accepted:
         refined = split_pose(check.candidate.poses)[0]
         estimate = judge_refined(window, estimate, refined, check.correlation)
@@ -566,18 +529,7 @@ def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> P
     stats = {**check.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
     if candidate.solution is not None and not check.accepted:
         stats["candidate"] = candidate.poses[-1].tolist()  # what was refused
-    found = RefinementDiagnostics(
-        accepted=check.accepted,
-        objection=check.objection,
-        motion=check.motion,
-        has_depth=refiner.has_depth,
-        landmarks=refiner.landmark_matches,
-        shift=check.shift,
-        turn_deg=check.turn_deg,
-        camera=check.camera,
-        loose=check.loose,
-    )
-    status, reason = decide_refined(estimate, found)
+    status, reason = decide_refined(estimate, check.diagnostics)
     return replace(
         estimate,
         status=status,
@@ -585,7 +537,7 @@ def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> P
         modes=(best, *estimate.modes[1:]),
         trajectory=trajectory,
         refinement=Refinement(check.accepted, check.reason, coarse, estimate.trajectory, stats),
-        diagnostics=replace(diagnostics_of(estimate), refinement=found),
+        diagnostics=replace(diagnostics_of(estimate), refinement=check.diagnostics),
     )
 
 
