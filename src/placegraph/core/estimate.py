@@ -294,6 +294,8 @@ class CityEstimate(Estimate[Place]):
     """Whether modes were only ranked (by cosines, edits); their probability is then the prior's."""
     way: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     """(N, 2) float64: longitude, latitude [deg] of the way to the best mode, where the text tells one."""
+    radius: float = 50.0
+    """An `OK` estimate claims that the place lies within this distance of the best mode [m]."""
 
     def next_question(self, city: Any) -> Any:  # noqa: ANN401  # a CityMap, which lies above
         """Return the `outdoor.search.ask.Question` whose answer is expected to separate the modes best.
@@ -306,7 +308,7 @@ class CityEstimate(Estimate[Place]):
         """Return plain numbers and strings, ready for `json.dumps`."""
         understood = self.understood.to_dict() if self.understood else None
         way = {"way": self.way.tolist()} if len(self.way) else {}
-        return super().to_dict() | {"understood": understood} | way
+        return super().to_dict() | {"radius": self.radius, "understood": understood} | way
 
     def geojson(self) -> dict[str, Any]:
         """Return the features of `GeoExport.geojson`, and the line of kind ``way`` if there is one."""

@@ -95,6 +95,23 @@ def test_misspelt_names_are_mended_where_the_map_tells(written, name):
     assert written in description.mentions[2].words
 
 
+@pytest.mark.parametrize(
+    ("text", "related"),
+    [
+        ("Elm Park: north of the gate.", [("Elm Park", "I"), ("I", "the gate")]),
+        ("Chinatown: by the gate.", [("Chinatown", "I"), ("I", "the gate")]),
+        ("Location: by the gate.", [("I", "the gate")]),
+        ("Entrance: north of Elm Park.", [("Entrance", "Elm Park")]),
+        ("North of me: a gate.", [("a gate", "I")]),
+        ("Open from 10:30. By the gate.", [("I", "the gate")]),
+    ],
+)
+def test_a_colon_behind_a_name_is_a_stop(text, related):
+    found = describe(text, names=Names("Elm Park", "Chinatown"))
+    words = [mention.words for mention in found.mentions]
+    assert [(words[s.source], words[s.target]) for s in found.statements] == related
+
+
 def test_the_longest_name_wins():
     names = Names("Penn", "Penn Avenue", "Penn Avenue Fish Company")
     description = describe("I'm at Penn Avenue Fish Company on Penn Avenue.", names=names)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from tests.cities import PLANE
 
+from placegraph.core.estimate import Status
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.locate import find_evidence
 from placegraph.outdoor.search.request import parse
-from placegraph.outdoor.search.status import find_uncertainty
+from placegraph.outdoor.search.status import AT_A_PLACE, find_uncertainty
+from placegraph.view import write_page
 
 MAIN, BROADWAY, OAK, TENTH, ELEVENTH = (
     "Main Street", "West Broadway", "Oak Street", "West 10th Avenue", "West 11th Avenue",
@@ -129,7 +131,24 @@ def test_unique_names_that_forbid_ok(build_world, width, text, reason):
     query = compile_query(parse(city, text), city)
     at = city.plane.to_plane((best.longitude, best.latitude))
     best = replace(best, explain=partial(find_evidence, at, city, query))
-    assert re.match(reason or "$", find_uncertainty(best, query, city))
+    assert re.match(reason or "$", find_uncertainty(best, query, city, AT_A_PLACE))
+
+
+@pytest.mark.parametrize(("width", "radius"), [(60.0, 250.0), (900.0, 900.0)])
+def test_an_area_is_sure_within_its_own_radius(build_world, tmp_path, width, radius):
+    corners = [(e, n, {}) for e, n in ((0.0, 0.0), (width, 0.0), (width, 60.0), (0.0, 60.0))]
+    area = {"leisure": "park", "name": "Elm Park"}
+    far = (2000.0, 2000.0, {"shop": "books", "name": "Quill and Page"})
+    city = build_world([*corners, far], [((0, 1, 2, 3, 0), area)])
+    found = city.locate("I'm in Elm Park.")
+    assert found.status is Status.OK
+    assert found.to_dict()["radius"] == found.radius <= radius
+    page = write_page(city, found, tmp_path / "page.html").read_text()
+    said = f"within {found.radius:.0f} m"
+    assert said in found.reason
+    assert said in page
+    doubt = city.locate("I'm in Elm Park, by the gondola ticket booth.")
+    assert (doubt.status is Status.OK) == (width < 100.0)
 
 
 def test_what_a_map_lacks_does_not_drown_a_name(build_world):

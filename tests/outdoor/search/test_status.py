@@ -9,7 +9,6 @@ from placegraph.outdoor.search.posterior import Posterior, find_modes
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     IN_SIGHT,
-    MIN_BEST,
     Diagnostics,
     decide,
     diagnose,
@@ -50,14 +49,14 @@ def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
     assert "2 places" not in judge(make_posterior((0, 0.999), (150, 0.0005)), AT_A_PLACE)[1]
     scattered = make_posterior(*((60.0 * i, 0.24) for i in range(4)))
     assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, (
-        f"the best holds less than {MIN_BEST}"
+        f"the best holds less than {AT_A_PLACE.min_best}"
     )
 
 
 @pytest.mark.parametrize(
     ("findings", "status", "reason"),
     [
-        ({}, Status.OK, "One place holds 100% of the probability."),
+        ({}, Status.OK, "One place holds 100% of the probability within 50 m."),
         ({"unknown_names": ("King Street West",)}, Status.AMBIGUOUS, NO_NAME),
         ({"unknown_names": ("A", "B")}, Status.AMBIGUOUS, "“A” and “B” are not on this map, so"),
         ({"unknown_names": ("A",), "unread": ("flurble",)}, Status.AMBIGUOUS, "“flurble”."),

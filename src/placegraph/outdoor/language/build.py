@@ -390,7 +390,7 @@ class GraphBuilder:
                 self._relate_chain(items, [SPEAKER] if opens else self.heads, context)
         elif all(_is_person(item) for item in items):
             self.places.reason = NO_PLACE
-        elif alone and first.name and not first.senses and " " not in first.name:
+        elif alone and first.name and not (first.senses or first.exact or " " in first.name):
             self.places.reason = UNKNOWN  # "Hello", "Qué": a capital alone makes no name
         else:
             bare = alone and first.determiner != "NO"

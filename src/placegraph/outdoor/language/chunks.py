@@ -95,6 +95,18 @@ class Chunker:
                 i += 1
         return found
 
+    def split_label(self, sentence: list[Word]) -> list[list[Word]]:
+        """Split "Elm Park: by the gate" behind the name; drop "Location:", which says nothing."""
+        at = next((i for i, word in enumerate(sentence) if word.lower == ":"), 0)
+        if not 0 < at < len(sentence) - 1:
+            return [sentence]
+        before, after = sentence[:at], sentence[at + 1 :]
+        if before[0].kind == "site" or self.proper.is_one(" ".join(w.lower for w in before)):
+            return [before, after]
+        word = before[0].lower
+        known = at > 1 or self.lexicon.longest([word], 0) or self._senses(word)
+        return [sentence if known or before[0].kind != "word" else after]
+
     def _senses(self, phrase: str) -> tuple[Sense, ...]:
         """Return the senses of a phrase; none if it is longer than any that names a thing."""
         return self.vocabulary.senses(phrase) if len(phrase) <= LONGEST_NOUN else ()
@@ -128,7 +140,8 @@ class Chunker:
         n_name = self.proper.length(i, known, n_known, noun[0] if noun else 0)
         if n_name:
             written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
-            meaning = NounMeaning(self.proper.kind(written), self.proper.as_on_the_map(written))
+            name = self.proper.as_on_the_map(written)
+            meaning = NounMeaning(self.proper.kind(written), name, exact=self.proper.is_one(name))
             chunks.append(self._chunk("NAME", i, n_name, meaning))
             return n_name
         if noun is None and (known is None or kind in ("PART", "GO", "CROSS")):
@@ -688,7 +701,7 @@ def find_sentences(
         inside = [span for span in spans if part.start <= span[0] < part.end]
         sites = [s for s in sites if not any(a < s[1] and s[0] < b for a, b in inside)]
         for sentence in scan_english(text[: part.end], part.language, inside, sites, part.start):
-            yield chunker.chunks(sentence)
+            yield from map(chunker.chunks, chunker.split_label(sentence))
         return
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
     inflected = InflectedChunker(text, part.language, known.of(part.language), names)

@@ -423,7 +423,8 @@ def _build_thing(children: list[Any]) -> NounPhrase:
             phrase.determiner = phrase.determiner or child.type
             phrase.count = child.value if child.type == "NUM" else None
         elif child.type == "NAME":
-            phrase.name, phrase.senses = child.value.name, child.value.senses
+            meaning: NounMeaning = child.value
+            phrase.name, phrase.senses, phrase.exact = meaning.name, meaning.senses, meaning.exact
         elif child.type == "PART" and not nouns:
             phrase.part = child.value
     if nouns:

@@ -34,7 +34,7 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.likelihood.match_kernels import ME
 from placegraph.outdoor.map.directions_kernels import TABLE, direction_table
 from placegraph.outdoor.map.names import NameIndex
-from placegraph.outdoor.map.objects import POINT, CityObjects
+from placegraph.outdoor.map.objects import AREA, LINE, POINT, CityObjects
 
 if TYPE_CHECKING:
     from placegraph.outdoor.map.city import City
@@ -294,23 +294,24 @@ class Query:
     unique: frozenset[int] = frozenset()
     """Mentions by names that one place of the map bears, and `sites`."""
 
-    def find_extent(self, node: int, position: Floats, city: City) -> float:
-        """Return the distance [m] to the far end of what a unique name means.
+    def find_extent(
+        self, node: int, position: Floats, city: City, kinds: Sequence[int] = (POINT, LINE, AREA)
+    ) -> float:
+        """Return the distance [m] to the far end of what a unique name means, of some kinds of objects.
 
         Maps draw quarters, bays and gardens as points, too: their extent is `UNKNOWN_EXTENT`.
         """
-        starts, tokens, weights = self.mentions
-        row = slice(starts[node - 2], starts[node - 1])
-        names = tokens[row][weights[row] > KIND_WEIGHT]
-        if not len(names):
-            return 0.0
+        row = slice(*self.mentions.starts[node - 2 : node])
+        names = self.mentions.tokens[row][self.mentions.weights[row] > KIND_WEIGHT]
         extents = []
-        for row in np.concatenate(city.bearers(names)).tolist():
+        for row in np.concatenate([np.zeros(0, np.int64), *city.bearers(names)]).tolist():
+            if city.objects.kind[row] not in kinds:
+                continue
             points = np.concatenate(city.objects.parts(row))
             far = float(np.hypot(*(points - position).T).max())
             vague = city.objects.kind[row] == POINT and city.objects.label(row).startswith(VAGUE)
             extents.append(max(far, UNKNOWN_EXTENT) if vague else far)
-        return min(extents)
+        return min(extents, default=0.0)
 
     def is_about_site(self, statement: Statement) -> bool:
         """Tell whether a statement is about a crossing or a house that is no object."""

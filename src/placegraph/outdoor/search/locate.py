@@ -123,7 +123,8 @@ def decide_estimate(
         )
     best = places[0] if places else None
     contradiction = find_contradiction(best, query)
-    uncertainty = find_uncertainty(best, query, city) if diagnostics.is_probable else ""
+    probable, claim = diagnostics.is_probable, diagnostics.claim
+    uncertainty = find_uncertainty(best, query, city, claim) if probable else ""
     status, reason = decide(
         replace(diagnostics, contradiction=contradiction, uncertainty=uncertainty)
     )
@@ -132,7 +133,9 @@ def decide_estimate(
     lonlat = city.plane.to_lonlat(posterior.positions[heaviest])
     support = np.column_stack([lonlat, posterior.probabilities[heaviest]])
     reason = translate(reason, understood.language if understood else "en")
-    return CityEstimate(status, tuple(places), reason, understood, support, map=city)
+    return CityEstimate(
+        status, tuple(places), reason, understood, support, radius=claim.radius, map=city
+    )
 
 
 def make_lost_estimate(obstacle: str, understood: Description | None = None) -> CityEstimate:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
 from placegraph.core.estimate import Place, Status
-from placegraph.core.geometry import angle_between
+from placegraph.core.geometry import Floats, angle_between
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -24,13 +25,11 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.likelihood.query import Query, ends, find_speaker_nodes, is_binding
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.objects import POINT
+from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.search.posterior import MODE_RADIUS, Mode, Posterior
 
 MIN_CONFIDENCE = 0.85
 """Smallest calibrated probability of the claim of an `OK` estimate."""
-MIN_BEST = 1.0 / 3.0
-"""Smallest share of the posterior at the best place of an `OK` estimate."""
 MAX_SHARE = 1.0 - 1e-4
 """Largest share of a posterior that is calibrated."""
 UNKNOWN_NAME = -2.0
@@ -41,6 +40,8 @@ TELLING = 1.0
 """Log-likelihood ratio of a statement that tells where in a named area the speaker is."""
 MAX_EXTENT = 300.0
 """Largest distance [m] to the far end of a named area that an `OK` estimate may lie in."""
+GRAIN = 50.0
+"""Step [m] of the radius of a claim of a named area."""
 MAX_QUOTED = 3
 """Largest number of unread words that a reason quotes."""
 UNREAD = ("unknown word", "not understood")
@@ -76,6 +77,8 @@ class Claim:
     """Calibration of the share within `radius`."""
     of_place: Calibration
     """Calibration of the share within `MODE_RADIUS`, which is the probability of a place."""
+    min_best: float = 1.0 / 3.0
+    """Smallest share of the posterior at the best place of an `OK` estimate."""
 
 
 IN_SIGHT = Claim(MODE_RADIUS, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79))
@@ -83,6 +86,8 @@ IN_SIGHT = Claim(MODE_RADIUS, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79)
 AT_A_PLACE = Claim(250.0, Calibration(-0.03, 0.48), Calibration(-0.49, 0.43))
 """Claim for a text that tells the way, or what the speaker stands at: people mean the block, and maps
 draw landmarks as points."""
+IN_AN_AREA = Claim(MODE_RADIUS, Calibration(0.0, 1.0), AT_A_PLACE.of_place, min_best=0.0)
+"""Claim for a text that only names an area; the radius is that of the area."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +123,7 @@ class Diagnostics:
     @property
     def is_probable(self) -> bool:
         """Whether the best place is as probable as an `OK` estimate claims."""
-        if self.best is None or self.best < MIN_BEST or self.unknown_names:
+        if self.best is None or self.best < self.claim.min_best or self.unknown_names:
             return False
         return self.claim.of_radius.apply(self.near_best, unknown_name=False) >= MIN_CONFIDENCE
 
@@ -169,8 +174,6 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
 
 def _confirm(sure: float, radius: float, others: int) -> str:
     """Say how much of the probability lies within a radius [m], in which further places may fit."""
-    if radius <= MODE_RADIUS:
-        return f"One place holds {sure:.0%} of the probability."
     if not others:
         return f"One place holds {sure:.0%} of the probability within {radius:.0f} m."
     return (
@@ -204,10 +207,18 @@ def diagnose(
         if city is None or not (city.objects.kind == POINT).all():
             names = [text.mentions[node].name for node in sorted(query.by_kind & used)]
         unread = [i.text.strip() for i in text.ignored if i.reason in UNREAD]
+    near = 0.0
+    if modes:
+        at = modes[0].position
+        extent = find_area_extent(query, at, city) if query and city else 0.0
+        near = posterior.mass_within(at, max(extent, claim.radius))
+        if extent > MODE_RADIUS:  # most viewpoints of a wide area were not scored
+            claim = replace(IN_AN_AREA, radius=GRAIN * ceil(extent / GRAIN))
+            near *= (1.0 - posterior.elsewhere) / float(posterior.probabilities.sum())
     return Diagnostics(
         elsewhere=posterior.elsewhere,
         best=modes[0].probability if modes else None,
-        near_best=posterior.mass_within(modes[0].position, claim.radius) if modes else 0.0,
+        near_best=near,
         claim=claim,
         others=sum(
             other.probability >= SERIOUS * modes[0].probability
@@ -246,6 +257,18 @@ def infer_claim(description: Description) -> Claim:
         for s in description.statements
     )
     return AT_A_PLACE if at_a_place else IN_SIGHT
+
+
+def find_area_extent(query: Query, position: Floats, city: City) -> float:
+    """Return the distance [m] from a position (2,) to the far end of the area that a text names.
+
+    0 where a text says more than that the speaker is in one area of a unique name, which a map draws.
+    """
+    nodes = {node for s in query.used for node in ends(s)} - {SPEAKER}
+    alone = len(nodes) == 1 and not (query.unused or query.description.ignored)
+    if not alone or not nodes <= query.unique - query.sites or not all(map(is_binding, query.used)):
+        return 0.0
+    return query.find_extent(min(nodes), position, city, kinds=(AREA,))
 
 
 _COORDINATES = re.compile(r"(?<![\d.])(-?\d{1,2}\.\d{3,})\s*[,;/ ]\s*(-?\d{1,3}\.\d{3,})")
@@ -307,11 +330,11 @@ def find_contradiction(best: Place | None, query: Query | None) -> str:
     return query.description.conflicts[0] if 2 * len(opposed) > len(query.used) else ""
 
 
-def find_uncertainty(best: Place | None, query: Query | None, city: City) -> str:
+def find_uncertainty(best: Place | None, query: Query | None, city: City, claim: Claim) -> str:
     """Return why the best place cannot be sure; empty where nothing speaks against it.
 
     A unique name that does not fit the place forbids certainty. A named area tells no more than its
-    extent, unless another unique name tells where in it.
+    extent, unless the claim is as wide or another unique name tells where in it.
     """
     if best is None or query is None:
         return ""
@@ -331,7 +354,7 @@ def find_uncertainty(best: Place | None, query: Query | None, city: City) -> str
             for node in unique - query.sites
             if is_binding(s) or s.relation is Relation.NEAR
         }
-        if max(extents.values(), default=0.0) > MAX_EXTENT:
+        if max(extents.values(), default=0.0) > max(MAX_EXTENT, claim.radius):
             wide |= extents
         elif not any(mentions[node].name[:1].isdecimal() for node in ends(s)):
             narrow |= evidence.weight > TELLING

@@ -241,8 +241,7 @@ def _card(
 def _head(sheet: Sheet, estimate: CityEstimate, width: int) -> None:
     color = STATUS_COLOR[estimate.status]
     end = sheet.chip((14, 12), estimate.status.name, color)
-    best = f"{estimate.modes[0].probability:.0%}   " if estimate.status is Status.OK else ""
-    sheet.text((end + 12, 22), best + estimate.reason, 14, "ink", room=width - end - 26)
+    sheet.text((end + 12, 22), estimate.reason, 14, "ink", room=width - end - 26)
     said = estimate.understood.text if estimate.understood else ""
     sheet.text((14, 47), " ".join(said.split()), 13, "soft-ink", room=width - 28)
 

@@ -215,7 +215,10 @@ def make_estimate(
             Status.AMBIGUOUS, mine, "Part of the answer of a world in shards.", description,
             posterior.support(row),
         )  # fmt: skip
-    return CityEstimate(status, tuple(place for _, place in places), reason, description), parts
+    return CityEstimate(
+        status, tuple(place for _, place in places), reason, description,
+        radius=diagnostics.claim.radius,
+    ), parts  # fmt: skip
 
 
 def _make_places(
