@@ -18,7 +18,15 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.view import write_page
-from placegraph.view.city.page import SCRIPTS, TITLE, _clip, _json, read_part
+from placegraph.view.city.page import (
+    SCRIPTS,
+    TITLE,
+    CityTiles,
+    _choose_tiles,
+    _clip,
+    _json,
+    read_part,
+)
 from placegraph.view.draw.style import PALETTE, escape_text, style_sheet
 from placegraph.view.scene.page import FINE, MAX_PIXELS, describe_plan, draw_png, open_plan
 from placegraph.view.scene.room_plan import ROOM_PAINTS
@@ -51,6 +59,13 @@ def read(path):
 def page(city, estimate, tmp_path):
     path = write_page(city, estimate, tmp_path / "here.html", question="Is there a <fountain>?")
     return read(path)
+
+
+def test_modes_are_drawn_finely_before_the_page_is_full(city, estimate):
+    tiles = CityTiles(city)
+    tiles.__dict__["top"] = 3
+    levels = [level for (level, _, _), _ in _choose_tiles(tiles, city, estimate)]
+    assert levels.index(0) < levels.index(2)
 
 
 def test_a_page_asks_for_nothing(page):

@@ -181,6 +181,13 @@ def test_all_names_count(build_world):
             ("Elm", "1 Main St"),
         ),
         ({"building": "yes", "addr:housenumber": "1"}, ()),
+        ({"highway": "primary", "name": "Elm", "ref": "A1;B 20"}, ("Elm", "A1", "B 20")),
+        ({"highway": "primary", "ref": "99"}, ()),
+        ({"highway": "bus_stop", "name": "Elm", "ref": "5123"}, ("Elm",)),
+        (
+            {"addr:housename": "The Oaks", "addr:housenumber": "2", "addr:place": "Elm"},
+            ("The Oaks", "2 Elm"),
+        ),
     ],
 )
 def test_who_runs_it_and_where_it_stands_are_names(tags, found):

@@ -143,6 +143,17 @@ B: shop=bakery name=Kern
 """
 
 
+def test_one_shape_of_road_does_not_tell_two_petrol_stations_apart(build_world):
+    """Maps draw few roundabouts: the other station may have one, too."""
+    kinds = {"shop": "clothes"}, {"amenity": "bench"}
+    town = [(60.0 * i, 60.0 * j, kinds[(i + j) % 3 == 0]) for i in range(30) for j in range(30)]
+    stations = [(east, 130.0, {"amenity": "fuel"}) for east in (130.0, 580.0)]
+    city = build_world([*town, *stations, (600.0, 150.0, {"highway": "mini_roundabout"})])
+    estimate = city.locate("I'm at a petrol station. There is a roundabout.")
+    assert estimate.status is Status.AMBIGUOUS
+    assert estimate.evidence[1].weight < 3.0
+
+
 @pytest.mark.parametrize("name", ["King Street West", "Xyzal Motors"])
 def test_it_is_no_wonder_that_a_list_of_landmarks_lacks_a_name(make_city, name):
     estimate = make_city(BARE).locate(f"I am at {name}, next to the Rexbank.")
@@ -153,7 +164,8 @@ def test_it_is_no_wonder_that_a_list_of_landmarks_lacks_a_name(make_city, name):
     "text",
     [
         "43.7384, 7.4246", "I am at 43.7384 7.4246", "https://maps.google.com/?q=43.7384,7.4246",
-        "https://www.openstreetmap.org/#map=18/43.7384/7.4246", "geo:43.7384,7.4246",
+        "https://www.openstreetmap.org/#map=18/43.7384/7.4246", "geo:43.7384,7.4246", "43.7384° N, 7.4246° E",
+        "https://www.google.com/maps/place/Casino/@43.7384,7.4246,17z",
     ],
 )  # fmt: skip
 def test_coordinates_are_no_description_but_a_hint(text, harbour):

@@ -240,6 +240,8 @@ NAME_KEY = re.compile(
     r"(name|alt_name|official_name|short_name|loc_name|old_name|int_name|nat_name|reg_name|brand"
     r"|(name|brand|official_name):[a-z]{2,3}(-[A-Za-z]+)?)$"
 )
+ROAD_NUMBER = re.compile(r"[A-Za-z]+[ -]?\d")
+"""Pattern of the number of a road that nothing else is called: "A1", "NY 9A", but not "99"."""
 RUN = frozenset({"amenity", "shop", "office", "craft", "healthcare", "leisure", "tourism"})
 """Keys of objects that are called by their operator if they lack a name: a letter box of the post."""
 
@@ -339,9 +341,13 @@ def list_names(tags: Mapping[str, str]) -> tuple[str, ...]:
     found += [tags[key] for key in sorted(keys) if NAME_KEY.match(key)]
     if not found and "operator" in tags and not RUN.isdisjoint(tags):
         found.append(tags["operator"])
-    if "addr:housenumber" in tags and "addr:street" in tags:
-        number = tags["addr:housenumber"].partition(",")[0]
-        found.append(f"{number} {tags['addr:street']}")
+    if "highway" in tags and ROAD_NUMBER.match(tags.get("ref", "")):
+        found.append(tags["ref"])
+    if "addr:housename" in tags:
+        found.append(tags["addr:housename"])
+    street = tags.get("addr:street") or tags.get("addr:place")
+    if "addr:housenumber" in tags and street:
+        found.append(f"{tags['addr:housenumber'].partition(',')[0]} {street}")
     if not found:
         return ()
     split = (part.strip() for value in found for part in value.split(";"))

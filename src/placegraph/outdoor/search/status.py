@@ -271,7 +271,8 @@ def find_area_extent(query: Query, position: Floats, city: City) -> float:
     return query.find_extent(min(nodes), position, city, kinds=(AREA,))
 
 
-_COORDINATES = re.compile(r"(?<![\d.])(-?\d{1,2}\.\d{3,})\s*[,;/ ]\s*(-?\d{1,3}\.\d{3,})")
+_NUMBER = r"(-?\d{1,3}\.\d{3,})\s*°?\s*"
+_COORDINATES = re.compile(rf"(?<![\d.]){_NUMBER}(S?)N?\s*[,;/ ]\s*{_NUMBER}(W?)", re.IGNORECASE)
 """Latitude and longitude, as people and links to maps write them."""
 ADVICE = "describe the objects around you, and their directions."
 
@@ -281,18 +282,21 @@ def find_obstacle(query: Query, description: Description, *, tells_way: bool = F
 
     A text that tells the way to the place (`tells_way`) suffices.
     """
-    if tells_way or any(not s.negated for s in query.used):
+    place = _COORDINATES.search(description.text)
+    is_link = place is not None and "://" in description.text
+    if tells_way or (any(not s.negated for s in query.used) and not is_link):
         return ""
-    if query.used:
-        return "The text only says what is absent; also mention something you can see."
-    if place := _COORDINATES.search(description.text):
-        latitude, longitude = (float(number) for number in place.groups())
+    if place is not None:
+        latitude, south, longitude, west = place.groups()
+        north, east = (-1 if south else 1) * float(latitude), (-1 if west else 1) * float(longitude)
         return (
-            f"The text gives coordinates; pass them as `near` (--near {longitude:g},{latitude:g} on "
+            f"The text gives coordinates; pass them as `near` (--near {east:g},{north:g} on "
             f"the command line), and {ADVICE}"
         )
     if query.unused:
         return f"No statement of the text can be used: {_join_reasons(query)}."
+    if query.used:
+        return "The text only says what is absent; also mention something you can see."
     if description.ignored:
         return f"The text could not be understood; {ADVICE}"
     return f"The text does not describe a place; {ADVICE}"

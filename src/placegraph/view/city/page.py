@@ -318,7 +318,9 @@ SCRIPTS = ("base", "gestures", "tiles", "letters", "map", "marks", "panel", "ans
 MOST_BYTES = 1_800_000
 """Tiles are added, the whole city first, then those around the modes, until so much is written."""
 AROUND = 1200.0
-"""Everything is drawn so far around a mode [m]."""
+"""Everything is drawn so far around a mode [m] ..."""
+CLOSE = 150.0
+"""... and so far in any case."""
 TITLE = 70
 """Characters of a title, which ends with a whole word."""
 
@@ -379,11 +381,11 @@ def read_part(name: str) -> str:
 def _choose_tiles(
     tiles: CityTiles, city: CityMap, estimate: CityEstimate
 ) -> Iterator[tuple[tuple[int, int, int], Tile]]:
-    """Return the tiles of a page: the whole city coarsely, then each level around the first view."""
+    """Return the tiles of a page: the city coarsely, modes finely, then each level around them."""
     wanted = dict.fromkeys(tiles.within(tiles.bounds, tiles.top))
     shown = competing_modes(estimate, len(estimate.modes))
-    for level in range(tiles.top - 1, -1, -1):
-        reach = AROUND * 2**level
+    levels = [(level, AROUND * 2**level) for level in range(tiles.top - 1, -1, -1)]
+    for level, reach in [(0, CLOSE), *levels]:
         for mode in shown:
             x, y = mode_position(city, mode).tolist()
             around = (x - reach, y - reach, x + reach, y + reach)

@@ -368,9 +368,9 @@ class Sheet:
         rows = [
             (verdict if k == 0 else None, text)
             for verdict, statement in lines
-            for k, text in enumerate(wrap_text(face, statement, 13, room - 38, 2))
+            for k, text in enumerate(wrap_text(face, statement, 13, room - 44, 2))
         ]
-        width = 40 + max(face.width(text, 13) for _, text in rows)
+        width = 44 + max(face.width(text, 13) for _, text in rows)
         self._box((left, top, left + width, top + 20 * len(rows) + 14))
         for k, (verdict, text) in enumerate(rows):
             y = top + 17 + 20 * k
