@@ -12,10 +12,11 @@ from tests.indoor.conftest import view_frames
 
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import split_pose
-from placegraph.errors import OptionError
+from placegraph.core.mapfile import write_map
+from placegraph.errors import MapError, OptionError
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import show_view
-from placegraph.indoor.map.scene_file import save_scene
+from placegraph.indoor.map.scene_file import KIND, VERSION, pack_scene, save_scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.mapping.own_agreement import measure_own_agreement
 from placegraph.indoor.options import PoseSearchOptions
@@ -97,6 +98,14 @@ def test_own_frames_are_measured_kept_and_merged(room, measured, tmp_path):
     assert merge_scenes({"a": room, "b": room}).own_agreement is None
     with pytest.raises(OptionError, match="own_agreement"):
         replace(room, own_agreement=np.zeros((2, 9)))
+
+
+def test_maps_with_agreement_in_older_units_must_be_built_again(measured, tmp_path):
+    meta, arrays = pack_scene(measured)
+    arrays["own_agreement"] = arrays.pop("own_reach")
+    write_map(tmp_path / "old.scene", KIND, VERSION, meta, arrays)
+    with pytest.raises(MapError, match=r"own_agreement .* older placegraph.* Build it again"):
+        SceneMap.open(tmp_path / "old.scene")
 
 
 @pytest.mark.parametrize(("count", "status"), [(3, Status.AMBIGUOUS), (10, Status.LOST)])

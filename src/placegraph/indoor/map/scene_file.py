@@ -127,7 +127,7 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     if len(scene.viewpoints):
         arrays["viewpoints"] = np.rint(scene.viewpoints / CENTIMETRE).astype(np.int32)
     if scene.own_agreement is not None:
-        arrays["own_agreement"] = scene.own_agreement
+        arrays["own_reach"] = scene.own_agreement
     if scene.landmarks is not None:
         arrays |= scene.landmarks.columns()
     return meta, arrays
@@ -149,6 +149,8 @@ def measure_parts(path: str | PathLike[str]) -> dict[str, int]:
 
 def _unpack_scene(file: MapFile) -> dict[str, Any]:
     """Return fields of a `Scene` from a file's columns."""
+    if "own_agreement" in file.arrays:
+        raise ValueError("own_agreement was measured by an older placegraph, in other units")
     data = file.array("textures", "|u1").tobytes()
     lengths = file.array("texture_bytes", "<i8")
     ends = np.cumsum(lengths)
@@ -171,7 +173,7 @@ def _unpack_scene(file: MapFile) -> dict[str, Any]:
         "encoder": str(file.meta.get("encoder", "")),
         "landmarks": Landmarks.read(file),
         "own_agreement": (
-            file.array("own_agreement", "<f8", 2) if "own_agreement" in file.arrays else None
+            file.array("own_reach", "<f8", 2) if "own_reach" in file.arrays else None
         ),
         "anchors": tuple(Anchor.from_dict(dict(a)) for a in file.meta.get("anchors", ())),
         "viewpoints": (

@@ -1,4 +1,4 @@
-"""Agreement of a map with the frames that it was made of, and how much it repeats itself."""
+"""Agreement of a map with its own frames, and how much the map repeats itself."""
 
 from __future__ import annotations
 
