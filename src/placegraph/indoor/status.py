@@ -35,6 +35,8 @@ SURE = 0.75
 """Probability of being right from which on a pose is `OK`."""
 FAULT = 3.0
 """Log odds of a pose with a fault of the input undone above which the fault counts: faults are rare."""
+HOPELESS = -30.0
+"""Log odds against places that were not searched below which no fault makes frames fit."""
 FITS_NOWHERE = -1.0
 """Log odds below which nothing on the map fits."""
 LOOSE = 0.2
@@ -320,7 +322,7 @@ def _describe_agreement(agreed: Agreement) -> str:
 def needs_fault_search(estimate: PoseEstimate) -> bool:
     """Return whether an input fault may explain the status: no pose is certain or fits, no rival does."""
     found = diagnostics_of(estimate)
-    if estimate.status is Status.OK or found.odds > 2.0 * FAULT:
+    if estimate.status is Status.OK or found.odds > 2.0 * FAULT or found.searched < HOPELESS:
         return False
     doubted = np.isfinite(found.odds) and found.odds < log_odds(SURE, 0.0)
     return bool(doubted or not found.undecided)

@@ -34,7 +34,7 @@ from placegraph.indoor.refine.fit import (
     measure_lean,
 )
 from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner
-from placegraph.indoor.status import choose_camera, diagnostics_of
+from placegraph.indoor.status import HOPELESS, choose_camera, diagnostics_of
 from placegraph.io.capture.frame import Frame, Images, LazyImages
 
 if TYPE_CHECKING:
@@ -330,7 +330,8 @@ def find_camera_correction(
     suspected = found.refinement is not None and abs(found.refinement.scale_error) > SUSPECT
     if estimate.status is Status.OK and refined and not suspected:
         return None
-    if len(window) < LEAST or not refining.options.joint or estimate.best is None:
+    few = len(window) < LEAST or not refining.options.joint or estimate.best is None
+    if few or found.searched < HOPELESS:
         return None
     rows = np.arange(len(window))[-MOST:]
     case = _CameraSearch(_part(window, rows), refining)
