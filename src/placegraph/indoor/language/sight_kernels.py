@@ -21,9 +21,9 @@ def look_for(objects, ranges, slot, level, slots):
     near = np.full((slots, count), np.inf, np.float32)
     at = np.zeros((slots, count), np.int16)
     cut = np.zeros((slots, count), np.bool_)
-    for k in range(count):
-        for e in range(bands):
-            for a in range(azimuths):
+    for e in range(bands):
+        for a in range(azimuths):
+            for k in range(count):  # neighbours in memory
                 j = slot[objects[k, e, a]]
                 if j < 0:
                     continue
@@ -43,9 +43,9 @@ def look_around_for(objects, ranges, weight, fit):
     """
     count, bands, azimuths = objects.shape
     out = np.zeros((count, azimuths), np.float32)
-    for k in range(count):
-        for e in range(bands):
-            for a in range(azimuths):
+    for e in range(bands):
+        for a in range(azimuths):
+            for k in range(count):
                 w = weight[objects[k, e, a]]
                 if w > 0.0:
                     out[k, a] = max(out[k, a], w * fit[e, ranges[k, e, a]])

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,8 @@ from placegraph.indoor.map.map_kernels import (
     HEADINGS,
     NOTHING,
     STEP,
+    Bins,
     Panoramas,
-    Samples,
     add_shifted,
     render_panoramas,
     scan_headings,
@@ -78,8 +79,6 @@ class VisibilityTable:
     """(K,) layer of each position."""
     is_common: NDArray[np.bool_]
     """(K,) whether cameras are common there: as high as the map's own, else as people hold them."""
-    mapped: NDArray[np.bool_]
-    """(K,) whether all rays of a panorama hit."""
     background: Background
     """Background model of the map."""
 
@@ -120,20 +119,19 @@ class VisibilityTable:
         asked = _ASKED[senses[0] if senses else COLOUR]
         share = asked / max(1, sum(np.count_nonzero(v.patch >= 0) for v in views))
         lanes = min(LANES, int(np.ceil(share * LANES)))
-        blur = _BLURRED * self.spacing
-        parts = [
-            _samples(view, turn, lanes, t, noise, blur)
+        found = [
+            _find_bins(view, turn, lanes, t, noise, _BLURRED * self.spacing)
             for t, (view, turn) in enumerate(zip(views, turns, strict=True))
         ]
-        parts = _fill_missing_senses(parts)
-        first = np.cumsum([0, *[len(p.semantic) for p in parts]])
-        shifted = [p._replace(patch=p.patch + n) for p, n in zip(parts, first, strict=False)]
-        columns = [np.concatenate(column) for column in zip(*shifted, strict=True)]
-        columns[0] = np.cumsum(columns[0])
-        samples = Samples._make(columns)
-        weight = np.float32(noise.colour_weight)
-        found: NDArray[np.float32] = scan_headings(self.panoramas, self.mapped, samples, weight)
-        return found
+        counts = [len(part.band) for part in found]
+        columns = []
+        for parts in zip(*(part[1:] for part in found), strict=True):
+            most = max(parts, key=np.size)  # views say nothing of a sense that only others have
+            none = (np.zeros((n, *most.shape[1:]), most.dtype) for n in counts)
+            rows = zip(parts, none, strict=True)
+            columns.append(np.concatenate([own if own.size else zeros for own, zeros in rows]))
+        bins = Bins(np.cumsum(counts), *columns)
+        return scan_headings(self.panoramas, bins, np.float32(noise.colour_weight))
 
 
 def visibility(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
@@ -175,7 +173,7 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
             places.append((layer, lost, points, render(points)))
     cells, positions = (np.concatenate([place[i] for place in places]) for i in (1, 2))
     panoramas = Panoramas(
-        *(np.concatenate(a) for a in zip(*(place[3] for place in places), strict=True))
+        *(_concatenate(parts) for parts in zip(*(place[3] for place in places), strict=True))
     )
     layer_of = np.repeat(
         np.array([place[0] for place in places], np.int32), [len(place[1]) for place in places]
@@ -187,7 +185,6 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
         positions=positions,
         ground=ground,
         panoramas=panoramas,
-        mapped=(panoramas.ranges != NOTHING).all(axis=(1, 2)),
         background=_background(panoramas, len(scene)),
         origin=grid.origin,
         spacing=grid.spacing,
@@ -195,6 +192,12 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
         layer=layer_of,
         is_common=_find_common_positions(scene, layer_of < len(grid.camera), positions, ground),
     )
+
+
+def _concatenate(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Concatenate panoramas (K, ...), with positions beside each other in memory (`scan_headings`)."""
+    out = np.empty((*parts[0].shape[1:], sum(map(len, parts))), parts[0].dtype)
+    return np.concatenate(parts, out=np.moveaxis(out, -1, 0))
 
 
 def _find_common_positions(
@@ -233,60 +236,50 @@ def floor_under(scene: Scene, points: Floats) -> Floats:
     return np.asarray(scene.floors[find_nearest_scene(scene, points)[0]])
 
 
-def _samples(
-    view: View, turn: float, lanes: int, offset: int, noise: Noise, blur: float
-) -> Samples:
-    """Select `lanes` samples of each tile of a view, turned by `turn` [rad]; others by `offset`."""
+def _find_bins(view: View, turn: float, lanes: int, offset: int, noise: Noise, blur: float) -> Bins:
+    """Find the bins that `lanes` samples of each tile of a view meet, turned by `turn` [rad].
+
+    `offset`: selects other lanes.
+    """
     d = view.directions.astype(np.float64)
     reach = np.linalg.norm(d, axis=1)
     elevation = np.arcsin(d[:, 2] / reach)
     # spread over the tile as queens on a chessboard, others in each view
     lane = (_SPREAD[np.arange(len(d)) % LANES] + 5 * offset) % LANES
     asked = (view.patch >= 0) & (np.abs(elevation) < MAX_ELEVATION)
-    use = asked & (lane < lanes)
-    d, reach, elevation, patch = d[use], reach[use], elevation[use], view.patch[use]
-    band = ((elevation / MAX_ELEVATION + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
-    azimuth = np.round((np.arctan2(d[:, 1], d[:, 0]) + turn) / STEP).astype(np.int32) % AZIMUTHS
-    terms = view.terms
-    semantic, depth, colour = _NO_PATCHES, _NO_COSTS, _NO_COLOURS
+    use = np.flatnonzero(asked & (lane < lanes))
+    band = ((elevation[use] / MAX_ELEVATION + 1.0) / 2.0 * ELEVATIONS).astype(np.int64)
+    turned = np.arctan2(d[use, 1], d[use, 0]) + turn
+    azimuth = np.round(turned / STEP).astype(np.int64) % AZIMUTHS
+    # samples of one bin count together
+    bin_of = np.minimum(band, ELEVATIONS - 1) * AZIMUTHS + azimuth
+    order = np.argsort(bin_of, kind="stable")
+    use, (met, first) = use[order], np.unique(bin_of[order], return_index=True)
+
+    def join(rows: NDArray[np.floating]) -> NDArray[np.float32]:
+        return np.add.reduceat(rows, first).astype(np.float32)
+
+    reach, patch, terms = reach[use], view.patch[use], view.terms
+    semantic = depth = colour = np.zeros((len(met), 0), np.float32)
     if terms[SEMANTIC]:
         share = np.bincount(patch, minlength=len(view.weight))
         # a sample of a patch that has several speaks for its share of it, and for patches left out
         there = np.bincount(view.patch[asked], minlength=len(view.weight)) > 0
         left = view.weight[there].sum() / max(view.weight[share > 0].sum(), 1e-6)
         weight = (left * view.weight / np.maximum(share, 1))[:, None]
-        semantic = (np.log(np.maximum(view.semantic, 1e-6)) * weight).astype(np.float32)
+        semantic = join((np.log(np.maximum(view.semantic, 1e-6)) * weight)[patch])
     if terms[DEPTH]:
-        depth = _depth_costs(view.depth[use] * reach, view.background_depth[use], noise, blur)
+        ranges = view.depth[use] * reach
+        depth = join(_depth_costs(ranges, view.background_depth[use], noise, blur))
     # where labels and depth are there, colours are left to the rays: they are the dearest here
     if terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH]):
-        colour = scale_colours(view.colour[use])
-    ends = np.array([len(patch)])
-    band = np.minimum(band, ELEVATIONS - 1)
-    return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
-
-
-def _fill_missing_senses(parts: list[Samples]) -> list[Samples]:
-    """Fill in zeros for senses that some views have and others lack."""
-    semantic, depth, colour = (
-        max((rows for rows in kind), key=len)[:1] * np.float32(0)
-        for kind in zip(*((p.semantic, p.depth, p.colour) for p in parts), strict=True)
-    )
-    return [
-        p._replace(
-            patch=p.patch if len(p.semantic) else np.zeros_like(p.patch),
-            semantic=p.semantic if len(p.semantic) else semantic,
-            depth=p.depth if len(p.depth) else depth.repeat(len(p.patch), axis=0),
-            colour=p.colour if len(p.colour) else colour.repeat(len(p.patch), axis=0),
-        )
-        for p in parts
-    ]
+        shown = scale_colours(view.colour[use])
+        shown -= shown.mean(axis=0) if len(shown) else 0.0
+        colour = join(np.concatenate([np.ones((len(use), 1)), shown, shown**2], axis=1))
+    return Bins(np.array([len(met)]), *np.divmod(met, AZIMUTHS), semantic, depth, colour)
 
 
 _SPREAD = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
-_NO_PATCHES = np.zeros((0, 1), np.float32)
-_NO_COSTS = np.zeros((0, 256), np.float32)
-_NO_COLOURS = np.zeros((0, 3), np.float32)
 
 
 def _depth_costs(

@@ -262,145 +262,114 @@ def _render_panoramas(
                     colours[k, e, c, a] = np.uint8(min(max(byte, np.float32(0)), np.float32(255)))
 
 
-class Samples(NamedTuple):
-    """S samples of T views, one view after the other, and the column of panoramas that each meets."""
+class Bins(NamedTuple):
+    """Bins of panoramas that T views meet, one view after the other, and what each view shows there."""
 
-    ends: NDArray[np.int64]  # (T,) row behind the last sample of each view
-    band: NDArray[np.int32]  # (S,) band of elevation
-    azimuth: NDArray[np.int32]  # (S,) bin of azimuth, where the reference frame looks along bin 0
-    patch: NDArray[np.int32]  # (S,) row of `semantic`
+    ends: NDArray[np.int64]  # (T,) row behind the last bin of each view
+    band: NDArray[np.int64]  # (B,) band of elevation
+    azimuth: NDArray[np.int64]  # (B,) where the reference frame looks along bin 0
     semantic: NDArray[np.float32]
-    """(P, N + 1) log-likelihood of each object, and of none; no row: labels are not asked."""
+    """(B, N + 1) log-likelihood of each object, and of none; no column: labels are not asked."""
     depth: NDArray[np.float32]
-    """(S, 256) log-likelihood of each stored range; no row: depth is not asked."""
-    colour: NDArray[np.float32]  # (S, 3) on the scale of bytes; no row: colours are not asked
+    """(B, 256) log-likelihood of each stored range; no column: depth is not asked."""
+    colour: NDArray[np.float32]
+    """(B, 7) number of samples, sums and sums of squares of their three colours on the scale of bytes;
+    no column: colours are not asked."""
 
 
-def scan_headings(panoramas, mapped, samples, colour_weight):
-    """Return log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
-    out = np.empty((len(samples.ends), len(panoramas.objects), HEADINGS), np.float32)
-    run_parallel(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
+_BLOCK = 256  # positions that are scanned beside each other
+
+
+def scan_headings(panoramas, bins, colour_weight):
+    """Return log-likelihood (T, K, HEADINGS): for each bin, its column turned through all headings."""
+    count = len(panoramas.objects)
+    out = np.empty((len(bins.ends), count, HEADINGS), np.float32)
+    beside = Panoramas(*(np.moveaxis(a, 0, -1) for a in panoramas))
+    run_parallel(_scan_headings, -(-count // _BLOCK), beside, bins, colour_weight, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _scan_headings(panoramas, mapped, samples, colour_weight, out, first, last):
-    """Fill columns `first` to `last` of out (T, K, HEADINGS).
+def _scan_headings(panoramas, bins, colour_weight, out, first, last):
+    """Fill blocks `first` to `last` of positions of out (T, K, HEADINGS).
 
-    Panoramas are unrolled first, so that what the headings of one sample meet lies in one run.
+    `panoramas`: positions are their last axis. Loops run along it, as what a bin meets lies there in a row.
     """
-    # arrays are taken out of tuples once: each time costs more than a term
-    ends, band, azimuth, patch = samples.ends, samples.band, samples.azimuth, samples.patch
-    semantic, depth = samples.semantic, samples.depth
-    all_objects, all_ranges, all_colours = panoramas.objects, panoramas.ranges, panoramas.colours
-    objects = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
-    ranges = np.empty((ELEVATIONS * FOLD, 2 * HEADINGS), np.uint32)
-    colours = np.empty((ELEVATIONS * FOLD, 4, 2 * HEADINGS), np.float32)
-    moments = np.empty((3, 5, HEADINGS), np.float32)
-    total = np.empty(HEADINGS, np.float32)
-    coloured = len(samples.colour) > 0
-    used = np.zeros(ELEVATIONS, np.bool_)
-    for s in range(len(band)):
-        used[band[s]] = True
-    for k in range(first, last):
-        for e in range(ELEVATIONS):
-            if used[e]:
-                _unroll(all_objects[k, e], objects[e * FOLD : (e + 1) * FOLD])
-                _unroll(all_ranges[k, e], ranges[e * FOLD : (e + 1) * FOLD])
-                if coloured:
-                    shown = colours[e * FOLD : (e + 1) * FOLD]
-                    _unroll_colours(all_colours[k, e], all_ranges[k, e], shown)
-        begin = 0
-        for t in range(len(ends)):
-            total[:] = 0.0
-            for s in range(begin, ends[t]):
-                row = np.uint32(band[s] * FOLD + azimuth[s] % FOLD)
-                shift, sample = np.uint32(azimuth[s] // FOLD), np.uint32(s)
-                if len(semantic):
-                    said = np.uint32(patch[s])
-                    for a in range(np.uint32(HEADINGS)):
-                        total[a] += semantic[said, objects[row, shift + a]]
-                if len(depth):
-                    for a in range(np.uint32(HEADINGS)):
-                        total[a] += depth[sample, ranges[row, shift + a]]
-            if coloured:
-                part = begin, ends[t]
-                _add_colours(total, colours, mapped[k], samples, part, moments, colour_weight)
+    total, moments = np.empty(_BLOCK, np.float32), np.empty((16, _BLOCK), np.float32)
+    for block in range(first, last):
+        start = np.uint64(block * _BLOCK)
+        count = np.uint64(min(_BLOCK, out.shape[1] - block * _BLOCK))
+        places, begin = (start, count), 0
+        for t in range(len(bins.ends)):
+            rows, view_sums = (begin, bins.ends[t]), bins.colour[begin : bins.ends[t]].sum(axis=0)
             for a in range(HEADINGS):
-                out[t, k, a] = total[a]
-            begin = ends[t]
-
-
-@kernel
-def _unroll(columns, out):
-    """Return columns (A,) of a band, twice over, those of all headings beside each other (FOLD, 2 H)."""
-    for fold in range(FOLD):
-        for a in range(HEADINGS):
-            out[fold, a] = out[fold, a + HEADINGS] = columns[a * FOLD + fold]
-
-
-@kernel
-def _unroll_colours(colours, ranges, out):
-    """Return windows of colours (3, A), and whether anything is hit: (FOLD, 4, 2 H)."""
-    for fold in range(FOLD):
-        for a in range(HEADINGS):
-            there = np.float32(ranges[a * FOLD + fold] != NOTHING)
-            out[fold, 3, a] = out[fold, 3, a + HEADINGS] = there
-            for c in range(3):
-                shown = there * np.float32(colours[c, a * FOLD + fold])
-                out[fold, c, a] = out[fold, c, a + HEADINGS] = shown
+                total[:] = 0.0
+                if bins.semantic.size:
+                    _look_up(total, bins.semantic, panoramas.objects, bins, a, rows, places)
+                if bins.depth.size:
+                    _look_up(total, bins.depth, panoramas.ranges, bins, a, rows, places)
+                if bins.colour.size:
+                    _sum_colours(moments, panoramas, bins, a, rows, places)
+                    _add_correlation(total, moments, view_sums, colour_weight)
+                for k in range(count):
+                    out[t, start + k, a] = total[k]
+            begin = bins.ends[t]
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _add_colours(total, colours, is_complete, samples, part, m, colour_weight):
-    """Add what the colours of one view tell to all headings of one position; m is room to work."""
-    band, azimuth, colour = samples.band, samples.azimuth, samples.colour
-    hits = np.zeros(HEADINGS, np.float32)
+def _look_up(total, table, keys, bins, a, rows, places):
+    """Add the values of rows of a table (B, N) that bins meet by their keys (E, A, K) under heading `a`."""
+    band, azimuth, (start, count) = bins.band, bins.azimuth, places
+    for b in range(rows[0], rows[1]):
+        e, at = np.uint64(band[b]), np.uint64((azimuth[b] + a * FOLD) % AZIMUTHS)
+        for k in range(count):
+            total[k] += table[b, keys[e, at, start + k]]
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _sum_colours(m, panoramas, bins, a, rows, places):
+    """Sum the colours that rows of bins meet under heading `a` from places beside each other, to m (16, K).
+
+    Of the image, sums of the columns of `Bins.colour` where nothing is hit; of each colour of the map, its
+    sum, that of its squares, and that of its products with the image.
+    """
+    band, azimuth, image = bins.band, bins.azimuth, bins.colour
+    ranges, colours, (start, count) = panoramas.ranges, panoramas.colours, places
     m[:] = 0.0
-    sums = np.zeros((3, 2), np.float32)
-    for s in range(part[0], part[1]):
-        row = np.uint32(band[s] * FOLD + azimuth[s] % FOLD)
-        shift = np.uint32(azimuth[s] // FOLD)
-        for c in range(np.uint32(3)):
-            q = colour[s, c]
-            for a in range(np.uint32(HEADINGS)):
-                r = colours[row, c, shift + a]
-                m[c, 1, a] += r
-                m[c, 3, a] += r * r
-                m[c, 4, a] += q * r
-            if is_complete:  # sums of the image alone are the same everywhere
-                sums[c, 0] += q
-                sums[c, 1] += q * q
-            else:
-                for a in range(np.uint32(HEADINGS)):
-                    there = colours[row, 3, shift + a]
-                    m[c, 0, a] += q * there
-                    m[c, 2, a] += q * q * there
-        for a in range(np.uint32(HEADINGS)):
-            hits[a] += colours[row, 3, shift + a]
-    if is_complete:
-        for c in range(3):
-            m[c, 0] = sums[c, 0]
-            m[c, 2] = sums[c, 1]
-    _add_correlation(total, hits, m, colour_weight / np.float32(max(1, part[1] - part[0])))
+    for b in range(rows[0], rows[1]):
+        e, at = np.uint64(band[b]), np.uint64((azimuth[b] + a * FOLD) % AZIMUTHS)
+        samples, missed = image[b, 0], False
+        for k in range(count):
+            for c in range(3):
+                r = np.float32(colours[e, c, at, start + k])  # 0 where nothing is hit
+                m[7 + c, k] += samples * r
+                m[10 + c, k] += samples * r * r
+                m[13 + c, k] += image[b, 1 + c] * r
+        for k in range(count):
+            missed |= ranges[e, at, start + k] == NOTHING
+        if missed:
+            for j in range(7):
+                for k in range(count):
+                    m[j, k] += image[b, j] * np.float32(ranges[e, at, start + k] == NOTHING)
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _add_correlation(total, hits, m, weight):
-    """Add what the colours tell (`score._correlation`) to all headings of one position."""
-    for a in range(HEADINGS):
-        n = hits[a]
-        if n < LANES:
-            continue
-        evidence = np.float32(0.0)
+def _add_correlation(total, m, view_sums, colour_weight):
+    """Add what colours tell (`score._tone`) by sums of `_sum_colours`, and by those of the view (7,)."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    weight = colour_weight / max(one, view_sums[0]) / np.float32(6.0)
+    for k in range(np.uint64(len(total))):
+        n = view_sums[0] - m[0, k]
+        left = one  # share of the variances that the map leaves unexplained
         for c in range(3):
-            q, r = m[c, 0, a] / n, m[c, 1, a] / n
-            vq, vr = m[c, 2, a] / n - q * q, m[c, 3, a] / n - r * r
-            if vq > 1.0 and vr > 1.0:
-                rho = (m[c, 4, a] / n - q * r) / np.sqrt(vq * vr)
-                rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
-                evidence -= np.log(np.float32(1.0) - rho * rho)
-        total[a] += weight * n * evidence / np.float32(6.0)
+            q, r = view_sums[1 + c] - m[1 + c, k], m[7 + c, k]
+            vq, vr = n * (view_sums[4 + c] - m[4 + c, k]) - q * q, n * m[10 + c, k] - r * r
+            both = max(n * m[13 + c, k] - q * r, zero)
+            told = min(both * both / max(vq * vr, one), np.float32(0.99 * 0.99))
+            left *= one - (told if min(vq, vr) > n * n else zero)
+        m[0, k], m[1, k] = left, weight * n if n >= LANES else zero
+    for k in range(np.uint64(len(total))):
+        total[k] -= m[1, k] * np.log(m[0, k])
 
 
 def add_shifted(total, scan, unknown, positions, layer_of, index, origin, spacing, step):

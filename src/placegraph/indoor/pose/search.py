@@ -149,13 +149,13 @@ def _align_seeds(window: Window, seeds: Floats, rng: Generator) -> Floats:
         drawn = rng.normal(size=(len(seeds), round_.each, 4))
         drawn[:, 0] = 0.0
         tries = seeds[:, None] + np.einsum("kij,knj->kni", spreads, drawn)
-        best, _ = _best_tries(window, tries, views, steps)
+        best, values = _best_tries(window, tries, views, steps)
         aligned, covariances = align_poses(
             scene.caster.tracer, scene.normals, best, make_rig(views, steps),
             np.array(round_.deviations),
         )  # fmt: skip
         seeds = np.concatenate([aligned, best])
-        values = window.scorer.together(seeds, views, steps)
+        values = np.concatenate([window.scorer.together(aligned, views, steps), values])
         order = np.argsort(-values, kind="stable")
         rows = order[select_rows(seeds[order], round_.most, **_SAME)]
         seeds, spreads = seeds[rows], np.linalg.cholesky(covariances[rows % len(best)])
