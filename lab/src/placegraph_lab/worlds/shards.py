@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import are_in_tile, parse_tile_key, tile_bounds, tile_key, tiles_at
 from placegraph.core.geometry import LocalPlane
+from placegraph.core.mapfile import gather_spans
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph_scale.shards import WorldFile, finish
 from placegraph_scale.shards.words import WordCounts
 
+Rows = NDArray[np.int64]
 SIDE = 8  # viewpoints are kept in squares of so many
 DISTINCT = 19  # so many copies of a world have labels that are shuffled anew
 
@@ -65,56 +67,60 @@ def hut(
     return np.asarray(first + steps * STRIDE * SIDE)
 
 
-def part_of(
-    objects: CityObjects, rows: NDArray[np.int64], extra: NDArray[np.float64]
-) -> CityObjects:
+def part_of(objects: CityObjects, rows: Rows, extra: NDArray[np.float64]) -> CityObjects:
     """Some of the objects, and a point of the first label at `extra` (2,) [m]."""
-    labels, label_starts, label_values = _strings(
-        objects.labels, objects.label_starts, objects.label_values, rows
-    )
-    names, name_starts, name_values = _strings(
-        objects.names, objects.name_starts, objects.name_values, rows
-    )
-    parts, part_starts = _take_rows(objects.part_starts, rows)
-    points, point_starts = _take_rows(objects.point_starts, parts)
+    part, one = take_objects(objects, rows), np.int32(1)
     at = extra.astype(np.float32)[None]
     return replace(
-        objects,
-        osm_type=np.append(objects.osm_type[rows], np.uint8(0)),
-        osm_id=np.append(objects.osm_id[rows], np.int64(0)),
-        kind=np.append(objects.kind[rows], np.uint8(POINT)),
-        label_starts=np.append(label_starts, label_starts[-1] + 1).astype(np.int32),
-        label_values=np.append(label_values, 0).astype(np.int32),
-        name_starts=np.append(name_starts, name_starts[-1]).astype(np.int32),
-        name_values=name_values.astype(np.int32),
-        part_starts=np.append(part_starts, part_starts[-1] + 1).astype(np.int32),
-        point_starts=np.append(point_starts, point_starts[-1] + 1).astype(np.int32),
-        points=np.concatenate([objects.points[points], at]),
-        center=np.concatenate([objects.center[rows], at]),
-        labels=labels,
-        names=names,
+        part,
+        osm_type=np.append(part.osm_type, np.uint8(0)),
+        osm_id=np.append(part.osm_id, np.int64(0)),
+        kind=np.append(part.kind, np.uint8(POINT)),
+        label_starts=np.append(part.label_starts, part.label_starts[-1] + one),
+        label_values=np.append(part.label_values, np.int32(0)),
+        name_starts=np.append(part.name_starts, part.name_starts[-1]),
+        part_starts=np.append(part.part_starts, part.part_starts[-1] + one),
+        point_starts=np.append(part.point_starts, part.point_starts[-1] + one),
+        points=np.concatenate([part.points, at]),
+        center=np.concatenate([part.center, at]),
     )
 
 
-def _strings(
-    table: tuple[str, ...],
-    starts: NDArray[np.int32],
-    values: NDArray[np.int32],
-    rows: NDArray[np.int64],
-) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.int64]]:
-    """Strings of some rows: those that occur, and which of them each row has."""
-    entries, kept = _take_rows(starts, rows)
-    used, where = np.unique(values[entries], return_inverse=True)
-    return tuple(table[i] for i in used.tolist()), kept, where.ravel()
+def take_objects(objects: CityObjects, rows: Rows) -> CityObjects:
+    """Objects `rows`, with those labels and names that they bear."""
+    label_starts, entries = take_rows(objects.label_starts, rows)
+    labels, label_values = _used(objects.labels, objects.label_values[entries])
+    name_starts, entries = take_rows(objects.name_starts, rows)
+    names, name_values = _used(objects.names, objects.name_values[entries])
+    part_starts, parts = take_rows(objects.part_starts, rows)
+    point_starts, points = take_rows(objects.point_starts, parts)
+    return CityObjects(
+        objects.osm_type[rows], objects.osm_id[rows], objects.kind[rows],
+        label_starts, label_values, name_starts, name_values, part_starts, point_starts,
+        objects.points[points], objects.center[rows], labels, names,
+    )  # fmt: skip
 
 
-def _take_rows(
-    starts: NDArray[np.int32], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Entries of some rows of a CSR, and their own starts."""
-    sizes = np.diff(starts)[rows].astype(np.int64)
-    kept = np.concatenate(([0], np.cumsum(sizes)))
-    return np.arange(kept[-1]) + np.repeat(starts[rows] - kept[:-1], sizes), kept
+def exchange_in_kinds(kind: NDArray[np.uint8], rng: Generator) -> Rows:
+    """Permutation (N,) of objects within their kinds."""
+    order = np.arange(len(kind))
+    for k in np.unique(kind):
+        rows = np.flatnonzero(kind == k)
+        order[rows] = rng.permutation(rows)
+    return order
+
+
+def take_rows(starts: NDArray[np.int32], rows: Rows) -> tuple[NDArray[np.int32], Rows]:
+    """CSR of some rows: their starts, and which entries they have."""
+    made, entries = gather_spans(starts.astype(np.int64), rows)
+    return made.astype(np.int32), entries
+
+
+def _used(
+    table: tuple[str, ...], values: NDArray[np.int32]
+) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+    used, inverse = np.unique(values, return_inverse=True)
+    return tuple(table[i] for i in used), inverse.astype(np.int32)
 
 
 def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None:
@@ -201,17 +207,14 @@ def copies_of(source: Path, large: Path, folder: Path, copies: int) -> None:
 
 def shuffle_objects(objects: CityObjects, word: str, rng: Generator) -> CityObjects:
     """Objects with labels and names exchanged among those of a kind."""
-    rows = np.arange(len(objects))
-    for kind in range(3):
-        mine = np.flatnonzero(objects.kind == kind)
-        rows[mine] = rng.permutation(mine)
-    labels, label_starts = _take_rows(objects.label_starts, rows)
-    names, name_starts = _take_rows(objects.name_starts, rows)
+    rows = exchange_in_kinds(objects.kind, rng)
+    label_starts, labels = take_rows(objects.label_starts, rows)
+    name_starts, names = take_rows(objects.name_starts, rows)
     return replace(
         objects,
-        label_starts=label_starts.astype(np.int32),
+        label_starts=label_starts,
         label_values=objects.label_values[labels],
-        name_starts=name_starts.astype(np.int32),
+        name_starts=name_starts,
         name_values=objects.name_values[names],
         names=tuple(f"{word} {name}" for name in objects.names),
     )

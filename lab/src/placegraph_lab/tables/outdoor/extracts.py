@@ -13,7 +13,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats, LocalPlane
-from placegraph.core.mapfile import gather_spans, offsets_of
+from placegraph.core.mapfile import offsets_of
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph.outdoor.map.cells import find_in_cells
@@ -21,6 +21,7 @@ from placegraph.outdoor.map.objects import CityObjects
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.places import Bounds
 from placegraph_lab.tables.outdoor.queries import FEWEST, JITTER, Query, Setting, make_queries
+from placegraph_lab.worlds.shards import Rows, exchange_in_kinds, take_objects, take_rows
 from placegraph_learn.city.descriptions import TILE, held_out, is_evaluation
 
 Where = Callable[[Floats], NDArray[np.bool_]]
@@ -304,23 +305,7 @@ def unseen_queries(
     return make_queries(path, setting=setting, n=n, seed=seed, anywhere=True, where=among)
 
 
-Rows = NDArray[np.int64]
 GAP = 200.0  # between copies at the least [m]
-
-
-def take(objects: CityObjects, rows: Rows) -> CityObjects:
-    """Objects `rows`, with those labels and names that they bear."""
-    label_starts, entries = _rows(objects.label_starts, rows)
-    labels, label_values = _used(objects.labels, objects.label_values[entries])
-    name_starts, entries = _rows(objects.name_starts, rows)
-    names, name_values = _used(objects.names, objects.name_values[entries])
-    part_starts, parts = _rows(objects.part_starts, rows)
-    point_starts, points = _rows(objects.point_starts, parts)
-    return CityObjects(
-        objects.osm_type[rows], objects.osm_id[rows], objects.kind[rows],
-        label_starts, label_values, name_starts, name_values, part_starts, point_starts,
-        objects.points[points], objects.center[rows], labels, names,
-    )  # fmt: skip
 
 
 def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
@@ -340,9 +325,11 @@ def take_cells(city: CityMap, chosen: Rows) -> CityMap:
     """Map of cells `chosen` (rising rows of `city.cells.points`), and what is seen in them."""
     points = city.cells.points[chosen]
     seen = find_in_cells(city.objects, city.cells.grid, city.cells.size)
-    _, entries = _rows(seen.starts.astype(np.int32), np.searchsorted(seen.points, points))
+    _, entries = take_rows(seen.starts.astype(np.int32), np.searchsorted(seen.points, points))
     rows = np.unique(seen.objects[entries]).astype(np.int64)
-    return replace(city, objects=take(city.objects, rows), cells=replace(city.cells, points=points))
+    return replace(
+        city, objects=take_objects(city.objects, rows), cells=replace(city.cells, points=points)
+    )
 
 
 def busiest_tile(city: CityMap, *, unseen: bool = False) -> Floats:
@@ -364,10 +351,10 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
     size = step * np.ceil((np.ptp(o.points, axis=0) + GAP) / step)
     side = int(np.ceil(np.sqrt(copies)))
     shifts = [np.array([k % side, k // side]) * size for k in range(copies)]
-    order = [np.arange(n), *(_exchanged(o.kind, rng) for _ in range(copies - 1))]
+    order = [np.arange(n), *(exchange_in_kinds(o.kind, rng) for _ in range(copies - 1))]
     tagged = np.concatenate(order)
-    label_starts, labels = _rows(o.label_starts, tagged)
-    name_starts, names = _rows(o.name_starts, tagged)
+    label_starts, labels = take_rows(o.label_starts, tagged)
+    name_starts, names = take_rows(o.name_starts, tagged)
     last = int(o.osm_id.max()) + 1
     objects = CityObjects(
         np.tile(o.osm_type, copies), np.concatenate([o.osm_id + k * last for k in range(copies)]),
@@ -383,25 +370,3 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
         city.plane, objects, cell_size=city.cells.size, stride=step,
         edge_distance=city.cells.edge_distance, source=f"{copies} x {city.source}", left_out={},
     )  # fmt: skip
-
-
-def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
-    """Permutation (N,) of objects within their kinds."""
-    order = np.arange(len(kind))
-    for k in np.unique(kind):
-        rows = np.flatnonzero(kind == k)
-        order[rows] = rng.permutation(rows)
-    return order
-
-
-def _rows(bounds: NDArray[np.int32], rows: Rows) -> tuple[NDArray[np.int32], Rows]:
-    """CSR of some rows: their starts, and which entries they have."""
-    made, entries = gather_spans(bounds.astype(np.int64), rows)
-    return made.astype(np.int32), entries
-
-
-def _used(
-    table: tuple[str, ...], values: NDArray[np.int32]
-) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-    used, inverse = np.unique(values, return_inverse=True)
-    return tuple(table[i] for i in used), inverse.astype(np.int32)
