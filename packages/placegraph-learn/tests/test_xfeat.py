@@ -11,7 +11,7 @@ from placegraph.indoor.refine.matching import matcher
 
 feature = pytest.importorskip("kornia.feature", reason="needs kornia: 'placegraph[xfeat]'")
 
-MODES = {"points": {}, "larger": {"scale": 2.0}, "cells": {"dense": True}}
+MODES = {"points": {}, "larger": {"scale": 2.0}}
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,7 @@ def weights(shared):
     return shared / "weights/xfeat.pt"
 
 
-@pytest.fixture(
-    scope="module", params=["points", "cells", pytest.param("larger", marks=pytest.mark.all)]
-)
+@pytest.fixture(scope="module", params=["points", pytest.param("larger", marks=pytest.mark.all)])
 def xfeat(request, weights):
     return matcher("xfeat", weights=weights, **MODES[request.param])
 
@@ -61,31 +59,6 @@ def test_sizes_that_the_network_cannot_take_are_resized_and_back(xfeat, rng):
     off = found.query - found.rendered
     assert len(found) > 100
     assert np.abs(np.median(off, axis=0)).max() < 0.35
-
-
-def test_cells_are_refined_as_kornia_does_it(weights, picture):
-    theirs = feature.XFeat()
-    theirs.net.load_state_dict(torch.load(weights, weights_only=True))
-    theirs.eval()
-    a = np.ascontiguousarray(picture[:224])  # a size that needs no resizing
-    b = warp(a, np.array([[1, 0, 4.5], [0, 1, 2], [0, 0, 1.0]]))
-    tensors = [torch.from_numpy(i).permute(2, 0, 1)[None].float() / 255 for i in (a, b)]
-    (found,) = matcher("xfeat", weights=weights, dense=True, least=-1.0).match(a, [b])
-    with torch.inference_mode():
-        out = [theirs.detectAndComputeDense(t, top_k=4096) for t in tensors]
-        normed = [torch.nn.functional.normalize(o["descriptors"][0], dim=-1) for o in out]
-        rows = theirs._match_mnn(*normed, min_cossim=-1)
-        corners = theirs._refine_matches(*out, matches=[rows], batch_idx=0, fine_conf=0.25).numpy()
-        everywhere = theirs._refine_matches(*out, matches=[rows], batch_idx=0, fine_conf=-1).numpy()
-    scales = np.stack([o["scales"][0][r].numpy() for o, r in zip(out, rows, strict=True)], axis=1)
-    kept = (everywhere[:, None] == corners).all(axis=2).any(axis=1)
-    # kornia speaks of the corner of a cell; its centre is 4 px of the cell's scale away
-    centres = corners + np.repeat(scales[kept] * [5.0, 4.0], 2, axis=1)
-    ours = np.hstack([found.query, found.rendered])
-    assert len(ours) == len(centres) > 100
-    gaps = np.abs(ours[:, None] - centres).max(axis=2)
-    assert gaps.min(axis=0).max() < 1e-2
-    assert gaps.min(axis=1).max() < 1e-2
 
 
 def test_weights_of_another_network_are_named(tmp_path, weights):
