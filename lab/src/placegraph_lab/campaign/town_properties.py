@@ -335,7 +335,7 @@ def compare_estimates(
         wanted if motion is None else motion.positions(wanted)
     )
     far = float(np.hypot(*delta))
-    return f"{far:.2f} m compare_estimates, both OK" if far > within.metres else ""
+    return f"{far:.2f} m apart, both OK" if far > within.metres else ""
 
 
 def _sentences(description: Description) -> list[str]:
