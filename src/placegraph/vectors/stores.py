@@ -434,7 +434,7 @@ def load_store(
 ) -> VectorStore:
     """Write vectors to a file, or bring them to a server, and open the store.
 
-    Raises `Errors of `EmbeddedStore.of_rows` and `save` or `or of `load_milvus`.`.
+    Raises the errors of `EmbeddedStore.of_rows` and `save`, or those of `load_milvus`.
 
     `where`: as for `open_store`. A file is replaced in one step.
     `content`: what to store.
