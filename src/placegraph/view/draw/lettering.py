@@ -75,7 +75,6 @@ def place_names(
     occupied: OccupiedPlaces,
     *,
     skip: frozenset[int] = frozenset(),
-    already: Iterable[Text] = (),
 ) -> list[Text]:
     """Place names for the items of a map drawn at `scale` [px/m], around `occupied` space.
 
@@ -85,7 +84,6 @@ def place_names(
     `face`: typeface, for the widths.
     `occupied`: where nothing may stand; what is placed is added.
     `skip`: rows of objects that are lettered otherwise.
-    `already`: names that stand there; streets are named again only far from them.
     """
     items = list(items)
     wanted = _wanted(objects, items, scale, face, skip)
@@ -94,8 +92,6 @@ def place_names(
             occupied.claim([(item.at[0] * scale, -item.at[1] * scale, 4.0)], force=True)
     placed: list[Text] = []
     streets: dict[str, list[Points]] = {}
-    for text in already:
-        streets.setdefault(text.text, []).append(text.at)
     for rank, extent, name, item in wanted:
         size = SIZES.get(rank, 11.0)
         width = face.width(name, size)
