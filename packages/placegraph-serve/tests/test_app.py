@@ -3,6 +3,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from starlette.websockets import WebSocketDisconnect
 
 import placegraph as pg
 from placegraph.errors import RequestError
@@ -79,6 +80,36 @@ def test_methods_and_bodies_of_another_kind(client):
     assert broken.json()["detail"].startswith("body: not JSON (Unterminated string")
 
 
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "PATCH", "OPTIONS", "POST", "TRACE"])
+def test_every_route_refuses_other_methods(client, method):
+    ours = {
+        "/v1/locate": "POST",
+        "/v1/localize": "POST",
+        "/geopose": "POST",
+        "/v1/sessions": "POST",
+    }
+    for path in (*ours, "/", "/healthz", "/api", "/api/", "/v1/maps", "/v1/maps/x/drawing", "/docs",
+                 "/v1/maps/x/drawing.png", "/v1/maps/x/drawing/0/0/0", "/parts/palette.css"):  # fmt: skip
+        if ours.get(path) != method:
+            answer = client.request(method, path)
+            assert (path, answer.status_code) == (path, 405)
+            assert answer.headers["allow"]
+
+
+def test_bytes_close_a_socket_with_a_code(client):
+    with client.websocket_connect("/v1/live") as socket:
+        socket.send_bytes(b"A bank")
+        with pytest.raises(WebSocketDisconnect) as closed:
+            socket.receive_json()
+        assert closed.value.code == 1003
+
+
+def test_answers_are_compressed(client):
+    packed = client.post("/v1/locate", json={"text": SENTENCE})
+    assert packed.headers["content-encoding"] == "gzip"
+    assert int(packed.headers["content-length"]) < len(packed.content) / 2
+
+
 def test_the_newest_of_what_is_typed_is_answered(client):
     with client.websocket_connect("/v1/live") as socket:
         for number, text in enumerate(["A", "A bak", SENTENCE]):
@@ -139,6 +170,42 @@ def test_a_sentence_is_found(client):
     asked = client.post("/v1/locate", json={"text": SENTENCE}).json()["estimate"]["modes"][0]
     assert best["geometry"]["coordinates"] == pytest.approx([asked["longitude"], asked["latitude"]])
     assert best["properties"]["osm_key"] == "placegraph"
+
+
+def test_places_are_filtered_and_preferred(client):
+    everything = found(client, "bench", limit=50)
+    lon, lat = everything[0]["geometry"]["coordinates"]
+    box = f"{lon - 1e-5},{lat - 1e-5},{lon + 1e-5},{lat + 1e-5}"
+    assert len(found(client, "bench", bbox=box)) < len(everything)
+    assert found(client, "bench", layer=["street", "city"]) == []
+    assert len(found(client, "bench", layer="house", limit=50)) == len(everything)
+    assert found(client, "bench", osm_tag="shop") == []
+    assert len(found(client, "bench", osm_tag=["amenity:bench", "!shop"], limit=50)) == len(
+        everything
+    )
+    assert found(client, "bench", osm_tag="!amenity:bench") == []
+    assert found(client, "bench", lang="de", zoom=16, location_bias_scale=0.1, lon=lon, lat=lat)
+
+
+def test_a_point_has_an_address(client):
+    best = found(client, "bakery")[0]
+    lon, lat = best["geometry"]["coordinates"]
+    asked = {"lon": lon, "lat": lat}
+    (there,) = client.get("/reverse/", params=asked).json()["features"]
+    assert there["properties"]["osm_id"] == best["properties"]["osm_id"]
+    (street,) = client.get("/reverse", params=asked | {"layer": "street"}).json()["features"]
+    assert best["properties"]["street"] == street["properties"]["name"]
+    assert client.get("/reverse", params=asked | {"lon": lon + 9}).json()["features"] == []
+
+
+def test_search_boxes_of_other_pages_may_read_names_only(client):
+    elsewhere = {"Origin": "https://maps.example.org"}
+    answer = client.get("/api/", params={"q": "bakery"}, headers=elsewhere)
+    assert (answer.status_code, answer.headers["access-control-allow-origin"]) == (200, "*")
+    assert client.get("/v1/maps", headers=elsewhere).status_code == 403
+    refused = client.get("/api", params={"q": "a", "countrycode": "DE"}, headers=elsewhere)
+    assert refused.json()["detail"].startswith("countrycode: ")
+    assert "access-control-allow-origin" in refused.headers
 
 
 def test_bad_searches(client):

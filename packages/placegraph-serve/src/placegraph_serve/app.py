@@ -14,6 +14,7 @@ from importlib import import_module
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.routing import Match
 
 from placegraph import __version__
@@ -50,10 +51,11 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
     app.state.server = server
     _add_errors(app)
     add_routes(app, server)
+    app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(
         Guard, options=server.options, keys=Keys.of(server.options.keys), metrics=server.metrics
     )
-    app.include_router(drawing_router(places))
+    app.routes.extend(drawing_router(places).routes)  # an included router hides their methods
     for path, files in page_files().items():
         app.mount(path, files)
     return app
@@ -77,6 +79,7 @@ def _add_errors(app: FastAPI) -> None:
         assert isinstance(error, HTTPException)  # noqa: S101
         where, status = request.url.path[:80], error.status_code
         allowed = methods_at(request) if status in {404, 405} else []
+        allowed = ["GET", "HEAD"] if status == 405 and not allowed else allowed  # files of the page
         status = 405 if allowed else status
         said = {
             404: f"There is no route {where}; see /docs for all routes.",
@@ -130,7 +133,6 @@ def serve(
         http=partial(HeadTimeoutProtocol, seconds=options.head_seconds),  # type: ignore[arg-type]  # makes one
         ws="websockets-sansio", log_config=None, access_log=False,
         timeout_graceful_shutdown=GRACE, server_header=False, ws_max_size=options.image_bytes,
-        ws_per_message_deflate=False,
     )  # fmt: skip
     before = signal.signal(signal.SIGTERM, lambda *_: None)  # uvicorn raises it again at its end
     shown = f"[{host}]" if ":" in host else host

@@ -67,10 +67,10 @@ def version_of(accept: str) -> int | None:
 
     Raises `RequestError` (406) for one that is not spoken here.
     """
-    find_best = _VERSION.search(accept)
-    if find_best is None:
+    match = _VERSION.search(accept)
+    if match is None:
         return None
-    version = int(find_best[1])
+    version = int(match[1])
     if version not in VERSIONS:
         raise RequestError(
             f"Accept: version {version} of the GeoPose protocol is not supported; ask for 1.0 or "

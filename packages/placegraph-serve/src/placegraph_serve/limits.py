@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MEDIA_TYPE_METRICS = "text/plain; version=0.0.4; charset=utf-8"
 BOUNDS = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
 """Upper bounds of the histogram of seconds."""
-PATHS = ("/v1/locate", "/v1/localize", "/v1/maps", "/v1/sessions", "/geopose", "/api")
+PATHS = ("/v1/locate", "/v1/localize", "/v1/maps", "/v1/sessions", "/geopose", "/api", "/reverse")
 
 
 class Metrics:
@@ -73,7 +73,8 @@ class Metrics:
 
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
 """Paths whose bodies carry images."""
-CLOSED = ("/v1/", "/api/", "/geopose/", "/metrics/")
+SEARCHES = ("/api", "/reverse")
+CLOSED = ("/v1/", "/api/", "/reverse/", "/geopose/", "/metrics/")
 """Paths that need a key where there are keys; the page and the state of health do not."""
 _TOKENS = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"|\\.|[\[\]{}]', re.DOTALL)
 _MOST_BRACKETS = 200_000
@@ -146,11 +147,14 @@ class Guard:
         """Let a request through, or answer it with a problem."""
         if scope["type"] == "lifespan":
             return await self.app(scope, receive, send)
-        start, status = perf_counter(), 0
+        start, status, is_open = perf_counter(), 0, self._is_open(scope)
 
         async def send_counted(message: Message) -> None:
             nonlocal status
             status = message.get("status", status)
+            if is_open and message["type"] == "http.response.start":
+                headers = [*message["headers"], (b"access-control-allow-origin", b"*")]
+                message = {**message, "headers": headers}
             await send(message)
 
         try:
@@ -183,6 +187,11 @@ class Guard:
         finally:
             self.held_bytes -= holds.bytes
 
+    def _is_open(self, scope: Scope) -> bool:
+        """Whether pages of other hosts may read the answer: they search names (CORS)."""
+        path = scope["path"].rstrip("/")
+        return not self.options.same_origin and scope.get("method") == "GET" and path in SEARCHES
+
     def _check(self, scope: Scope) -> None:
         if not self.keys.let_in(scope):
             raise RequestError(
@@ -190,7 +199,8 @@ class Guard:
                 status=401, code="key",
             )  # fmt: skip
         check_host(scope, self.options.names, has_keys=bool(self.keys.secrets))
-        check_origin(scope, self.options.names)
+        if not self._is_open(scope):
+            check_origin(scope, self.options.names)
         if scope["type"] == "websocket" and self.sockets >= self.options.sockets:
             raise RequestError(
                 "Too many WebSockets are open; try again later.",

@@ -64,6 +64,12 @@ class ServeOptions:
         "accepted. Repeatable.",
         flag="--name",
     )
+    same_origin: bool = option(
+        False,
+        "Refuse pages of other hosts on /api and /reverse, too; if not set, search boxes of any "
+        "page may use them.",
+        flag="--same-origin",
+    )
     log_queries: bool = option(
         False, "Log queries; if not set, nothing about them is stored.", flag="--log-queries"
     )

@@ -22,6 +22,7 @@ from placegraph_serve.options import ServeOptions
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
+    from placegraph_serve.photon import Gazetteer
 
 ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
 """Listed properties of a scene's anchor."""
@@ -238,3 +239,5 @@ class Dispatcher:
     options: ServeOptions
     trackers: dict[str, Any] = field(default_factory=dict)
     """`CityTracker` or `Tracker` by session, with the name of its map: ``(name, tracker)``."""
+    gazetteers: dict[str, Gazetteer] = field(default_factory=dict)
+    """Addresses of the cities by name."""

@@ -60,7 +60,7 @@ def make_request_error(errors: Any, name: str = "body") -> RequestError:  # noqa
     if first["type"] == "json_invalid":
         why = first["ctx"]["error"]
         return RequestError(f"{name}: not JSON ({why}); send an object.", code="json")
-    where = ".".join(str(part) for part in first["loc"] if part != "body")
+    where = ".".join(str(part) for part in first["loc"] if part not in {"body", "query"})
     if not where:
         return RequestError(
             f"{name}: not a JSON object; send one, as application/json.", status=422, code="fields"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera
@@ -188,6 +188,54 @@ class Live(Locate):
     """The same while one types; `id` comes back with the answer."""
 
     id: int | str = 0
+
+
+Layer = Literal[
+    "house", "street", "locality", "district", "city", "county", "state", "country", "other"
+]
+
+
+class _Filter(_Body):
+    """Parameters that Photon's routes share."""
+
+    layer: list[Layer] = Field([], description="Layer of the features; repeatable.")
+    osm_tag: list[str] = Field(
+        [], max_length=20, description="Tag as key, key:value, :value; `!` excludes; repeatable."
+    )
+    lang: str = Field("", max_length=35, description="Ignored: names are in the local language.")
+    key: str = Field("", description="API key, where the server has keys.")
+
+
+class Reverse(_Filter):
+    """A point to describe; the parameters of Photon's `/reverse`."""
+
+    lat: float = Field(ge=-90, le=90, description="Latitude [deg].")
+    lon: float = Field(ge=-540, le=540, description="Longitude [deg].")
+    radius: float = Field(1.0, gt=0, le=5000, description="Distance of the farthest feature [km].")
+    limit: int = Field(1, ge=1, le=50, description="Maximum number of features.")
+
+
+class Search(_Filter):
+    """A text of a search box; the parameters of Photon's `/api`."""
+
+    q: str = Field(max_length=500, description="Name, kind of things, or a sentence.")
+    lat: float | None = Field(None, ge=-90, le=90, description="Latitude to prefer [deg].")
+    lon: float | None = Field(None, ge=-540, le=540, description="Longitude to prefer [deg].")
+    limit: int = Field(15, ge=1, le=50, description="Maximum number of features.")
+    bbox: tuple[float, float, float, float] | None = Field(
+        None, description="Box of the features: minLon,minLat,maxLon,maxLat [deg]."
+    )
+    zoom: float = Field(12.0, ge=0, le=24, description="Zoom of the map: reach of the preference.")
+    location_bias_scale: float = Field(
+        0.4, ge=0, le=1, description="Weight of the name against the distance."
+    )
+    dedupe: int = Field(1, ge=0, le=1, description="0: each way of a street is a feature.")
+
+    @field_validator("bbox", mode="before")
+    @classmethod
+    def _split(cls, given: Any) -> Any:  # noqa: ANN401  # as it came
+        text = given[0] if isinstance(given, list) and len(given) == 1 else given
+        return text.split(",") if isinstance(text, str) else text
 
 
 LONGEST = 1280

@@ -24,7 +24,7 @@ from placegraph_serve.geopose import version_of
 from placegraph_serve.limits import MEDIA_TYPE_METRICS, check_depth
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import problem
-from placegraph_serve.requests import BeginSession, Live, Localize, Locate, Step
+from placegraph_serve.requests import BeginSession, Live, Localize, Locate, Reverse, Search, Step
 from placegraph_serve.server import Server, response_of
 from placegraph_serve.workers import WorkerQueue, to_json
 
@@ -105,15 +105,16 @@ def _add_questions(app: FastAPI, server: Server) -> None:
         return await server.ask(server.sentences, "locate", body.model_dump())
 
     @app.get("/api")
-    async def search(
-        q: Annotated[str, Query(max_length=500)],
-        lat: Annotated[float | None, Query(ge=-90, le=90)] = None,
-        lon: Annotated[float | None, Query(ge=-180, le=180)] = None,
-        limit: Annotated[int, Query(ge=1, le=50)] = 15,
-    ) -> Response:
+    @app.get("/api/", include_in_schema=False)
+    async def search(query: Annotated[Search, Query()]) -> Response:
         """Names, kinds of things, or a sentence, as a search box asks; answered as Photon does."""
-        body = {"q": q, "lat": lat, "lon": lon, "limit": limit}
-        return await server.ask(server.sentences, "search", body)
+        return await server.ask(server.sentences, "search", query.model_dump())
+
+    @app.get("/reverse")
+    @app.get("/reverse/", include_in_schema=False)
+    async def reverse(query: Annotated[Reverse, Query()]) -> Response:
+        """What lies nearest to a point, answered as Photon does."""
+        return await server.ask(server.sentences, "reverse", query.model_dump())
 
     @app.post("/v1/localize", openapi_extra=_FORM)
     async def localize(request: Request) -> Response:
@@ -247,8 +248,10 @@ async def live(socket: WebSocket, queue: WorkerQueue) -> None:
             if running is not None:
                 running.cancel()
             running = asyncio.create_task(_answer(socket, queue, text))
-    except (WebSocketDisconnect, KeyError):  # gone, or bytes, which nothing here sends
+    except WebSocketDisconnect:
         pass
+    except KeyError:  # bytes, which have no text
+        await socket.close(1003, "Send text, as JSON.")
     finally:
         if running is not None:
             running.cancel()

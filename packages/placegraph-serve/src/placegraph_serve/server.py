@@ -122,8 +122,10 @@ class Sessions:
                 except PlacegraphError as error:
                     body, trouble = None, problem(error)
                 await socket.send_text((body or to_json(trouble)).decode())
-        except (WebSocketDisconnect, KeyError):
+        except WebSocketDisconnect:
             pass
+        except KeyError:  # bytes, which have no text
+            await socket.close(1003, "Send text, as JSON.")
 
     def _check(self, session: str) -> None:
         if session not in self._ends:

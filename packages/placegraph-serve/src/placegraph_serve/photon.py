@@ -1,0 +1,334 @@
+"""Search of names, kinds and sentences, and of what lies at a point, answered as Photon does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geojson import is_inside
+from placegraph.core.geometry import Floats
+from placegraph.errors import PlacegraphError, RequestError
+from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.map.objects import AREA, POINT, find_labelled
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.city import CityMap
+    from placegraph_serve.places import Dispatcher
+
+CLOSE = 80.0
+"""Similarity, of 100, from which a misspelt name is found."""
+NEAR = 2000.0
+"""Distance from the point that was given after which a name counts half, at zoom `ZOOM` [m]."""
+ZOOM = 12
+BIAS = 0.4
+"""Photon's default of `location_bias_scale`, at which distance counts as `NEAR` says."""
+STREET = 60.0
+"""Largest distance of an address from its street [m]."""
+TOUCHES = 100.0
+"""Largest gap between the boxes of two ways of one street [m]."""
+_MOST = 400
+"""Names looked at."""
+_TYPES = {"highway": "street", "railway": "street", "waterway": "locality", "natural": "other"}
+_PLACES = {"city": "city", "town": "city", "village": "city", "suburb": "district",
+           "neighbourhood": "locality", "quarter": "district", "hamlet": "locality"}  # fmt: skip
+"""Photon's layers of a place; all else is a house."""
+_REACH = {"city": 20_000.0, "district": 3000.0}
+"""Largest distance from the point that stands for a place, to lie in it [m]."""
+
+
+def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Answer `requests.Search`: names that begin so or nearly so, kinds, or what a sentence describes."""
+    found = [
+        (score, city, row)
+        for city in _cities(dispatcher)
+        for row, score in rows_of(city, request).items()
+    ]
+    found.sort(key=lambda entry: -entry[0])
+    features = [city.feature(row) for _, city, row in found[: request["limit"]]]
+    if not features:
+        features = [f for city in _cities(dispatcher) for f in find_described(city.city, request)]
+    return {"type": "FeatureCollection", "features": features[: request["limit"]]}
+
+
+def reverse(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Answer `requests.Reverse`: what has a name and lies nearest to a point."""
+    found = [
+        (away, city, row)
+        for city in _cities(dispatcher)
+        for row, away in city.find_nearest(request).items()
+    ]
+    found.sort(key=lambda entry: entry[0])
+    features = [city.feature(row) for _, city, row in found[: request["limit"]]]
+    return {"type": "FeatureCollection", "features": features}
+
+
+@dataclass(eq=False)
+class Gazetteer:
+    """A city's objects as addresses: their streets, districts and towns."""
+
+    city: CityMap
+
+    @cached_property
+    def named(self) -> NDArray[np.bool_]:
+        """(N,) whether an object has a name."""
+        return np.diff(self.city.objects.name_starts) > 0
+
+    @cached_property
+    def streets(self) -> NDArray[np.bool_]:
+        """(N,) whether an object is a street."""
+        objects = self.city.objects
+        ways = np.array([label.startswith("highway=") for label in objects.labels])
+        return ways[objects.label_values[objects.label_starts[:-1]]] & (objects.kind != POINT)
+
+    @cached_property
+    def towns(self) -> dict[str, NDArray[np.int64]]:
+        """Objects with a name of each layer of `_REACH`."""
+        labels = {
+            layer: frozenset(f"place={v}" for v, own in _PLACES.items() if own == layer)
+            for layer in _REACH
+        }
+        found = {name: find_labelled(self.city.objects, own) for name, own in labels.items()}
+        return {name: rows[self.named[rows]] for name, rows in found.items()}
+
+    def measure_distances(
+        self, at: Floats, reach: float, mask: NDArray[np.bool_]
+    ) -> dict[int, float]:
+        """Return the distances [m] of the objects of a mask (N,) about a point (2,); 0 inside an area.
+
+        Boxes of the objects lie within `reach` [m].
+        """
+        low, high = self.city.columns.box[:, :2], self.city.columns.box[:, 2:]
+        close = ((low <= at + reach) & (high >= at - reach)).all(axis=1)
+        return {
+            row: self._measure_distance(at, row) for row in np.flatnonzero(close & mask).tolist()
+        }
+
+    def _measure_distance(self, at: Floats, row: int) -> float:
+        objects = self.city.objects
+        away = float(np.hypot(*(objects.center[row] - at)))
+        if objects.kind[row] == POINT:
+            return away
+        for part in objects.parts(row):
+            if objects.kind[row] == AREA and is_inside(at, part.astype(np.float64)):
+                return 0.0
+            begin, step = part[:-1], np.diff(part, axis=0)
+            share = ((at - begin) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-9)
+            offset = begin + np.clip(share, 0.0, 1.0)[:, None] * step - at
+            away = min(away, float(np.hypot(*offset.T).min(initial=np.inf)))
+        return away
+
+    def find_nearest(self, request: Mapping[str, Any]) -> dict[int, float]:
+        """Return objects with a name about a point, and how far each is [m]."""
+        at = self.city.plane.to_plane((request["lon"], request["lat"]))
+        last, found = 1000.0 * request["radius"], dict[int, float]()
+        for reach in (*(r for r in (30.0, 100.0, 300.0, 1000.0) if r < last), last):
+            near = self.measure_distances(at, reach, self.named)
+            found = {r: d for r, d in near.items() if d <= reach and self.admits(r, request)}
+            if len(found) >= request["limit"]:
+                break
+        return found
+
+    def admits(self, row: int, request: Mapping[str, Any]) -> bool:
+        """Return whether an object is of the layers, tags and box of a request."""
+        key, _, value = self.city.objects.label(row).partition("=")
+        if request["layer"] and _layer(key, value) not in request["layer"]:
+            return False
+        wanted = [_has_tag(tag, key, value) for tag in request["osm_tag"] if "!" not in tag]
+        if (wanted and not any(wanted)) or any(
+            _has_tag(tag.replace("!", ""), key, value) for tag in request["osm_tag"] if "!" in tag
+        ):
+            return False
+        box = request.get("bbox")
+        if box is None:
+            return True
+        lon, lat = self.city.plane.to_lonlat(self.city.objects.center[row]).tolist()
+        return bool(box[0] <= lon <= box[2] and box[1] <= lat <= box[3])
+
+    def find_ways(self, row: int) -> list[int]:
+        """Return the ways of the street that a way belongs to: of its name, and touching one another."""
+        objects = self.city.objects
+        same = self.city.name_index.by_words.get(" ".join(tokens(objects.name(row))), ())
+        rest = [
+            r for r in _objects(self.city, dict.fromkeys(same, 1.0), self.first) if self.streets[r]
+        ]
+        street, box = [row], self.city.columns.box
+        while touching := [
+            r for r in rest
+            if r not in street
+            and (box[r, :2] <= box[street, 2:].max(axis=0) + TOUCHES).all()
+            and (box[r, 2:] >= box[street, :2].min(axis=0) - TOUCHES).all()
+        ]:  # fmt: skip
+            street += touching
+        return street
+
+    @property
+    def first(self) -> int:
+        """Number of the first token that is a name; those before are labels."""
+        return len(self.city.objects.labels)
+
+    def feature(self, row: int) -> dict[str, Any]:
+        """Return an object as a feature with Photon's properties."""
+        objects, plane = self.city.objects, self.city.plane
+        key, _, value = objects.label(row).partition("=")
+        kind, _, number = objects.osm(row).partition("/")
+        properties: dict[str, Any] = {
+            "osm_type": kind[0].upper(), "osm_id": int(number), "osm_key": key, "osm_value": value,
+            "type": _layer(key, value), "name": objects.name(row),
+        }  # fmt: skip
+        properties |= self.find_address(row)
+        rows = self.find_ways(row) if self.streets[row] and self.named[row] else [row]
+        boxes = self.city.columns.box[rows]
+        low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+        if (high > low).any():
+            (west, south), (east, north) = plane.to_lonlat([low, high]).tolist()
+            properties["extent"] = [west, north, east, south]  # Photon's order
+        return _feature(plane.to_lonlat(objects.center[row]).tolist(), properties)
+
+    def find_address(self, row: int) -> dict[str, str]:
+        """Return street, district and city of an object, as far as the map knows them."""
+        objects, address = self.city.objects, {}
+        at = objects.center[row].astype(float)
+        if not self.streets[row]:
+            away = self.measure_distances(at, STREET, self.streets & self.named)
+            street = min(away, key=away.__getitem__, default=row)
+            if away.get(street, STREET) < STREET:
+                address["street"] = objects.name(street)
+        for layer, rows in self.towns.items():
+            off = np.hypot(*(objects.center[rows] - at).T)
+            if len(rows) and off.min() < _REACH[layer] and rows[off.argmin()] != row:
+                address[layer] = objects.name(int(rows[off.argmin()]))
+        return address
+
+
+def _cities(dispatcher: Dispatcher) -> Iterator[Gazetteer]:
+    """Yield all cities; `RequestError` where there is none."""
+    names = [e.name for e in dispatcher.places.entries() if e.kind == "city"]
+    if not names:
+        raise RequestError(
+            "This server has no city map; start it with one.", status=404, code="map_unknown"
+        )
+    for name in names:
+        city, known = dispatcher.places.city(name), dispatcher.gazetteers.get(name)
+        if known is None or known.city is not city:
+            known = dispatcher.gazetteers[name] = Gazetteer(city)
+        yield known
+
+
+def rows_of(gazetteer: Gazetteer, request: Mapping[str, Any]) -> dict[int, float]:
+    """Return objects that a text names, or else is the kind of, and how well."""
+    city, text = gazetteer.city, request["q"]
+    words = " ".join(tokens(text))
+    if not words:
+        return {}
+    rows = _objects(city, _names(city, words), gazetteer.first)
+    rows = rows or _objects(city, _labels(city, text), 0)
+    scores = {row: fit for row, fit in rows.items() if gazetteer.admits(row, request)}
+    if request["lat"] is not None and request["lon"] is not None:
+        at = city.plane.to_plane((request["lon"], request["lat"]))
+        reach = NEAR * 2.0 ** (ZOOM - request["zoom"])
+        weight = (1.0 - request["location_bias_scale"]) / (1.0 - BIAS)
+        for row in scores:
+            away = float(np.hypot(*(city.objects.center[row] - at)))
+            scores[row] /= (1.0 + away / reach) ** weight
+    best: dict[int, float] = {}
+    ways: set[int] = set()
+    for row in sorted(scores, key=lambda row: -scores[row]):
+        if row not in ways:
+            best[row] = scores[row]
+        if len(best) >= request["limit"]:
+            break
+        if (
+            request["dedupe"]
+            and gazetteer.streets[row]
+            and gazetteer.named[row]
+            and row not in ways
+        ):
+            ways.update(gazetteer.find_ways(row))
+    return best
+
+
+def _names(city: CityMap, words: str) -> dict[int, float]:
+    """Rows of the city's names by how well they fit."""
+    from rapidfuzz import fuzz, process
+
+    known = city.name_index.by_words
+    last = words.rsplit(maxsplit=1)[-1]
+    fits: dict[str, float] = {}
+    for name in known:
+        if name.startswith(words):
+            fits[name] = 1.0 if len(name) == len(words) else 0.9
+        elif f" {words}" in name:
+            fits[name] = 0.7
+    if not fits and len(last) > 2:
+        near = process.extract(words, known.keys(), scorer=fuzz.ratio, score_cutoff=CLOSE, limit=20)
+        fits = {name: 0.6 * score / 100.0 for name, score, _ in near}
+    best = sorted(fits, key=lambda name: (-fits[name], len(name), name))[:_MOST]
+    return {row: fits[name] for name in best for row in known[name]}
+
+
+def _labels(city: CityMap, text: str) -> dict[int, float]:
+    """Rows of the city's labels that a word of the vocabulary means: "bakery", "Bäckerei"."""
+    from placegraph.outdoor.search.request import parse
+
+    try:
+        mentions = [m for m in parse(city, text).mentions if m.senses]
+    except PlacegraphError:
+        return {}
+    if len(mentions) != 1 or len(tokens(text)) > 3:  # a sentence is for `locate`
+        return {}
+    return {
+        row: 0.5 * sense.weight
+        for sense in mentions[0].senses
+        if sense.weight >= 0.7
+        for row in city.label_index.get(sense.label, ())
+    }
+
+
+def _objects(city: CityMap, tokens_of: Mapping[int, float], first: int) -> dict[int, float]:
+    """Objects that bear tokens (rows counted from `first`), and the best fit of each."""
+    starts, rows = city.token_objects
+    found: dict[int, float] = {}
+    for token, fit in tokens_of.items():
+        for row in rows[starts[first + token] : starts[first + token + 1]].tolist():
+            found[row] = max(fit, found.get(row, 0.0))
+    return found
+
+
+def find_described(city: CityMap, request: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
+    """Yield the places that a sentence describes, as features; none where no place fits."""
+    near = None if None in (request["lat"], request["lon"]) else (request["lon"], request["lat"])
+    if request["layer"] or request["osm_tag"] or request["bbox"]:
+        return
+    try:
+        estimate = city.locate(request["q"], near=near, top=request["limit"])
+    except PlacegraphError:
+        return
+    if estimate.status.name == "LOST":
+        return
+    for mode in estimate.modes:
+        properties = {
+            "osm_type": "N", "osm_id": 0, "osm_key": "placegraph", "osm_value": "described",
+            "type": "house", "name": request["q"], "probability": mode.probability,
+        }  # fmt: skip
+        yield _feature([mode.longitude, mode.latitude], properties)
+
+
+def _layer(key: str, value: str) -> str:
+    return _PLACES.get(value, "house") if key == "place" else _TYPES.get(key, "house")
+
+
+def _has_tag(tag: str, key: str, value: str) -> bool:
+    """Return whether a label is of a tag as Photon writes it: `key`, `key:value` or `:value`."""
+    wanted, _, of_value = tag.partition(":")
+    return wanted in {"", key} and of_value in {"", value}
+
+
+def _feature(at: list[float], properties: dict[str, Any]) -> dict[str, Any]:
+    geometry = {"type": "Point", "coordinates": at}
+    known = {name: value for name, value in properties.items() if value != ""}
+    return {"type": "Feature", "geometry": geometry, "properties": known}
