@@ -423,8 +423,6 @@ _FITS, _MISSES = 0.75, 0.5
 """Share of depth readings on the map's surfaces in frames that fit, and in frames that do not."""
 _MUTE = SPEAK / 4.0
 """Largest log-likelihood of colours in a frame taken elsewhere [nat a sample]."""
-_UNDERGROUND = (-1.0, -0.3)
-"""Heights above the floor at which a camera below it is searched for [m]."""
 
 
 def find_image_fault(window: Window) -> str:
@@ -539,7 +537,7 @@ def _is_odometry_missing(observations: list[Observation]) -> bool:
 def undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
     """Yield windows with depth with one fault undone, and a sentence about the fault.
 
-    Rows *gravity up*, *mirrored* and *below the floor*, and depth in another unit.
+    Rows *gravity up* and *mirrored*, and depth in another unit.
     """
     query, observations = replace(window.query, prior=None), window.observations
     if all(s.depth is None for s in observations):
@@ -576,14 +574,6 @@ def undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
         (
             "The images seem to be mirrored, because they fit when flipped. Give images as "
             "the camera sees them."
-        ),
-    )
-    below = replace(query, options=replace(query.options, heights=_UNDERGROUND))
-    yield (
-        Window(below, window.scorer, observations),
-        (
-            "The frames fit a camera below the floor of the map; check the storey and the "
-            "map's floor height."
         ),
     )
 
