@@ -1,4 +1,4 @@
-"""Text sets that statuses are outcomes on: made by templates, written by people, and traps.
+"""Text sets that statuses are outcomes on: made by templates, written by people, walks, and traps.
 
 A trap is a text of which nobody may be sure: it names a street or a business that the map lacks, is
 about another town, about none, or in words and languages that are not known.
@@ -6,12 +6,14 @@ about another town, about none, or in words and languages that are not known.
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -66,7 +68,7 @@ ASTRAY = {"pittsburgh": "manhattan", "manhattan": "pittsburgh"}
 LURED = ("toronto", "monaco", "manhattan")  # maps on which traps with gaps are set
 THINGS = ("bank", "cafe", "pharmacy", "bus stop", "bench", "church", "school", "restaurant")
 STREET = re.compile(r"\b(street|avenue|road|drive|lane|boulevard)\b", re.IGNORECASE)
-RADIUS = {"templates": 50.0, "people": 250.0, "traps": 50.0}
+RADIUS = {"templates": 50.0, "people": 250.0, "walks": 100.0, "traps": 50.0}
 """Largest distance of a right answer from the truth [m]."""
 TUNED, HELD_OUT = "tuned on", "held out"
 
@@ -79,13 +81,14 @@ class LabelledText:
     goal: tuple[float, float] | None = None
     """Longitude, latitude [deg]; None where no place on the map is right."""
     start: tuple[float, float] | None = None  # where the listener is, if that is told [deg]
+    heading: float | None = None  # of the listener, if that is told [rad]
 
 
 @dataclass(frozen=True)
 class TextSet:
     """Texts of one kind for one map."""
 
-    kind: str  # templates, people or traps
+    kind: str  # templates, people, walks or traps
     name: str
     city: str
     half: str  # whether it was looked at while statuses were tuned
@@ -103,6 +106,7 @@ def text_sets(
     """All sets, `n` texts each but for what people wrote; extracts lie in `osm`, records in `folder`."""
     yield from templates(osm, n, seed)
     yield from people(folder)
+    yield from walks(folder)
     yield from traps(osm, folder, maps, n, seed)
 
 
@@ -138,6 +142,19 @@ def people(folder: Path) -> Iterator[TextSet]:
         name = f"Vancouver, {kind}, {'sentences' if sentences else 'notes'}"
         for first, half in enumerate((TUNED, HELD_OUT)):
             yield TextSet("people", name, "vancouver", half, texts[first::2])
+
+
+def walks(folder: Path) -> Iterator[TextSet]:
+    """Odd walks, which were looked at, and even ones; start and heading are told."""
+    lines = (folder / "walks_manhattan.jsonl").read_text("utf-8").splitlines()
+    texts = tuple(
+        LabelledText(
+            w["text"], *(w["route"][k][::-1] for k in (-1, 0)), radians(w["start_heading_deg"])
+        )
+        for w in map(json.loads, lines)
+    )
+    for first, half in enumerate((TUNED, HELD_OUT)):
+        yield TextSet("walks", "Manhattan", "manhattan", half, texts[first::2])
 
 
 def traps(
@@ -224,7 +241,7 @@ def fit_calibrations(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[
     """Coefficients by what is claimed, over the texts of known places that may be tuned on."""
     drawn: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for asked in sets:
-        if asked.half != TUNED or asked.kind == "traps":
+        if asked.half != TUNED or asked.kind not in ("templates", "people"):
             continue
         for told in asked.texts:
             for name, claimed, right in shares(maps[asked.city], told):
@@ -301,6 +318,7 @@ PICTURE = LAB.parent / "docs/pictures/reliability.png"
 KINDS = {
     "templates": "Texts made by templates",
     "people": "What people wrote",
+    "walks": "Walks, with start and heading",
     "traps": "Traps: nobody may be sure",
 }
 
@@ -315,7 +333,7 @@ class Verdict:
 def locate_text(city: CityMap, text: LabelledText) -> Verdict:
     """Give a text to a map, and where the listener is, if that is told."""
     try:
-        found = city.locate(text.text, listener=text.start)
+        found = city.locate(text.text, listener=text.start, heading=text.heading)
     except PlacegraphError as error:
         return Verdict(type(error).__name__, 0.0, np.inf)
     if found.best is None or text.goal is None:
