@@ -194,6 +194,31 @@ def test_names_of_the_map_are_sought_before_prefixes_are_cut(text, named):
     assert description.ignored == ()
 
 
+def read_named():
+    """Read sentences with names of a map: language, names of the map, text, and what is named."""
+    for line in (HAND.parent / "names.txt").read_text("utf-8").splitlines():
+        if line.startswith("["):
+            code, _, listed = line[1:].partition("] ")
+        elif not line.startswith("#"):
+            text, _, meant = line.partition(" => ")
+            yield pytest.param(
+                listed.split("; "), text, set(meant.split("; ")), id=f"{code}: {text}"
+            )
+
+
+@pytest.mark.parametrize(("listed", "text", "meant"), list(read_named()))
+def test_names_in_any_language_script_and_form(listed, text, meant):
+    """Inflected, in compounds, without spaces or diacritics, shortened, in other letters."""
+    index = NameIndex.build(Names(tuple(listed)))
+    description = describe(text, names=index)
+    nodes = {n for s in description.statements for n in (s.source, s.target, s.target2)} - {None}
+    mentions = [description.mentions[n] for n in nodes]
+    found = {listed[row] for m in mentions if m.name for row in index.find_rows(m.name)}
+    assert found == {name for name in meant if name[0] != "("}
+    for word in meant - found:
+        assert any(means(m, word.strip("()")) for m in mentions)
+
+
 def test_a_name_that_no_statement_speaks_of_is_near():
     names = NameIndex.build(Names(("Kiosk am Eck", "Zum Hirsch")))
     text = "Ich war gestern, so sagt man, wohl ganz blorf Zum Hirsch."

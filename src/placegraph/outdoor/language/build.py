@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, sin
@@ -15,6 +16,7 @@ from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,
     Direction,
+    Mention,
     Relation,
     find_conflicts,
 )
@@ -34,7 +36,7 @@ from placegraph.outdoor.language.statements import (
     References,
 )
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.language.words import NameFinder, Words
+from placegraph.outdoor.language.words import ROADS, NameFinder, Words, normalise, tokens
 
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
@@ -49,6 +51,9 @@ LEG_SIGMA = 60.0
 INSTRUCTION = "a route instruction"
 NO_LANGUAGE = "in an unknown language"
 """Reason of a sentence that may mean something else."""
+
+
+_SUFFIX, _LABEL = re.compile(r"['’]\w+"), re.compile(r"\S*[=_]\S*")
 
 
 class Describer(Protocol):
@@ -129,6 +134,9 @@ def describe(
             _read_sentence(sentence, spoken, builder)
         if spoken.code != "en" or not grammar:
             builder.note(sentence, grammar=grammar and spoken.grammar)
+    for part in parts if names else ():
+        if names and (part.language.code != "en" or not part.certain):
+            builder.complete(cleaned[part.start : part.end], part.language, names)
     builder.finish()
     statements, ignored = places.statements, [*places.ignored, *references.list_unknown()]
     if not (statements or ignored):
@@ -231,6 +239,41 @@ class GraphBuilder:
                 self.places.add(context, Relation.NEAR, SPEAKER, node, certainty=LED)
             else:
                 self.places.add(context, Relation.VISIBLE, node, SPEAKER, certainty=MENTIONED)
+
+    def complete(self, text: str, language: Language, names: NameFinder) -> None:
+        """Give mentions the names of the map that their words begin with: "Kauppatoria".
+
+        The place is near what no mention speaks of: "Marktplatzbrunnen", names in an unknown language.
+        """
+        known, mentions = self.references.vocabulary, self.references.mentions
+        if isinstance(known, Vocabulary) and language.code != "en":
+            known = known.of(language)
+        lists = language.lists
+        prefixes = lists.get("street_prefixes", ROADS) | lists.get("place_prefixes", ROADS)
+        roads = lists["street_suffixes"] | lists["road_words"] | ROADS
+        text = _LABEL.sub(",", text)
+        for name, rest in names.find_within(f"{text} {_SUFFIX.sub(' ', text)}"):
+            node = next((m.id for m in mentions[2:] if name in normalise(m.words)), len(mentions))
+            if node == len(mentions):
+                common = known.senses(name) or name in language.words
+            else:
+                told = mentions[node]
+                capital = language.capitals and told.words[0].isupper()
+                common = told.senses and not (told.name or capital)
+            if common or rest in roads:
+                continue
+            if len(rest) > min(3, len(name) // 3) and not known.senses(rest):
+                continue
+            if node == len(mentions):
+                mentions.append(Mention(node, name))
+                self.references.heads.append("")
+                self.references.modifiers.append(frozenset())
+            words = tokens(mentions[node].name)
+            exact = bool(words) and names.longest_name(words, 0) == len(words)
+            if not (words and (exact or {*words} - {*name.split()} <= prefixes)):
+                mentions[node] = replace(mentions[node], name=name)
+            if not any(node in (s.source, s.target, s.target2) for s in self.places.statements):
+                self.places.add(ClauseContext(name), Relation.NEAR, SPEAKER, node, certainty=LED)
 
     def _count(self) -> tuple[int, int, int]:
         """Count what has been said, understood or not; every telling clause raises it."""

@@ -447,9 +447,14 @@ class InflectedChunker(Chunker):
         grammar are no names. A word for a street that stands before a name belongs to it.
         """
         names, prefixes = self.proper.names, self.lexicon.prefixes
-        if names is None or not prefixes or prefixes[-1].endswith("'"):
+        if names is None:
             return {}
-        words = list(_RAW_WORD.finditer(self.text, *span))
+        words = [
+            word
+            for word in _RAW_WORD.finditer(self.text, *span)
+            if self.text[word.end() : word.end() + 1] not in ("=", "_")
+            and self.text[word.start() - 1 : word.start()] not in ("=", "_")
+        ]
         found: dict[int, int] = {}
         i = 0
         while i < len(words):
@@ -498,8 +503,11 @@ class InflectedChunker(Chunker):
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
         """Return the chunks of a sentence, in the order of the grammar."""
         self.proper.inflected = {}
-        sentence = [self._respell(word) for word in sentence]
-        found = self._mark_cases(super().chunks(sentence))
+        lower, spelt = [word.lower for word in sentence], list[Word]()
+        while (i := len(spelt)) < len(sentence):  # "rue piétonne" is no misspelt "rue | piéton"
+            n, _ = self.vocabulary.longest_match(lower, i) or (1, ())
+            spelt += sentence[i : i + n] if n > 1 else [self._respell(sentence[i])]
+        found = self._mark_cases(super().chunks(spelt))
         parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
         return [chunk for part in parts for chunk in order_chunks(part, self.lexicon)]
 

@@ -400,9 +400,8 @@ def _shortened(text: str, end: int, mark: str, sentence: list[Word], language: L
         return False
     if end < len(text) and not text[end].isspace():
         return language.spaces
-    return sentence[-1].lower in language.lists["shortened"] or (
-        sentence[-1].lower.isdecimal() and len(sentence[-1].lower) < 3
-    )
+    last = sentence[-1].lower.lower().rpartition(" ")[2]  # of a name: "Cihangir Cad."
+    return last in language.lists["shortened"] or (last.isdecimal() and len(last) < 3)
 
 
 def _words(

@@ -208,6 +208,9 @@ class NameFinder(Protocol):
         Words are in the normal form of `tokens`.
         """
 
+    def find_within(self, text: str) -> Iterable[tuple[str, str]]:
+        """Return names that words of a text begin with, and the rest of the last word."""
+
     def find_sites(self, text: str) -> list[tuple[int, int]]:
         """Find stretches (start, end) of a text that name a crossing or a house by its streets."""
 
@@ -216,13 +219,14 @@ class NameFinder(Protocol):
 
 
 _NAME_SPELLING = _read_pairs("""
-    street>st saint>st str>st avenue>ave av>ave boulevard>blvd boul>blvd bd>blvd bulvari>blvd
-    bulvar>blvd road>rd drive>dr doctor>dr lane>ln place>pl square>sq parkway>pkwy highway>hwy
+    street>st saint>st ste>sainte str>st avenue>ave avenida>ave av>ave boulevard>blvd boul>blvd bd>blvd
+    bulvari>blvd bulvar>blvd road>rd drive>dr doctor>dr lane>ln place>pl square>sq parkway>pkwy highway>hwy
     terrace>ter mount>mt fort>ft building>bldg centre>center ctr>center cntr>center
     univ>university uni>university co>company bros>brothers sts>saints hts>heights jct>junction
     jctn>junction intl>international natl>national hosp>hospital apts>apartments cad>caddesi
-    cd>caddesi sok>sokak sk>sokak sokagi>sokak ул>улица вул>вулиця пр>проспект просп>проспект
-    пл>площадь площа>площадь n>north s>south e>east w>west theatre>theater et>and und>and
+    cd>caddesi sok>sokak sk>sokak sokagi>sokak ier>1er ul>ulica pque>parque ул>улица вул>вулиця
+    пр>проспект просп>проспект пл>площадь площа>площадь n>north s>south e>east w>west theatre>theater
+    et>and und>and
     first>1st second>2nd third>3rd fourth>4th fifth>5th sixth>6th seventh>7th eighth>8th
     ninth>9th tenth>10th eleventh>11th twelfth>12th thirteenth>13th fourteenth>14th
     fifteenth>15th sixteenth>16th seventeenth>17th eighteenth>18th nineteenth>19th
@@ -275,7 +279,7 @@ def fold(word: str) -> str:
         return "and"
     word = word.casefold()
     if not word.isalnum() or not word.isascii():
-        parts = unicodedata.normalize("NFKD", fold_case(word)).casefold()
+        parts = unicodedata.normalize("NFKD", fold_case(word).translate(_FOLDED_LETTERS)).casefold()
         word = "".join([c for c in parts if c.isalnum()])
         if _ARTICLE.match(word):
             word = word[1:] if word[0] == "ה" else word[2:]
@@ -285,6 +289,20 @@ def fold(word: str) -> str:
     if word.endswith("strasse") and len(word) > 7:
         return word[:-4]  # "Hauptstr."
     return _NAME_SPELLING.get(word, word)
+
+
+_LATIN = str.maketrans(
+    _read_pairs("""
+    а>a б>b в>v г>g ґ>g д>d е>e є>ye ж>zh з>z и>i і>i й>y к>k л>l м>m н>n о>o п>p р>r с>s т>t у>u ф>f
+    х>kh ц>ts ч>ch ш>sh щ>shch ъ> ы>y ь> э>e ю>yu я>ya α>a β>v γ>g δ>d ε>e ζ>z η>i θ>th ι>i κ>k λ>l
+    μ>m ν>n ξ>x ο>o π>p ρ>r σ>s τ>t υ>y φ>f χ>ch ψ>ps ω>o
+""")
+)
+
+
+def transliterate(words: str) -> str:
+    """Return folded words with Cyrillic and Greek letters as Latin ones: "невскии" -> "nevsky"."""
+    return words.replace("ии", "y").translate(_LATIN)
 
 
 def ordinal(number: int) -> str:

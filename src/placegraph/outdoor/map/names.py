@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,11 +14,20 @@ from typing import Protocol
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
+from placegraph.outdoor.language.words import (
+    COMPASS,
+    ROADS,
+    SMALL,
+    normalise,
+    tokens,
+    transliterate,
+)
 from placegraph.outdoor.map.streets import Streets
 
 LONGEST = 8
 """Names are found in running text up to this many words."""
+MOST_LETTERS, DENSE = 60, "\u0e00"
+"""Letters of the longest name that is found within words, and the first letter of scripts without spaces."""
 CLOSE = 0.86
 """Similarity from which a misspelt name counts as meant."""
 SAID, KNOWN = 0.7, 0.25
@@ -85,6 +95,25 @@ class NameIndex:
                 return n
         return 0
 
+    def find_within(self, text: str) -> Iterator[tuple[str, str]]:
+        """Yield names that words of a text begin with, and the rest of the last word.
+
+        Such names are inflected, part of a compound, or in a script without spaces.
+        """
+        words, at = normalise(text), 0
+        while at < len(words):
+            dense = words[at] >= DENSE
+            last = (
+                min(len(words), at + MOST_LETTERS)
+                if dense or words[at - 1 : at] in ("", " ")
+                else 0
+            )
+            ends = range(last, at + (1 if dense else 4), -1)
+            name = next((words[at:end] for end in ends if words[at:end] in self.by_words), "")
+            at += max(len(name), 1)
+            if name:
+                yield name, "" if dense else words[at:].partition(" ")[0]
+
     def closest_name(self, phrase: str) -> tuple[str, float] | None:
         """Name (its words) most similar to a phrase and the similarity, None below `CLOSE`."""
         from rapidfuzz import fuzz, process
@@ -128,6 +157,8 @@ class NameIndex:
                 name = " ".join(rest)
                 rows = self.by_words.get(name) or self.by_words.get(f"the {name}") or []
                 found = dict.fromkeys(rows, PART)
+            if not found and (latin := transliterate(said)) != said:
+                found = self.find_rows(latin)
             self.meant[said] = found
         return self.meant[said]
 
@@ -232,14 +263,19 @@ class NameIndex:
         return found
 
 
+_ELISION = re.compile(r"\b([DdLl])['’`](?=\w{2})")
+
+
 def list_spoken_forms(name: str) -> list[list[str]]:
     """List the words by which a name is called.
 
     "The Rex Theatre" is also called "Rex Theatre", but not every pub is "The Pub"; "Rex (closed)"
-    is called "Rex".
+    is called "Rex", and "Place d'Armes" is written "place d armes" in haste.
     """
     words = tokens(name)
     found = [words, words[1:]] if words[:1] == ["the"] and len(words) > 2 else [words]
+    if _ELISION.search(name):
+        found.append(tokens(_ELISION.sub(r"\1 ", name)))
     if name.endswith(")"):
         found.append(tokens(name.rpartition("(")[0]))
     return [said for said in found if said]
