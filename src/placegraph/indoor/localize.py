@@ -96,15 +96,16 @@ def _localize_as_said(
     if fault:  # no search could help
         return window, reject_frames(fault, [s.frame.index for s in window.observations])
     seeds = search(window, rng)
-    if len(seeds):
-        seeds = np.concatenate([locate_by_landmarks(window), seeds])
+    landmark_poses = locate_by_landmarks(window) if len(seeds) else seeds
+    seeds = np.concatenate([landmark_poses, seeds])
     options = query.options.particle_filter
     filtered = run_passes(window, seeds, rng) if options else None
     if filtered and options and options.answer == "mle":
         candidates = heaviest_modes(window.chain, filtered.particles, options.modes)
     else:
         starts = seeds if filtered is None else np.concatenate([filtered.modes, seeds])
-        candidates = correct_drift(window, fit_window(window, starts, rng), rng)
+        candidates = fit_window(window, starts, rng, landmark_poses)
+        candidates = correct_drift(window, candidates, rng)
         candidates = explore_unobservable(window, candidates, rng)
     estimate = _add_costs(window, estimate_pose(window, candidates), filtered)
     if refining:

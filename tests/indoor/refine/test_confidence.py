@@ -246,6 +246,13 @@ def test_images_alone_must_convince_more(refiner, exact, kit):
     assert set(found.stats["held_back"]) == {"images"}
     refused = confirm_fit(refiner(depth=False), exact.poses, fitted(off, 40))
     assert not refused.accepted
+    # a pose known to decimetres does not contradict a fit beside it, which landmarks confirm
+    same, one = fitted(exact.poses.copy(), 40), refiner(depth=False)
+    one.landmark_matches = 15
+    assert not confirm_fit(one, exact.poses, same).accepted
+    one.loose = 0.04 * np.eye(3)
+    assert confirm_fit(one, exact.poses, same).accepted
+    assert not confirm_fit(one, exact.poses, fitted(off, 40)).accepted, "held-out pixels refuse it"
     nothing = FittedTrajectory(off, None, [], np.full((6, 6), np.nan))
     for few, colour, says in (
         (fitted(exact.poses, 0), True, NOTHING),

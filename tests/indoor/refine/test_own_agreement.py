@@ -47,13 +47,9 @@ def test_colours_that_fall_short_are_of_an_unsearched_place():
     faint = OWN * np.array([1.0, 0.1, *np.ones(7)])
     assert searched_odds(seen(texture=0.06), faint) < odds[0], "bare walls tell little"
     assert searched_odds(beside, OWN, 0.77) > searched_odds(beside, OWN, 0.3)
-    alike, unlike = np.r_[OWN[:-1], 0.8], np.r_[OWN[:-1], 0.0]
+    unlike = np.r_[OWN[:-1], 0.1]
     for agreed in (as_own, beside, seen(depth=0.8)):
-        assert (
-            searched_odds(agreed, alike)
-            < searched_odds(agreed, OWN)
-            < searched_odds(agreed, unlike)
-        )
+        assert searched_odds(agreed, OWN) < searched_odds(agreed, unlike)
     # a map made on one pass is asked from another: its own frames agree better
     other_pass = seen(depth=0.9, texture=0.43, tone=0.65)
     assert searched_odds(other_pass, OWN, 0.5) < 0.0
@@ -87,7 +83,7 @@ def test_own_frames_are_measured_kept_and_merged(room, measured, tmp_path):
     assert own[0] > 3.0
     assert (own[1:4] > 0.05).all()
     assert (own[4:] >= 0).all()
-    assert own[-1] < 0.5, "one room repeats little"
+    assert 0.3 < own[-1] < 0.6, "plain walls are alike"
     save_scene(measured, tmp_path / "it.scene")
     np.testing.assert_array_equal(
         SceneMap.open(tmp_path / "it.scene").own_agreement, measured.own_agreement

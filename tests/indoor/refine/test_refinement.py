@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
+from placegraph.core.geometry import split_pose
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.options import PoseSearchOptions
+from placegraph.indoor.pose.local_fit import fit_window
 from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
@@ -90,6 +92,18 @@ def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, s
     found = Diagnostics(undecided=undecided, searched=searched)
     before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=found)
     assert _apply_check(before, refiner, judgement).status is after
+
+
+def test_a_pose_that_landmarks_tell_outlasts_the_coarse_levels(room, walk, exact, rng):
+    window = observe(PoseQuery.of(room, walk, frames=slice(0, 1)))
+    truth = split_pose(exact.poses[0])[0]
+    astray = truth + np.array([[0.9, 0.0, 0.0, 1.2]])
+    ways = [
+        np.linalg.norm(fit_window(window, astray, rng, poses)[0].pose[:3] - truth[:3])
+        for poses in (None, truth[None] + 0.05)
+    ]
+    assert ways[0] > 0.3
+    assert ways[1] < 0.05
 
 
 def test_what_is_lost_is_not_refined(flat, walk):

@@ -50,7 +50,7 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     shifted[:3, 3] += 0.01
     fitted = FittedTrajectory(shifted[None], None, [few], np.eye(6))
     assert one.add_held_back(fitted) is fitted  # no landmarks had led there
-    one.landmark_matches = len(few)
+    one.by_landmarks = True
     whole = one.add_held_back(fitted)
     assert len(whole.matches[0]) > 110
     assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3

@@ -11,6 +11,7 @@ from placegraph.core.geometry import Floats, split_pose
 from placegraph.indoor.likelihood.observe import (
     FINE,
     Background,
+    View,
     observe_frame,
     spread,
     views,
@@ -31,6 +32,8 @@ NEIGHBOURS = 4
 _GRID = 16
 _HIDDEN = 0.95
 """Share of the way to a point from which on its ray ends at it."""
+_FIRST = 5
+"""Number of modes of a search among which other places are looked for."""
 NEAR = 0.5
 """Distance from its pose within which a frame is found [m]."""
 
@@ -39,15 +42,17 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     """Measure how well the frames that a map was made of agree with it at their poses (T, 4, 4).
 
     Returns a row (2 K + 1,) of `Scene.own_agreement`: means and deviations over frames of the K numbers
-    of `reach`, NaN where a sense is missing, and the probability that depth gives to wrong places. What
-    a frame alone shows agrees with it, but with other frames by any share of that, evenly distributed.
+    of `reach`, NaN where a sense is missing, and how much the map repeats itself: the share of the mean
+    texture that single frames find elsewhere, where depth fits best (without colours the probability that
+    depth gives to such places). What a frame alone shows agrees with it, but with other frames by any
+    share of that, evenly distributed.
     """
     options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
     scorer, count, renderer = Scorer(scene, options.likelihood), len(scene), Renderer(scene)
     nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
-    found = np.full((0, REACH), np.nan)
+    found, elsewhere = np.full((0, REACH), np.nan), []
     rows = spread(len(frames), MOST)
-    for row in rows:
+    for number, row in enumerate(rows):
         frame = replace(frames[row], gravity=-poses[row, 2, :3])
         seen = observe_frame(frame, None, options)
         view = views([seen], FINE, scorer.model, nothing)
@@ -58,6 +63,8 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
                 0
             )
         found = np.vstack([found, reach(at, rho)])
+        if number % max(1, len(rows) // SOUGHT) == 0:
+            elsewhere.append(_measure_elsewhere(scorer, frame, view, poses[row]))
     known = [column[np.isfinite(column)] for column in found.T]
     means, deviations = (
         np.array([f(k) if len(k) else np.nan for k in known]) for f in (np.mean, np.std)
@@ -65,7 +72,8 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     alone = float(np.mean([_measure_seen_alone(scene, frames, poses, row) for row in rows]))
     means *= 1.0 - 0.5 * alone
     deviations = np.hypot(deviations, alone * means / np.sqrt(12.0))
-    return np.array([*means, *deviations, _measure_repetition(scene, frames, poses)])
+    wrong, textures = np.mean(elsewhere, axis=0) if elsewhere else (np.nan, np.nan)
+    return np.array([*means, *deviations, textures / means[1] if scene.has_colours else wrong])
 
 
 def _measure_seen_alone(scene: Scene, frames: Sequence[Frame], poses: Floats, row: int) -> float:
@@ -91,14 +99,18 @@ def _measure_seen_alone(scene: Scene, frames: Sequence[Frame], poses: Floats, ro
     return float(alone.mean()) if len(points) else 0.0
 
 
-def _measure_repetition(scene: Scene, frames: Sequence[Frame], poses: Floats) -> float:
-    """Return the mean probability of wrong places by the depth of single frames at poses (T, 4, 4)."""
-    options, wrong = PoseSearchOptions().only(depth=True), []
-    for row in spread(len(frames), SOUGHT):
-        frame = replace(frames[row], gravity=-poses[row, 2, :3])
-        found = localize_capture(scene, [frame], options=options, refine=False)
-        at = np.array([mode.map_from_camera[:3, 3] for mode in found.modes]).reshape(-1, 3)
-        shares = np.array([mode.probability for mode in found.modes])
-        near = np.linalg.norm(at - poses[row, :3, 3], axis=1) < NEAR
-        wrong.append(1.0 - float(shares[near].sum() / shares.sum()) if len(shares) else 1.0)
-    return float(np.mean(wrong)) if wrong else np.nan
+def _measure_elsewhere(
+    scorer: Scorer, frame: Frame, view: Sequence[View], pose: Floats
+) -> tuple[float, float]:
+    """Return what a frame at a pose (4, 4) finds elsewhere by depth: probability, and largest texture."""
+    options = PoseSearchOptions().only(depth=True)
+    modes = localize_capture(scorer.scene, [frame], options=options, refine=False).modes
+    away = [
+        np.linalg.norm(mode.map_from_camera[:3, 3] - pose[:3, 3]) >= NEAR for mode in modes[:_FIRST]
+    ]
+    far = [mode for mode, is_away in zip(modes, away, strict=False) if is_away]
+    still = np.zeros((1, 4))
+    textures = [agreement(scorer, mode.pose, view, still).texture for mode in far]
+    total = sum(mode.probability for mode in modes)
+    wrong = sum(mode.probability for mode in far) / total if total else 1.0
+    return wrong, max(textures, default=0.0)

@@ -291,18 +291,18 @@ def reach(agreed: Agreement, correlation: float = np.nan) -> Floats:
     return np.array([depth, agreed.texture, agreed.tone, correlation])
 
 
-_REPEATING = 0.05
-"""Probability that depth gives to wrong places of a map, from which on the map repeats itself."""
+_REPEATING = 0.3
+"""Share of its texture that a map's own frames find elsewhere, from which on the map repeats itself."""
 _UNEVEN = 0.2, 0.1
 """Deviation of a map's own agreement, as a share of its mean, of maps that do not repeat themselves and
 of those that do: light and viewpoints change."""
 _SEARCHED = 1.0
-"""Log odds of a pose against all places that were not searched, in a map of which half repeats itself."""
+"""Log odds that depth adds to a pose against all places that were not searched."""
 _COLOURS = np.array([[1.5, 0.5, 0.0], [1.5, 0.5, 1.0]])
 """Weights of textures, tones and correlation of images, of both kinds of maps: of any two images of a
 room tones agree."""
-_REPEATS = (0.1, 0.1), (0.25, 0.8)
-"""Least and largest share of a map that repeats itself, of both kinds of maps."""
+_REPEATS = 0.1, 0.5
+"""Probability that a place of a map looks like one elsewhere, of both kinds of maps."""
 
 
 def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np.nan) -> float:
@@ -310,28 +310,22 @@ def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np
 
     At a right pose, frames agree as well as those that the map was made of, with normal errors. At a wrong
     pose they agree by any amount less. Each sense of colour adds the logarithm of the ratio of both
-    densities, by its weight; a sense that is missing leaves its weight to the others. Depth counts by the
-    share of the map that repeats itself: elsewhere a moved chair lowers it, too. A map that repeats itself
-    asks for more, as places beside it may look like its own. `own`: (2 K + 1,), a row of
-    `Scene.own_agreement`; if it is unknown, the odds are infinite.
+    densities, by its weight. Depth counts by the share of the map that repeats itself: elsewhere a moved
+    chair lowers it, too. A map that repeats itself asks for more, as places beside it may look like its
+    own. `own`: (2 K + 1,), a row of `Scene.own_agreement`; if it is unknown, the odds are infinite.
     """
     if own is None or np.isnan(own[-1]):
         return np.inf
     repeating = int(own[-1] >= _REPEATING)
-    means, repeats = own[:REACH], np.clip(own[-1], *_REPEATS[repeating])
+    means, repeats = own[:REACH], _REPEATS[repeating]
     deviations = np.hypot(own[REACH:-1], _UNEVEN[repeating] * means) + 1e-6
     short = np.maximum((means - reach(agreed, correlation)) / deviations, 0.0)
     known = np.isfinite(short)
     if not known.any():
         return np.inf
-    gains = np.log(np.maximum(means / (deviations * np.sqrt(2.0 * np.pi)), 0.5)) - 0.5 * short**2
-    odds = _SEARCHED - log_odds(repeats, 0.0) - 0.5 * repeats * (short[0] ** 2 if known[0] else 0.0)
-    all_weights = _COLOURS[repeating]
-    weights = all_weights * known[1:]
-    if weights.any():
-        share = all_weights.sum() / weights.sum()
-        odds += share * float(weights[known[1:]] @ gains[1:][known[1:]])
-    return float(odds)
+    gains = np.log(np.maximum(means / (deviations * np.sqrt(2.0 * np.pi)), 1.0)) - 0.5 * short**2
+    odds = float(_COLOURS[repeating][known[1:]] @ gains[1:][known[1:]]) - log_odds(repeats, 0.0)
+    return odds + _SEARCHED - 0.5 * repeats * float(short[0] ** 2) if known[0] else odds
 
 
 def both_odds(one: float, other: float) -> float:

@@ -226,11 +226,16 @@ def _scale_probabilities(modes: tuple[PoseMode, ...], searched: float) -> tuple[
 
 
 def judge_refined(
-    window: Window, estimate: PoseEstimate, poses: Floats, correlation: float | None
+    window: Window,
+    estimate: PoseEstimate,
+    poses: Floats,
+    covariance: Floats,
+    correlation: float | None,
 ) -> PoseEstimate:
     """Decide an estimate again at refined poses (T, 4), if the map knows the agreement of its own frames.
 
-    `correlation`: of held-out parts of the images with the map; None: not compared.
+    `covariance`: (6, 6) of the last refined pose. `correlation`: of held-out parts of the images with the
+    map; None: not compared.
     """
     before, own = diagnostics_of(estimate), _own_agreement(window.scene, poses[-1])
     if own is None or np.isinf(before.searched):
@@ -238,6 +243,9 @@ def judge_refined(
     agreed = agreement_at(window, poses)
     searched = searched_odds(agreed, own, np.nan if correlation is None else correlation)
     modes = _scale_probabilities(estimate.modes, np.inf)
-    status, reason, found = decide_pose(replace(before, agreement=agreed, searched=searched), modes)
+    refined = (replace(modes[0], covariance=covariance), *modes[1:])
+    status, reason, found = decide_pose(
+        replace(before, agreement=agreed, searched=searched), refined
+    )
     modes = _scale_probabilities(modes, searched)
     return replace(estimate, status=status, reason=reason, modes=modes, diagnostics=found)

@@ -180,8 +180,13 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
     return Fit(compose(pose, steps), float(scores[best]), sampling, covariance)
 
 
-def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
-    """Fit the last frame's pose from `starts` (M, 4) to all frames of a window; best first."""
+def fit_window(
+    window: Window, starts: Floats, rng: Generator, landmark_poses: Floats | None = None
+) -> list[Fit]:
+    """Fit the last frame's pose from `starts` (M, 4) to all frames of a window; best first.
+
+    `landmark_poses`: (K, 4), which are fitted to the last level, whatever coarser ones say.
+    """
     gap = min(GAP, _GAP_OF_ONE * len(window) ** 0.5)
     with time_stage(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
@@ -190,7 +195,10 @@ def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
             fit_level(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
             fit_level(window, FINE, rounds=4, samples=40, most=3, gap=gap),
         ]
-        return fit_modes(window.scorer, starts, levels, rng)
+        fits = fit_modes(window.scorer, starts, levels, rng)
+        for pose in () if landmark_poses is None else landmark_poses:
+            fits.append(fit_pose(window.scorer, pose, SPREAD, levels[-1], rng))
+        return merge_fits(fits)
 
 
 def fit_level(

@@ -396,7 +396,7 @@ SHARE = 0.05
 PLENTY = 20
 """Number of landmarks a frame from which on renderings are not needed."""
 FARTHEST = (1.0, 0.6)
-"""Landmarks whose pose lies farther than this [m], [rad] from the one at hand mean another place."""
+"""Largest move of a pose by a refinement, or by landmarks [m], [rad]; beyond lies another place."""
 _APART = 0.1  # landmarks nearer to each other show the same spot [m]
 _RIVALS = 4  # landmarks of one spot that are passed over in search of a rival
 _BLOCK = 8192  # landmarks that are compared at once
@@ -536,21 +536,15 @@ def drop_held_back(
     return [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
 
 
-def is_near(one: Floats, other: Floats) -> bool:
-    """Return whether two poses (4, 4) are near enough to be one place."""
-    turn = vector_from_rotation(one[:3, :3] @ other[:3, :3].T)
-    way = np.linalg.norm(one[:3, 3] - other[:3, 3])
-    return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
+def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
+    """Return way [m] and turn [rad] from one pose (4, 4) to another."""
+    turn = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
+    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 
 
 def has_plenty(matches: Sequence[PointMatches]) -> bool:
     """Return whether frames show so many landmarks that renderings are not needed."""
     return sum(map(len, matches)) >= PLENTY * sum(len(s) > 0 for s in matches)
-
-
-def has_plenty_everywhere(matches: Sequence[PointMatches]) -> bool:
-    """Return whether each of the matched frames shows so many."""
-    return all(len(matches[t]) >= PLENTY for t in spread(len(matches), LOOKS))
 
 
 def locate_by_landmarks(window: Window) -> Floats:

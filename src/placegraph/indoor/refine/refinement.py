@@ -17,7 +17,6 @@ from placegraph.core.geometry import (
     compose,
     pose_matrix,
     split_pose,
-    vector_from_rotation,
     wrap_angle,
 )
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
@@ -34,11 +33,13 @@ from placegraph.indoor.refine.camera_correction import (
     measure_scale_error,
 )
 from placegraph.indoor.refine.correspondences import (
+    FARTHEST,
     SIGMA,
     Readings,
     Surfaces,
     distances,
     held_back,
+    measure_move,
     shrink_camera,
 )
 from placegraph.indoor.refine.fit import odometry_errors
@@ -217,14 +218,14 @@ def landmark_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[li
     return out
 
 
-FARTHEST = (1.0, 0.6)
-"""Largest move of a pose by a refinement [m], [rad]; beyond lies another place ..."""
 FARTHEST_BLIND = (0.6, 0.4)
-"""... and without depth."""
+"""`FARTHEST` without depth [m], [rad]."""
 SURE = 1.0
 """Least gain of held-out samples on the refined trajectory [standard errors] ..."""
 SURER = 3.0
 """... and with images alone, which are wrong together more easily (benchmark)."""
+WITHIN = 7.8
+"""Squared distance to a fit, in its deviations, that a coarse pose allows for: 95 %."""
 
 NOTHING = "nothing in the frames can be matched with the map"
 
@@ -352,8 +353,11 @@ def _choose_candidate(
         way = replace(way, correlation=round(senses["images"].correlation(row + 1), 3))
         way.stats["held_back"]["images"]["alike"] = way.correlation
     # landmarks were found in the whole map: unlike renderings they are not wrong together
-    needed = SURE if refiner.has_depth or refiner.landmark_matches is not None else SURER
-    if z < needed:
+    by_landmarks = refiner.landmark_matches is not None
+    off = way.candidate.poses[-1, :3, 3] - coarse[-1, :3, 3]
+    near = refiner.loose is not None and off @ np.linalg.solve(refiner.loose, off) < WITHIN
+    needed = SURE if refiner.has_depth or by_landmarks or near else SURER
+    if z < (-SURE if by_landmarks and near else needed):
         return way, "held-out pixels do not fit better than at the coarse pose"
     return way, ""
 
@@ -397,12 +401,6 @@ def _widen_by_scale(refiner: Refiner, way: FitCheck) -> FitCheck:
     widened = replace(fit, covariance=covariance)
     loose = replace(way.diagnostics, loose=float(np.linalg.norm(off)))
     return replace(way, candidate=widened, diagnostics=loose)
-
-
-def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
-    """Return way [m] and turn [rad] from one pose (4, 4) to another."""
-    turn = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
-    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 
 
 def _motion_error(refiner: Refiner, poses: Floats) -> float:
@@ -482,6 +480,7 @@ def refine_from(
     Without PoseLib depth alone is used.
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
+    refiner.loose = estimate.modes[0].covariance[:3, :3]
     try:
         check = confirm_fit(refiner, coarse, refiner.fit_trajectory(start, progress))
     except MissingExtraError as error:
@@ -496,7 +495,8 @@ def refine_from(
             check = FitCheck(found, f"Not refined: {error}", nothing, {})
     if check.accepted:
         refined = split_pose(check.candidate.poses)[0]
-        estimate = judge_refined(window, estimate, refined, check.correlation)
+        covariance = check.candidate.covariance
+        estimate = judge_refined(window, estimate, refined, covariance, check.correlation)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best
     if explained and check.accepted and best is not None:

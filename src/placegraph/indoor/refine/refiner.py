@@ -19,6 +19,7 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose.window import Progress, Window, time_stage
 from placegraph.indoor.refine.correspondences import (
+    FARTHEST,
     SHARE,
     SIGMA,
     PointMatches,
@@ -26,11 +27,10 @@ from placegraph.indoor.refine.correspondences import (
     Surfaces,
     drop_held_back,
     has_plenty,
-    has_plenty_everywhere,
     held_back,
-    is_near,
     match_views,
     match_window,
+    measure_move,
     sample_readings,
     solve_frame,
     solve_rig,
@@ -156,7 +156,9 @@ class Refiner:
         self.surfaces, self.seconds = Surfaces.of(self.scene), dict[str, float]()
         self.renderer = Renderer(self.scene)
         self._readings: dict[int, list[Readings | None]] = {}
-        self.landmark_matches: int | None = None  # where landmarks alone decided
+        self.landmark_matches: int | None = None  # landmarks that agree on a pose near the start
+        self.by_landmarks = False  # whether they alone decided
+        self.loose: Floats | None = None  # covariance (3, 3) of the coarse position
         self.drift = (1.0, 1.0)  # `Problem.drift`, of where the frames are thought to be
 
     @cached_property
@@ -208,21 +210,23 @@ class Refiner:
             if not self.options.joint:
                 return self._best_frame(found, poses)
             matches, led = self._find_consensus(stage, found, poses)
-            if stage.matcher is None and not any(map(len, matches)):
-                continue
+            if stage.matcher is None:
+                self.landmark_matches = sum(map(len, matches)) or None
+                if self.landmark_matches is None:
+                    continue
             with time_stage(self.seconds, "solving"):
                 solution = solve(self.problem(matches), led, FINE_WIDTHS)
             poses = solution.poses
             if stage.matcher is None and has_plenty(matches):
-                if has_plenty_everywhere(matches):
-                    self.landmark_matches = self.stats["landmarks"] = sum(map(len, matches))
+                self.by_landmarks = True
+                self.stats["landmarks"] = self.landmark_matches
                 break
         tell("checking", 0, 1)
         return replace(self._conclude(poses, solution, matches), by_depth=by_depth)
 
     def add_held_back(self, fit_trajectory: FittedTrajectory) -> FittedTrajectory:
         """Return an accepted fit, with those landmarks too that were kept for its check."""
-        if self.landmark_matches is None or not any(map(len, fit_trajectory.matches)):
+        if not self.by_landmarks or not any(map(len, fit_trajectory.matches)):
             return fit_trajectory
         with time_stage(self.seconds, "solving"):
             matches = self._inliers(list(self.landmarks), fit_trajectory.poses)
@@ -295,7 +299,8 @@ class Refiner:
             consensus = solve_rig(matches, list(mounts), self.options)
         if consensus is None or consensus.count < stage.share * sum(map(len, matches)):
             return [PointMatches.empty()] * len(matches), poses
-        if stage.matcher is None and not is_near(consensus.pose, poses[-1]):
+        move = measure_move(poses[-1], consensus.pose)
+        if stage.matcher is None and any(np.greater(move, FARTHEST)):
             return [PointMatches.empty()] * len(matches), poses
         kept = [seen[inlier] for seen, inlier in zip(matches, consensus.inliers, strict=True)]
         # depth has said where the poses are; without it, or by many landmarks, the consensus does
