@@ -50,7 +50,8 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
     scorer, count, renderer = Scorer(scene, options.likelihood), len(scene), Renderer(scene)
     nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
-    found, elsewhere = np.full((0, REACH), np.nan), []
+    found = np.full((0, REACH), np.nan)
+    elsewhere: list[tuple[float, float]] = []
     rows = spread(len(frames), MOST)
     for number, row in enumerate(rows):
         frame = replace(frames[row], gravity=-poses[row, 2, :3])
@@ -113,4 +114,4 @@ def _measure_elsewhere(
     textures = [agreement(scorer, mode.pose, view, still).texture for mode in far]
     total = sum(mode.probability for mode in modes)
     wrong = sum(mode.probability for mode in far) / total if total else 1.0
-    return wrong, max(textures, default=0.0)
+    return float(wrong), max(textures, default=0.0)
