@@ -167,6 +167,10 @@ class Streets:
             at = self.find_address(int(before), one.streets)
             if len(at):
                 return _site(tokens, one.first - 1, one.last, at), one.last
+        first, side = _find_end(tokens, one.first)
+        if first < one.first:
+            at = self.find_ends(one.streets, side)
+            return (_site(tokens, first, one.last, at), one.last) if len(at) else (None, -1)
         if following is None:
             return None, -1
         gap = [token.word for token in tokens[one.last + 1 : following.first]]
@@ -210,6 +214,17 @@ class Streets:
             at = _merge(np.concatenate([_NOWHERE, *found]))
             at = self._keep(key, at if len(at) <= MAX_SITES else at[:0])
         return at
+
+    def find_ends(self, streets: Sequence[int], side: str) -> Floats:
+        """Find the ends (K, 2) [m] of streets, or those to a side: "east"; none if too many."""
+        towards = [(a in side) - (b in side) for a, b in (("east", "west"), ("north", "south"))]
+        found = []
+        for street in streets[:MAX_SITES]:
+            points = self._sample(street)[0]
+            one = points[np.argmax(np.hypot(*(points - points.mean(axis=0)).T))]
+            both = one, points[np.argmax(np.hypot(*(points - one).T))]
+            found += [points[np.argmax(points @ towards)]] if side else both
+        return np.array(found if len(found) <= MAX_SITES else []).reshape(-1, 2)
 
     def find_block(self, street: Sequence[int], one: Sequence[int], other: Sequence[int]) -> Floats:
         """Find the places (K, 2) [m] on a street between its crossings with two others."""
@@ -330,8 +345,9 @@ class Streets:
         return _merge(0.5 * (a[i] + b[j]))
 
 
+_ENDS = frozenset(("end", "terminus", "foot", "beginning", "start", "head"))
 _HINT = re.compile(
-    rf"\b(?:{'|'.join(word for word in JOINS | CORNERS | BETWEEN if word.isalpha())})\b",
+    rf"\b(?:{'|'.join(word for word in JOINS | CORNERS | BETWEEN | _ENDS if word.isalpha())})\b",
     re.IGNORECASE,
 )
 
@@ -413,6 +429,16 @@ def _find_lead(tokens: list[_Token], first: int) -> int:
     while i > 0 and tokens[i - 1].word in SIDES:
         i -= 1
     return i - 1 if i > 0 and tokens[i - 1].word in ("the", "a") else i
+
+
+def _find_end(tokens: list[_Token], first: int) -> tuple[int, str]:
+    """Return where "the east end of" before a street begins, and the side; the street without it."""
+    if first < 2 or tokens[first - 1].word != "of" or tokens[first - 2].word not in _ENDS:
+        return first, ""
+    first -= 2
+    side = tokens[first - 1].word.removesuffix("ern") if first else ""
+    first -= side in COMPASS
+    return first - (first > 0 and tokens[first - 1].word == "the"), side if side in COMPASS else ""
 
 
 _OPENS = frozenset(("", ".", ";", ":", "-", "(", "\n", ",", "at", "on", "of", "and", "near", "by"))
