@@ -67,6 +67,8 @@ def place(city):
         ("a bench at oak street and west 10th", "oak street and west 10th", 200, 200),
         ("On Oak between Broadway and 10th.", "Oak between Broadway and 10th", 200, 100),
         ("between Broadway and 10th on Oak", "between Broadway and 10th on Oak", 200, 100),
+        ("the north end of Main Street", "the north end of Main Street", 0, 450),
+        ("a bench at the end of West 10th Avenue", "the end of West 10th Avenue", 200, 200),
         ("Main Street between 10th and 11th Avenues", "Main Street between 10th and 11th Avenues", 0, 300),
     ],
 )  # fmt: skip
@@ -117,6 +119,11 @@ def test_a_text_is_located_at_a_crossing(city):
     [
         (60.0, "I'm in Elm Park.", ""),
         (60.0, "I'm in Elm Park. Quill and Page is north of me.", "“Quill and Page” does not fit"),
+        (
+            60.0,
+            "I'm in Elm Park. There is no park. There is a silo and a quay.",
+            "Only 1 of 4 statements fit the best place, so it cannot be sure.",
+        ),
         (900.0, "I'm in Elm Park.", "“Elm Park” is more than .* m wide; say where in it."),
     ],
 )

@@ -267,6 +267,8 @@ WIDE, MAX_DRAWN = 30.0, 50
 SITE_SCALE = 35.0
 """Scale of distances to a crossing or a house [m]."""
 QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
+NOT_MAPPED = "is not on the map"
+"""Reason why a statement about what a map lacks cannot be scored, after the words."""
 NUM_SALIENT = 20.0
 """Number of objects out of sight that come to a speaker's mind."""
 
@@ -687,5 +689,5 @@ def _explain_unusable(
     for node in ends:
         if node != SPEAKER and node not in sites and not len(mentions[node - 2][0]):
             words = description.mentions[node].name or description.mentions[node].words
-            return f"{words!r} is not on the map"
+            return f"{words!r} {NOT_MAPPED}"
     return ""

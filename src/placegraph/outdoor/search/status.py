@@ -23,7 +23,13 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.query import Query, ends, find_speaker_nodes, is_binding
+from placegraph.outdoor.likelihood.query import (
+    NOT_MAPPED,
+    Query,
+    ends,
+    find_speaker_nodes,
+    is_binding,
+)
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.search.posterior import MODE_RADIUS, Mode, Posterior
@@ -337,11 +343,16 @@ def find_contradiction(best: Place | None, query: Query | None) -> str:
 def find_uncertainty(best: Place | None, query: Query | None, city: City, claim: Claim) -> str:
     """Return why the best place cannot be sure; empty where nothing speaks against it.
 
-    A unique name that does not fit the place forbids certainty. A named area tells no more than its
+    A unique name that does not fit the place forbids certainty, and so do more statements that do not
+    fit, or are about what the map lacks, than statements that do. A named area tells no more than its
     extent, unless the claim is as wide or another unique name tells where in it.
     """
     if best is None or query is None:
         return ""
+    fits = sum(e.verdict == "for" for e in best.evidence)
+    fails = sum(e.verdict == "against" or e.note.endswith(NOT_MAPPED) for e in best.evidence)
+    if fails > fits:
+        return f"Only {fits} of {fits + fails} statements fit the best place, so it cannot be sure."
     mentions, here = query.description.mentions, find_speaker_nodes(query.used)
     position = city.plane.to_plane((best.longitude, best.latitude))
     wide: dict[int, float] = {}
