@@ -1,5 +1,6 @@
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from placegraph.outdoor.search.ask import (
     next_question,
     rank_questions,
 )
+from placegraph.outdoor.search.status import ADVICE
 
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
 # What somebody says who sees little, and the places it may have been said at: row and column.
@@ -303,6 +305,27 @@ def test_the_table_of_answers_is_whole():
         assert sentences.keys() == table["es"].keys(), code
         for english, said in sentences.items():
             assert len(slots.findall(said)) == english.count("{}"), (code, english)
+
+
+def test_every_reason_is_in_the_table():
+    """Reasons are those of tests/texts.txt; details that stay English and rankings are left out."""
+    listed = (Path(__file__).parents[2] / "texts.txt").read_text("utf-8")
+    reasons = []
+    for file in ("search/status.py", "track/route_answer.py"):
+        (_, section) = listed.split(f"# src/placegraph/outdoor/{file}\n")
+        reasons += section.partition("\n#")[0].splitlines()
+    for reason in reasons:
+        shown = reason.replace("{} {} not", "“x” are not").replace("{},{}", "1,2")
+        shown = (
+            shown.replace("; {}", f"; {ADVICE}")
+            .replace("and {}", f"and {ADVICE}")
+            .replace("{}", "7")
+        )
+        if reason != ADVICE and not re.match(
+            "No statement|The last text|The {} matcher|The desc", reason
+        ):
+            assert all(translate(shown, code) != shown for code in LANGUAGES), reason
+            assert not re.search("[a-z]{4} [a-z]{4} [a-z]{3}", translate(shown, "zh")), reason
 
 
 def test_a_reason_has_several_sentences_and_the_text_keeps_its_names():
