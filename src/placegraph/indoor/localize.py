@@ -74,12 +74,10 @@ def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
     correction = refining and find_camera_correction(window, estimate, refining)
     if correction:
         mended = replace(query, frames=correction.frames(query.frames))
-        choose_answer = correction.choose_answer(
-            query, estimate, _localize_as_said(mended, refining)[1]
-        )
-        if Status.OK in (estimate.status, choose_answer.status):
-            return choose_answer
-        estimate = choose_answer
+        answer = correction.choose_answer(query, estimate, _localize_as_said(mended, refining)[1])
+        if Status.OK in (estimate.status, answer.status):
+            return answer
+        estimate = answer
     return _explain_faults(window, estimate)
 
 
