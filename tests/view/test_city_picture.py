@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
+from placegraph.core.geojson import contains_points
 from placegraph.demo.town import TOWN, unpack
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.view import draw_city, write_picture
 from placegraph.view.city.city_items import (
     SIGMAS,
-    _are_inside,
     competing_modes,
     ellipse,
     evidence_marks,
@@ -83,7 +83,7 @@ def ring(west, south, east, north):
 )  # fmt: skip
 def test_the_sea_lies_right_of_the_coast(lines, points, wet):
     rings = find_sea(objects(*lines), BOUNDS)
-    assert _are_inside(rings, np.array(points, np.float64)).tolist() == wet
+    assert contains_points(np.array(points, np.float64), rings).tolist() == wet
 
 
 def test_without_a_coast_or_with_one_that_contradicts_itself_there_is_no_sea():

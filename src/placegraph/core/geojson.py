@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DECIMALS = 7
 """Decimals of degrees: a centimetre."""
+_PAIRS = 1 << 20
+"""Points times edges of a ring that are compared at once."""
 
 
 def make_feature(
@@ -60,7 +62,7 @@ def polygon_geometry(rings: Sequence[Floats]) -> dict[str, Any]:
 def nest_rings(rings: Sequence[Floats]) -> list[list[int]]:
     """Group closed rings, each (n, 2), into polygons: rows of the outer ring and of its holes."""
     outside = [
-        {k for k, other in enumerate(rings) if k != i and is_inside(ring[0], other)}
+        {k for k, other in enumerate(rings) if k != i and contains_points(ring[:1], [other])[0]}
         for i, ring in enumerate(rings)
     ]
     polygons = {i: [i] for i, around in enumerate(outside) if not len(around) % 2}
@@ -78,13 +80,19 @@ def orient_ring(ring: Floats, sense: float) -> Floats:
     return ring if doubled_area * sense >= 0 else ring[::-1]
 
 
-def is_inside(point: NDArray[Any], ring: Floats) -> bool:
-    """Return whether a point (2,) lies in a closed ring (n, 2), by crossings of a ray to the east."""
-    (x, y), (start, end) = point, (ring[:-1], ring[1:])
-    spans = (start[:, 1] > y) != (end[:, 1] > y)
-    a, b = start[spans], end[spans]
-    crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return bool(np.count_nonzero(crossing > x) % 2)
+def contains_points(points: Floats, rings: Iterable[Floats]) -> NDArray[np.bool_]:
+    """Return whether points (N, 2) lie within closed rings, each (n, 2), by the even-odd rule."""
+    inside = np.zeros(len(points), np.bool_)
+    for ring in rings:
+        (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+        some = max(1, _PAIRS // (len(ring) + 1))
+        for start in range(0, len(points), some):
+            x, y = points[start : start + some, :1], points[start : start + some, 1:]
+            spans = (y0 > y) != (y1 > y)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossing = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+            inside[start : start + some] ^= (spans & (crossing > x)).sum(axis=1) % 2 == 1
+    return inside
 
 
 def to_geopandas(features: Mapping[str, Any]) -> gpd.GeoDataFrame:

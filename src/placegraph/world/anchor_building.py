@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
+from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats, rotation_z, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import distance_transform
@@ -23,7 +24,6 @@ from placegraph.world.outlines import (
     WINDOW,
     Footprint,
     OuterWalls,
-    contains_points,
     find_footprints,
     find_outer_walls,
 )

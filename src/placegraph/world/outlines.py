@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
-from placegraph.core.geojson import nest_rings
+from placegraph.core.geojson import contains_points, nest_rings
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import split_label
@@ -234,17 +234,6 @@ def _make_footprint(
         tags.get("name", ""), building.osm, tags, base, rings, start, end, normals, shared,
         entrances, grain,
     )  # fmt: skip
-
-
-def contains_points(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
-    """(N,) bool: whether points (N, 2) lie within closed rings, by the even-odd rule."""
-    inside = np.zeros(len(points), np.bool_)
-    x, y = points.T
-    for ring in rings:
-        for (ax, ay), (bx, by) in pairwise(ring.tolist()):
-            if ay != by:
-                inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
-    return inside
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geojson import is_inside
+from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Description, Relation
 from placegraph.outdoor.language.words import tokens
@@ -296,7 +296,7 @@ class BuildingScorer:
             away = float(np.hypot(*nearest_on_parts(*part, *middle)[:2]))
             if o.kind[r] == AREA:
                 labels = o.label_values[o.label_starts[r] : o.label_starts[r + 1]].tolist()
-                is_central = is_inside(o.center[r], ring)
+                is_central = bool(contains_points(o.center[r][None], [ring])[0])
                 this = away == 0.0 or is_central
                 is_building = is_central or any(o.labels[k].startswith("building") for k in labels)
             else:

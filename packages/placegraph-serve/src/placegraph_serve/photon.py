@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geojson import is_inside
+from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
@@ -114,7 +114,8 @@ class Gazetteer:
         if objects.kind[row] == POINT:
             return away
         for part in objects.parts(row):
-            if objects.kind[row] == AREA and is_inside(at, part.astype(np.float64)):
+            ring = part.astype(np.float64)
+            if objects.kind[row] == AREA and contains_points(at[None], [ring])[0]:
                 return 0.0
             begin, step = part[:-1], np.diff(part, axis=0)
             share = ((at - begin) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-9)

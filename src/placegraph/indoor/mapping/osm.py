@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
-from placegraph.core.geojson import is_inside
+from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.floor import LEVEL, is_floor, split_label
@@ -145,7 +145,8 @@ def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
     around = [
         s
         for s in plan.shapes
-        if s.kind in {"building", "level"} and any(is_inside(middle, part) for part in s.parts)
+        if s.kind in {"building", "level"}
+        and any(contains_points(middle[None], [part])[0] for part in s.parts)
     ]
     around.sort(key=lambda s: (s.kind != "building", "name" not in s.tags))
     house = around[0] if around else None

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, ObjectRef, Place
+from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.objects import CityObjects
@@ -64,7 +64,7 @@ def _trace_sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
     rings = _close_along_border(pieces, bounds)
     if not pieces:
         corner = np.array([bounds[:2]])
-        if _is_seaward(chains, bounds[:2]) != _are_inside(islands, corner)[0]:
+        if _is_seaward(chains, bounds[:2]) != contains_points(corner, islands)[0]:
             rings = [_box_corners(bounds)]
     return rings + [ring for island in islands if len(ring := clip_ring(island, bounds)) > 3]
 
@@ -81,20 +81,9 @@ def _matches_coast(rings: list[Floats], chains: list[Floats], bounds: Bounds) ->
     if not len(seen):
         return True
     right = np.stack([delta[seen, 1], -delta[seen, 0]], axis=1) / length[seen, None]
-    wrong = ~_are_inside(rings, middle[seen] + right) | _are_inside(rings, middle[seen] - right)
+    wrong = ~contains_points(middle[seen] + right, rings)
+    wrong |= contains_points(middle[seen] - right, rings)
     return bool(wrong.mean() < 0.05)
-
-
-def _are_inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
-    """Return whether points (N, 2) lie within rings, by the even-odd rule."""
-    odd = np.zeros(len(points), np.bool_)
-    for ring in rings:
-        (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-        crosses = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = x0 + (points[:, 1:] - y0) / (y1 - y0) * (x1 - x0)
-        odd ^= (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
-    return odd
 
 
 def _join_coastlines(objects: CityObjects) -> list[Floats]:

@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.geojson import contains_points
 from placegraph.world import AnchorFit
-from placegraph.world.outlines import contains_points, find_footprints
+from placegraph.world.outlines import find_footprints
 from placegraph_lab.tables.named.scene_anchor import (
     BUILDINGS,
     WALKS,

@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import (
@@ -44,6 +43,7 @@ from placegraph.io.capture.posed import (
     resize_camera,
 )
 from placegraph.io.capture.up import estimated_up, surface_normals, upright
+from placegraph.io.mesh.model import read_bytes
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -108,7 +108,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
     """Return the depth (h, w) float32 in the model's unit, NaN: none, of `stereo/depth_maps/*.bin`."""
-    data = _read_bytes(path)
+    data = read_bytes(path)
     head = re.match(rb"([0-9]{1,9})&([0-9]{1,9})&([0-9]{1,9})&", data)
     if not head:
         raise InputError(f"{path} does not begin with `width&height&channels&`.")
@@ -161,7 +161,7 @@ class _Reader:
     """Walks through the bytes of a file; `InputError` where they end too early."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, _read_bytes(path), 0
+        self.path, self.data, self.at = path, read_bytes(path), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """Return the numbers of a `struct` layout, little-endian."""
@@ -293,15 +293,6 @@ def _parse_numbers(where: str, words: list[str]) -> NDArray[np.float64]:
     if not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > 1e15:
         raise InputError(f"{where}: a number is not finite; copy the model again.")
     return values
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return check_regular(path).read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 _UNIT = 1000.0

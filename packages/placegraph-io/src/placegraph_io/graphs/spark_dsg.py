@@ -23,6 +23,7 @@ from placegraph.core.geometry import rotation_from_quaternion
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import Model, ModelObject, Texture
+from placegraph.io.mesh.ply import majority_vote
 
 Floats = NDArray[np.float64]
 Box = tuple[Floats, Floats, Floats]  # Centre and lengths (3,) [m], and world_from_box (3, 3)
@@ -96,8 +97,8 @@ def split_mesh(
     semantic label and box of each object that may own triangles. Returns a piece for each object that
     owns triangles, and semantic label and piece (whose row is -1) of the others.
     """
-    face_owner = _majority(owner[mesh.faces])
-    face_label = _majority(mesh.labels[mesh.faces])
+    face_owner = majority_vote(owner[mesh.faces])
+    face_label = majority_vote(mesh.labels[mesh.faces])
     has = set(np.unique(face_owner).tolist())
     for row, label, box in wanted:
         if row in has or label < 0 or box is None:
@@ -129,13 +130,6 @@ def box_piece(corners: Floats, row: int) -> Piece:
     """Return twelve triangles, seen from outside, of a box's corners (8, 3)."""
     faces = np.array([f for a, b, c, d in _QUADS for f in ((a, b, c), (a, c, d))])
     return Piece(row, corners, faces, np.full((8, 3), GREY, np.uint8))
-
-
-def _majority(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (T,) what two of three corners (T, 3) say, or else the first."""
-    a, b, c = values.T
-    voted: NDArray[np.int64] = np.where(b == c, b, a)
-    return voted
 
 
 def _are_inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
