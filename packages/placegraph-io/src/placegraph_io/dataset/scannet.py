@@ -17,13 +17,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import LabelKind, LabelTable, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.mesh.model import UNKNOWN, Model, ModelObject
+from placegraph.io.mesh.model import UNKNOWN, Model, ModelObject, read_bytes
 from placegraph.io.mesh.ply import majority_vote, read_columns, read_ply
 
 FILES = (
@@ -234,13 +233,7 @@ def _group(path: Path, row: int, entry: object) -> Group:
 
 def read_text(path: Path) -> str:
     """Return the text of a file in any encoding; `InputError` where it cannot be read."""
-    try:
-        return check_regular(path).read_bytes().decode("utf-8-sig", errors="replace")
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{path} cannot be read: {why}.") from error
+    return read_bytes(path).decode("utf-8-sig", errors="replace")
 
 
 def _matrix(text: str) -> NDArray[np.float64] | None:
