@@ -9,19 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.outdoor.language import describe
-from placegraph.outdoor.network.graphs import TextGraphs
-from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.vectors import EmbeddedStore
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
-from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, show, table
 
@@ -35,9 +29,6 @@ Build = Callable[
 DIMENSION = 64
 BLOCK = 1_000_000  # rows that are drawn at once
 NEIGHBOURS = (10, 50)
-SEVERAL = (
-    100_000  # up to this size every kind of graph is built, beyond it one: it takes ten minutes
-)
 
 
 def draw_clusters(rng: np.random.Generator, count: int, queries: int) -> tuple[Floats, Floats]:
@@ -57,14 +48,6 @@ def draw_clusters(rng: np.random.Generator, count: int, queries: int) -> tuple[F
         some[:] = unit(centers[rng.integers(len(centers), size=len(some))] + 0.6 * noise(len(some)))
     asked = unit(vectors[rng.integers(count, size=queries)] + 0.6 * noise(queries))
     return vectors, asked
-
-
-def of_city(name: str, run: Run, queries: int, seed: int) -> tuple[Floats, Floats]:
-    """Cells of a real map, and texts spoken in it, as the shipped network embeds them."""
-    told = make_queries(run.osm / EXTRACTS[name], n=queries, seed=seed)
-    texts = [describe(q.text) for q in told]
-    asked = GraphTransformer.default().embed_texts(TextGraphs.of(texts))
-    return open_city(name, run.osm, run.cache).embeddings, asked
 
 
 def plain_numpy(vectors: Floats) -> tuple[Search, int]:
@@ -90,33 +73,26 @@ def build_store(bits: int) -> Build:
     return build
 
 
-def usearch_graph(dtype: str) -> Build:
-    """HNSW of usearch."""
+def usearch_graph(vectors: Floats) -> tuple[Search, int]:
+    """HNSW of usearch, in 16 bits a number."""
+    from usearch.index import Index
 
-    def build(vectors: Floats) -> tuple[Search, int]:
-        from usearch.index import Index
-
-        index = Index(
-            ndim=DIMENSION, metric="cos", dtype=dtype, connectivity=16, expansion_add=128,
-            expansion_search=128,
-        )  # fmt: skip
-        index.add(np.arange(len(vectors)), vectors, threads=1)
-        return lambda query, n: index.search(query, n, threads=1).keys, index.memory_usage
-
-    return build
+    index = Index(
+        ndim=DIMENSION, metric="cos", dtype="f16", connectivity=16, expansion_add=128,
+        expansion_search=128,
+    )  # fmt: skip
+    index.add(np.arange(len(vectors)), vectors, threads=1)
+    return lambda query, n: index.search(query, n, threads=1).keys, index.memory_usage
 
 
 def faiss_index(kind: str) -> Build:
-    """faiss: every row, HNSW, or inverted lists."""
+    """faiss: every row, or inverted lists."""
 
     def build(vectors: Floats) -> tuple[Search, int]:
         import faiss
 
         faiss.omp_set_num_threads(1)
-        if kind == "HNSW":
-            index = faiss.IndexHNSWFlat(DIMENSION, 16, faiss.METRIC_INNER_PRODUCT)
-            index.hnsw.efConstruction = index.hnsw.efSearch = 128
-        elif kind == "lists":
+        if kind == "lists":
             count = int(2 * len(vectors) ** 0.5)
             flat = faiss.IndexFlatIP(DIMENSION)
             index = faiss.IndexIVFFlat(flat, DIMENSION, count, faiss.METRIC_INNER_PRODUCT)
@@ -138,17 +114,12 @@ def contenders(count: int) -> Iterator[tuple[str, Build]]:
     yield "ours, exact, float32", build_store(32)
     yield "ours, exact, 16 bits", build_store(16)
     yield "ours, exact, 8 bits", build_store(8)
-    large = count >= 50_000
     if find_spec("faiss"):
         yield "faiss, exact", faiss_index("exact")
-        if large:
+        if count >= 50_000:
             yield "faiss, lists", faiss_index("lists")
-        if large and count <= SEVERAL:
-            yield "faiss, HNSW", faiss_index("HNSW")
     if find_spec("usearch") and count <= 1_000_000:  # more take long
-        yield "usearch, HNSW, float16", usearch_graph("f16")
-        if count <= SEVERAL:
-            yield "usearch, HNSW, 8 bits", usearch_graph("i8")
+        yield "usearch, HNSW, float16", usearch_graph
 
 
 COLUMNS = (
@@ -189,7 +160,6 @@ def outdoor_vectors(
         "447,1616,3409,5225,50000,1000000"
     ),
     queries: Annotated[int, option("Queries of each size.")] = 200,
-    city: Annotated[str, option("City whose cells are measured, too.")] = "",
     seed: Seed = 0,
     *,
     quick: Quick = False,
@@ -198,13 +168,8 @@ def outdoor_vectors(
     if quick:
         sizes, queries = "447", 20
     rows: list[dict[str, Any]] = []
-    worlds: list[Callable[[], tuple[Floats, Floats]]] = [
-        partial(draw_clusters, np.random.default_rng(seed), int(s), queries) for s in parts(sizes)
-    ]
-    if city:
-        worlds.append(partial(of_city, city, run, queries, seed))
-    for world in worlds:
-        vectors, asked = world()
+    for size in parts(sizes):
+        vectors, asked = draw_clusters(np.random.default_rng(seed), int(size), queries)
         first, count = len(rows), len(vectors)
         for name, build in contenders(count):
             run.log(f"{count:,}: {name}")
