@@ -21,7 +21,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-from placegraph.vectors import EmbeddedStore, Origin, open_store
+from placegraph.vectors import Origin
 from placegraph.vectors.stores import Vectors, load_store
 from placegraph_lab.tables.named.outdoor_vectors import draw_clusters
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
@@ -182,25 +182,6 @@ def on_disk(folder: Path) -> int:
     return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
 
 
-def measure_embedded(
-    vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path
-) -> Row:
-    """Our own file, of 8 bits a number."""
-    start = time.perf_counter()
-    # of length one already: `Vectors.of` would hold them twice
-    positions = np.zeros((len(vectors), 2), np.int32)
-    content = Vectors(np.arange(len(vectors)), vectors, positions)
-    store = EmbeddedStore.of_rows(content, origin=ORIGIN, bits=8)
-    spent = time.perf_counter() - start
-    del content
-    told = time_queries(lambda q, n: store.search(q[None], n).ids[0].tolist(), queries, wanted)
-    store.save(folder / "some.vectors")
-    opened = time.perf_counter()
-    open_store(folder / "some.vectors", origin=ORIGIN).close()
-    name = f"file, 8 bits (opens in {time.perf_counter() - opened:.1f} s)"
-    return Row(name, len(vectors), len(vectors) / spent, *told, on_disk(folder) / len(vectors))
-
-
 def on_server(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder: Path) -> Row:
     """A Milvus server of its own, by the way that placegraph loads and asks it."""
     from milvus import MilvusServer
@@ -259,11 +240,7 @@ def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder:
     return Row("Milvus Lite 3, HNSW", len(vectors), len(vectors) / spent, *told, size)
 
 
-MEASURES = {
-    "": measure_embedded,
-    "milvus_lite": on_lite,
-    "milvus": on_server,
-}  # by the module that each needs
+MEASURES = {"milvus_lite": on_lite, "milvus": on_server}  # by the module that each needs
 
 
 def measure_store(module: str, size: int, queries: int, seed: int, cache: Path) -> Row:
@@ -308,14 +285,14 @@ def vector_scale(
     quick: Quick = False,
 ) -> None:
     """Vectors by the million, and words beside them: rows a second, times, recall, bytes."""
-    # Sizes of the embedded store, in Milvus Lite, and on a Milvus server
-    stores = ([1_000_000, 4_000_000, 10_000_000], [250_000], [1_000_000])
+    # Sizes in Milvus Lite, and on a Milvus server; `outdoor_vectors` has those of our file
+    stores = ([250_000], [1_000_000])
     if quick:
-        stores, city = ([100_000], [10_000], []), "monaco"
+        stores, city = ([10_000], []), "monaco"
     rows: list[Row] = []
     for module, sizes in zip(MEASURES, stores, strict=True):
         for size in sizes:
-            if module and not find_spec(module):
+            if not find_spec(module):
                 run.log(f"{module} is not installed")
                 continue
             rows.append(run_apart(measure_store, module, size, queries, seed, run.cache))
