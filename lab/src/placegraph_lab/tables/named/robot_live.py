@@ -397,55 +397,7 @@ def figures(wall: list[float], cpu: list[float], sure: int) -> dict[str, Any]:
     return told | {"cpu_ms": quantiles(cpu), "in_time": sum(s <= 0.1 for s in wall) / len(wall)}
 
 
-DRIFT = 0.5  # of odometry [deg a frame]
-LOOKS = 20  # times at which memory is looked at
-
-
-@dataclass(frozen=True)
-class Life:
-    """A long run."""
-
-    row: Row
-    wall: dict[str, float]  # milliseconds a frame, odometry of its time included
-    memory: list[tuple[int, float]]  # frames, and what the process holds then [MB], resident
-    kidnapped: int
-
-
-def run_lifetime(
-    scene: SceneMap,
-    recordings: Sequence[Recording],
-    frames: int,
-    seed: int,
-    report: Callable[[str], None],
-) -> Life:
-    """So many frames to and fro along recordings, kidnapped from one to the next, in one tracker."""
-    live = scene.live(seed=seed, background=False, options=SENSES)
-    seen: list[FrameResult] = []
-    memory, wall = [], []
-    endless = loop_recordings(recordings, DRIFT, np.random.default_rng(seed))
-    for done, (frame, truth, kidnapped) in enumerate(islice(endless, frames)):
-        if done % max(1, frames // LOOKS) == 0:
-            memory.append((done, resident()))
-            report(f"{done} frames, {memory[-1][1]:.0f} MB")
-        start = perf_counter()
-        samples = [(frame.stamp, frame.odometry)]
-        seen.append(looked_at(live, frame, truth, samples, kidnapped=kidnapped and done > 0))
-        wall.append(perf_counter() - start)
-    memory.append((frames, resident()))
-    row = Row.of("house, without end", DRIFT, [seen])
-    return Life(row, quantiles(wall), memory, sum(s.kidnapped for s in seen))
-
-
-def resident() -> float:
-    """Return the resident memory of this process [MB]; NaN where the system has no such figure."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return float("nan")
-    return pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
-
-
-PARTS = ("walks", "paced", "ways", "lifelong")
+PARTS = ("walks", "paced", "ways")
 DRIFTS = (0.2, 0.5, 1.0)  # degrees a frame
 RATES = (10.0, 30.0)  # images a second
 SECONDS = 20.0  # of each
@@ -475,7 +427,6 @@ WAYS = (
 def robot_live(
     run: lab.Run,
     seed: lab.Seed = 0,
-    lifelong: Annotated[int, lab.option("Frames of the walk without end.")] = 5000,
     only: Annotated[str, lab.option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
     *,
     quick: lab.Quick = False,
@@ -515,11 +466,6 @@ def robot_live(
             }
             lab.show("", WAYS, [{"way": name} | way for name, way in found.items()])
             record["ways"] = found
-    if "lifelong" in wanted:
-        recordings = places.recordings("house")["house"]
-        life = run_lifetime(house, recordings, lifelong, seed, run.log)
-        print(summarize(life))
-        record["lifelong"] = life
     run.save(record, complete=not only)
 
 
@@ -535,21 +481,3 @@ def measure_walks(run: lab.Run, places: Places, seed: int, drifts: tuple[float, 
                     seen.append(track_walk(places.scene(where), walk, seed))
             rows.append(Row.of(place, degrees, seen))
     return rows
-
-
-def summarize(life: Life) -> str:
-    """Summarize a long run in sentences."""
-    row, found = life.row, life.row.delays
-    held = life.memory[len(life.memory) // 4 :]
-    grown = (held[-1][1] - held[0][1]) / max(1, held[-1][0] - held[0][0]) * 1e4
-    some = life.memory[:: max(1, len(life.memory) // 6)]
-    return (
-        f"{row.frames:,} frames, {life.kidnapped} kidnappings, {row.degrees:g}° of drift a frame: "
-        f"{row.right:.1%} right, {row.sure:.1%} OK, of these {row.tracked:.2%} right; false OK "
-        f"{row.false:.2%}, {row.longest} in a row at most. Found again after "
-        f"{np.median(found) if found else np.nan:.0f} frames (median), {max(found, default=0)} at most, "
-        f"{len(row.recovered) - len(found)} times never. CPU {row.milliseconds:.0f} ms a frame, worst "
-        f"{row.worst:.0f}; wall {life.wall['p50']:.0f}, worst {life.wall['most']:.0f}. MB: "
-        f"{', '.join(f'{mb:.0f} after {n:,}' for n, mb in some)}; "
-        f"{grown:+.1f} MB in 10,000 frames after the first quarter."
-    )
