@@ -17,7 +17,6 @@ from placegraph_lab.tables.scene.places import (
     Place,
     Walk,
     encode_walk,
-    encoder_of,
     noisy,
     replay,
 )
@@ -28,7 +27,6 @@ from placegraph_lab.tables.scene.search import (
     Scenes,
     Study,
     ask,
-    measure,
     recall,
     searcher,
 )
@@ -171,11 +169,7 @@ def test_a_study_of_four_homes(tmp_path, world, monkeypatch):
     count = len(journal)
     Study(places, walks, tmp_path, Journal(tmp_path / "answers.jsonl")).row("labels")
     assert len(Journal(tmp_path / "answers.jsonl")) == count  # nothing was asked again
-    large = study.scale("labels", np.random.default_rng(0), 12)
-    assert [s.scenes for s in large] == [12] * len(large)
-    text = report([row], large)
-    assert "labels, paper" in text
-    assert " 12 |" in text
+    assert "labels, paper" in report([row])
     cells = figures([row])
     assert {c["method"] for c in cells} == {"paper", "ours"}
     assert all((c["status"] is None) == (c["method"] == "paper") for c in cells)
@@ -205,13 +199,3 @@ def test_recall_and_tables_of_known_answers():
     assert cells[2:6] == [".50", ".50", ".25", ".25"]
     months = text.split("Months later")[1]
     assert ".33/.00" in months
-
-
-def test_a_large_library_is_measured(tmp_path, world, scenes):
-    encoder = encoder_of("labels")
-    walk = encode_walk(world[0][1], "labels", encoder, [], tmp_path)
-    lines = measure(
-        "labels", scenes.signatures, [replay(encoder)], [walk], np.random.default_rng(0), scenes=8
-    )
-    assert [line.frames for line in lines] == [1, 10]
-    assert all(line.milliseconds > 0 and line.vectors[0] > 5 for line in lines)

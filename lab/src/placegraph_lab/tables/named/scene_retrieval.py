@@ -12,7 +12,6 @@ from placegraph.errors import MissingExtraError
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.scene.places import (
-    BOTH,
     FIRST,
     HOMES,
     ROWS,
@@ -29,7 +28,6 @@ from placegraph_lab.tables.scene.search import (
     WHOLE,
     Answer,
     Row,
-    Scale,
     Study,
     hit,
     recall,
@@ -58,7 +56,7 @@ CAPTION = (
 )
 
 
-def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
+def report(rows: Sequence[Row]) -> str:
     head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
     table = [
         [
@@ -84,8 +82,6 @@ def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
         "## How sure: status and calibration, 50 scenes",
         status_table(rows),
     ]
-    if scale:
-        parts += ["## Large libraries", lab.render(SCALE, scale)]
     return "\n\n".join(parts)
 
 
@@ -157,14 +153,6 @@ def status_table(rows: Sequence[Row]) -> str:
     return lab.markdown(head, lines)
 
 
-SCALE = (
-    Col("encoder", "encoder"), Col("scenes", "scenes", 0), Col("objects a scene", "objects", 0),
-    Col("frames", "frames"), Col("ms", "milliseconds", 0),
-    Col("ms a frame", lambda s: s.milliseconds / s.frames, 1), Col("R@1", "recall", lab.share),
-    Col("distinct vectors", lambda s: " + ".join(f"{n:,}" for n in s.vectors)),
-)  # fmt: skip
-
-
 def figures(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Every cell as plain numbers."""
     return [
@@ -191,9 +179,6 @@ def _of_kind(kind: str) -> Callable[[Answer], bool]:
     return lambda answer: answer.place.split()[0] == kind
 
 
-LARGE = BOTH  # the row that is asked in the large library, too: what a library does by default
-
-
 def read_walks(run: lab.Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
     """All scenes, and all walks through them, or of homes one each."""
     places, walks = house_rooms(run.data, run.cache)
@@ -211,7 +196,6 @@ def read_walks(run: lab.Run, first: int, *, thin: bool) -> tuple[list[Place], li
 def scene_retrieval(
     run: lab.Run,
     encoders: Annotated[str, lab.option(f"Rows, with semicolons between: {'; '.join(ROWS)}.")] = "",
-    scenes: Annotated[int, lab.option("Scenes of the large library; 0: none.")] = 10_000,
     *,
     fresh: lab.Fresh = False,
     quick: lab.Quick = False,
@@ -219,25 +203,22 @@ def scene_retrieval(
     """Recall of the scene that a walk was taken in: homes, rooms of the house, the office."""
     rows = lab.check_names(lab.parts(encoders, ";"), ROWS, "row")
     if quick:
-        rows, scenes = rows[:1], 0
+        rows = rows[:1]
     journal = run.journal(fresh=fresh)
     places, walks = read_walks(run, FIRST, thin=quick)
     study = Study(places, walks, run.cache, journal, run.log)
-    measured, large = [], []
+    measured = []
     for name in rows:
         try:
             measured.append(study.row(name))
-            if scenes and name == LARGE:
-                large += study.scale(name, np.random.default_rng(0), scenes)
         except MissingExtraError as error:
             run.log(f"{name}: {error}")
-    print(report(measured, large))
+    print(report(measured))
     record = {
         "scenes": [p.name for p in places],
         "walks": [w.name for w in walks],
         "walks_of_a_home": 1 if quick else 2,
         "paper": PAPER,
         "rows": figures(measured),
-        "scale": large,
     }
     run.save(record, complete=not encoders)

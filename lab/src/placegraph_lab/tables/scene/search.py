@@ -306,11 +306,6 @@ class Study:
             objects=float(np.mean([len(p.scene) for p in self.places])),
         )
 
-    def scale(self, name: str, rng: np.random.Generator, scenes: int) -> list[Scale]:
-        encoders, walks = self._encode_walks(name)
-        self.tell(f"{name}: {scenes:,} scenes")
-        return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
-
     def _encode_walks(self, name: str) -> tuple[list[Encoder], list[EncodedWalk]]:
         parts = ROWS.get(name, (name,))
         encoders = [self.named(part) for part in parts]
@@ -349,26 +344,11 @@ def _methods_by_pool(row: str) -> dict[str, tuple[str, ...]]:
     return {**found, ABSENT: ("ours",)}
 
 
-SCENES = 10_000
 VARIED = 0.5  # share of a variation's objects that are exchanged
 MOVED = 0.2  # standard deviation of where its objects are [m]
 APART = 0.2
 """Length of what is added to each vector of what things look like; the vectors of labels are few by
 nature, and stay."""
-CLOSE_LENGTHS = (1, 10, 25)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """One line of the table."""
-
-    encoder: str
-    scenes: int
-    objects: float  # of a scene
-    frames: int
-    milliseconds: float  # of searching with the frames encoded; the median
-    recall: float  # at 1, of scenes beside which there are many like them
-    vectors: tuple[int, ...]  # distinct ones of the library, by encoder
 
 
 def draw_variations(
@@ -456,44 +436,3 @@ def turn_signature(signature: Signature, rng: np.random.Generator) -> Signature:
             rank[signature.panoramas].astype(np.uint16), quarters * TURNS // 4, axis=2
         ),
     )
-
-
-def measure(
-    row: str,
-    signatures: Mapping[str, Signature],
-    encoders: Sequence[Encoder],
-    walks: Sequence[EncodedWalk],
-    rng: np.random.Generator,
-    *,
-    scenes: int = SCENES,
-    queries: int = 20,
-) -> list[Scale]:
-    """Search a library of so many scenes with the first frames of some walks."""
-    keys = [e.key for e in encoders]
-    own = {
-        name: replace(s, vectors={key: s.vectors[key] for key in keys})
-        for name, s in signatures.items()
-    }
-    library = library_of({**own, **draw_variations(own, scenes - len(own), rng)}, encoders)
-    objects = float(np.mean([len(library.entry(name).signature) for name in library]))
-    distinct = tuple(len(library.index.vocabularies[key].vectors) for key in keys)
-    found = []
-    chosen = [walks[i].walk for i in rng.permutation(len(walks))[:queries]]
-    for length in CLOSE_LENGTHS:
-        asked = [w for w in chosen if len(w.capture) >= length]
-        if not asked:
-            continue
-        library.search(asked[0].capture[:length])  # columns are made, compiled code is loaded
-        spent, right = [], []
-        for walk in asked:
-            start = time.perf_counter()
-            estimate = library.search(walk.capture[:length], options=SearchOptions())
-            spent.append(1e3 * (time.perf_counter() - start))
-            right.append(estimate.best is not None and estimate.best.scene == walk.place)
-        found.append(
-            Scale(
-                row, len(library), objects, length, float(np.median(spent)),
-                float(np.mean(right)), distinct,
-            )
-        )  # fmt: skip
-    return found
