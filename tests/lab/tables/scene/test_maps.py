@@ -12,7 +12,6 @@ from placegraph_lab.tables.named import scene_maps
 from placegraph_lab.tables.named import scene_maps as script
 from placegraph_lab.tables.named.scene_maps import (
     FULL,
-    VERTICES,
     Maps,
     Place,
     Run,
@@ -78,8 +77,7 @@ def test_a_map_is_measured_once(maps):
     assert (made.objects, made.triangles) == (len(scene), len(scene.mesh))
     assert made.labelled == made.objects
     assert made.bytes == maps.path("house", DEFAULT).stat().st_size
-    assert sum(made.parts.values()) - made.parts["embeddings"] == made.bytes
-    assert 440 * made.objects < made.parts["embeddings"] < 530 * made.objects
+    assert sum(made.parts.values()) == made.bytes
     assert made.open_seconds > 0
     assert maps.measure_map("house", DEFAULT) == made
     assert maps.scene("house", DEFAULT).graph.ids == scene.graph.ids
@@ -89,12 +87,6 @@ def test_a_map_is_measured_once(maps):
 def test_smaller_maps_lie_near_the_full_one(maps):
     small = maps.measure_distances("house", Size("small", ("--detail", "small")))
     assert 0 < small.mean <= small.most <= small.maximum < 0.05
-    commands = len(maps.commands)
-    vertices = maps.measure_map("house", VERTICES)
-    assert len(maps.commands) == commands  # made from the full map
-    assert vertices.build_seconds is None
-    assert vertices.textures == 1
-    assert maps.measure_distances("house", VERTICES).mean < 0.01
 
 
 def answer(name, position, rotation=1.0, place="seq00"):
@@ -170,7 +162,6 @@ def test_it_prints_and_writes_what_it_measured(measure, tmp_path):
     assert "extra `segment`" in result.output
     text = result.stdout
     assert "| *SG2Loc*" in text
-    assert "lost b 3.00 m 1.0 deg" in text
     default = next(row for row in text.splitlines() if row.startswith("| default"))
     assert "+0.0 ± 50.0" in default  # one of two gained, the other lost, at 5 and at 10 frames
     assert "2 / 2" in default

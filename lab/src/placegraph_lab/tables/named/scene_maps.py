@@ -27,7 +27,6 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import refine as indoor_refine
 from placegraph_lab.tables.indoor.bench import Job, ask, choose_jobs, house_jobs, office_jobs
-from placegraph_lab.tables.indoor.maps import COARSE, coarse, with_mesh
 from placegraph_lab.tables.indoor.metrics import Answer, score
 from placegraph_lab.tables.indoor.refine import (
     RefineJob,
@@ -52,7 +51,6 @@ from placegraph_lab.tables.runner import INDOOR, Journal, code_key
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.scene.surface import SurfaceDistances, compare
 
-EMBEDDING = 512  # length of the embeddings whose bytes are measured
 CHEAP = 30.0  # what takes less than this is built three times, and the median told [s]
 _LAUNCHER = """
 import json, os, subprocess, sys, time
@@ -73,8 +71,6 @@ class Size(NamedTuple):
 FULL = Size("full", ("--detail", "full"))
 """The source's own triangles and textures: what the others are compared with."""
 NAMED = (FULL, *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")))
-VERTICES = Size("coarse", ())
-"""20,000 triangles whose vertices alone have colours, of `tables.indoor.decimate`; from the full map."""
 LABELLED = Size("labelled", ())
 """The default, its objects found by a segmenter of images instead of geometry and colour."""
 
@@ -109,8 +105,7 @@ class MapMeasurement:
     digest: str  # of the map file's bytes
     bytes: int
     parts: dict[str, int]
-    """Bytes of graph, surface, colour; and of embeddings of 512 random numbers an object, which
-    are not among `bytes`: a map that is just built has none."""
+    """Bytes of graph, surface and colour."""
     objects: int
     labelled: int  # objects whose label says something
     triangles: int
@@ -163,7 +158,7 @@ class Maps:
                 return row
         self._opened = None
         self.tell(f"{place}: building {size.name}")
-        built = self._coarse(place, path) if size == VERTICES else self._built(place, size, path)
+        built = self._built(place, size, path)
         scene = SceneMap.open(path)
         spent = []
         for _ in range(5 + 1):  # the first one warms
@@ -175,7 +170,7 @@ class Maps:
             | {
                 "digest": digest(path),
                 "bytes": path.stat().st_size,
-                "parts": measure_parts(path) | {"embeddings": embedding_bytes(scene)},
+                "parts": measure_parts(path),
                 "objects": len(scene),
                 "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
                 "triangles": len(scene.mesh),
@@ -234,11 +229,6 @@ class Maps:
             "notes": told["notes"],
         }
 
-    def _coarse(self, place: str, path: Path) -> dict[str, Any]:
-        full = self.scene(place, FULL)
-        with_mesh(full, coarse(full.mesh, COARSE, np.random.default_rng(0))).save(path)
-        return {}
-
 
 class Run(NamedTuple):
     """A command that ran in a process of its own."""
@@ -264,14 +254,6 @@ def run(arguments: Sequence[str]) -> Run:
     if told["code"]:
         raise PlacegraphError(f"{' '.join(arguments)} fails: {done.stderr.strip()[-500:]}")
     return Run("\n".join(lines), told["seconds"], told["peak"])
-
-
-def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
-    vectors = np.random.default_rng(0).standard_normal((len(scene), length))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "embedded.scene"
-        scene.with_embeddings(vectors).save(path)
-        return measure_parts(path)["embeddings"]
 
 
 def digest(path: Path) -> str:
@@ -389,8 +371,7 @@ class PairedAnswers:
         )
 
     def record(self) -> dict[str, Any]:
-        names = ("row", "size", "gained", "lost")
-        return {name: getattr(self, name) for name in names} | {"score": score(self.answers)}
+        return {"row": self.row, "size": self.size, "score": score(self.answers)}
 
     @property
     def steps(self) -> tuple[int, ...]:
@@ -400,18 +381,6 @@ class PairedAnswers:
             a.within(*limits) - b.within(*limits)
             for a, b in zip(self.answers, self.full, strict=True)
         )
-
-    @property
-    def lost(self) -> list[str]:
-        return [
-            f"{a.window} {a.position:.2f} m {a.rotation:.1f} deg"
-            for a, step in zip(self.answers, self.steps, strict=True)
-            if step < 0
-        ]
-
-    @property
-    def gained(self) -> list[str]:
-        return [a.window for a, step in zip(self.answers, self.steps, strict=True) if step > 0]
 
 
 def difference(steps: Sequence[int]) -> tuple[float, float]:
@@ -460,7 +429,7 @@ STORAGE = {
     "SG2Loc": (9.8, 28.2), "ACE": (4.2, 4.2),
 }  # fmt: skip
 """MB a scene of 3RScan and of ScanNet: Table 3 of the paper."""
-ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED)}
+ALL = {s.name: s for s in (*NAMED, LABELLED)}
 
 
 def _distances(off: SurfaceDistances | None) -> str:
@@ -472,7 +441,7 @@ def _distances(off: SurfaceDistances | None) -> str:
 MAPS = (
     Col("", "0.name"), Col("objects", "0.objects", 0), Col("triangles", "0.triangles", 0),
     *(Col(f"{part} kB", f"0.parts.{part}", 1, "", 1e-3) for part in ("graph", "surface", "colour")),
-    Col("total kB", "0.bytes", 1, "", 1e-3), Col("embeddings kB", "0.parts.embeddings", 1, "", 1e-3),
+    Col("total kB", "0.bytes", 1, "", 1e-3),
     Col(f"kB a room of {ROOM}", lambda r: ROOM * r[0].bytes / r[0].objects, 0, "", 1e-3),
     Col("build s", "0.build_seconds", 2), Col("peak MB", "0.peak_bytes", 0, "", 1e-6),
     Col("opens ms", "0.open_seconds", 0, "", 1e3), Col("off mm: mean / 95 % / most", "1", _distances),
@@ -500,12 +469,6 @@ def report(
             text += [f"#### {of.title}: recall within {limits} (windows)", recall_table(mine)]
     if refined:
         text += ["#### Refined poses", lab.render(REFINED, refined)]
-    changed = [
-        f"- {p.size}, {p.row}: {what} {'; '.join(windows)}"
-        for p in pairs for what, windows in (("lost", p.lost), ("gained", p.gained)) if windows
-    ]  # fmt: skip
-    if changed:
-        text += ["#### Windows that are right on one map only", "\n".join(changed)]
     return "\n\n".join(text)
 
 
@@ -525,7 +488,7 @@ def recall_table(pairs: Sequence[PairedAnswers]) -> str:
 
 
 def sizes_of(place: str, names: list[str]) -> list[Size]:
-    fits = [s for s in ALL.values() if s != (LABELLED if place == "house" else VERTICES)]
+    fits = NAMED if place == "house" else ALL.values()
     if not names and place != "house":
         names = list(OFFICE_SIZES)
     return [FULL, *(s for s in fits if s != FULL and (not names or s.name in names))]
