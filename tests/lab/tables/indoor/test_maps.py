@@ -4,7 +4,7 @@ import pytest
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import maps as indoor_maps
-from placegraph_lab.tables.indoor.maps import coarse_house, office
+from placegraph_lab.tables.indoor.maps import house, office
 
 
 def box(low, high):
@@ -31,20 +31,18 @@ def scene():
 def test_maps_are_made_once_and_old_ones_go(scene, tmp_path, monkeypatch):
     made = []
 
-    def make(data, cache):  # noqa: ARG001
-        made.append(1)
-        return scene
+    def build(source, path, *, detail):
+        made.append((source, detail))
+        scene.save(path)
 
-    monkeypatch.setattr(indoor_maps, "house", make)
-    first = coarse_house(tmp_path, tmp_path / "cache", 100)
-    again = coarse_house(tmp_path, tmp_path / "cache", 100)
-    assert len(made) == 1
+    monkeypatch.setattr(indoor_maps, "build_scene", build)
+    first, again = (house(tmp_path, tmp_path / "cache") for _ in range(2))
+    assert made == [(tmp_path / "house/map/house.glb", "full")]
     assert first.graph.labels == again.graph.labels == ("floor", "table")
-    assert (again.mesh.colours[again.mesh.vertices[:, 2] > 0.5] == (200, 120, 40)).all()
     monkeypatch.setattr(indoor_maps, "code_key", lambda _: "0" * 16)
-    coarse_house(tmp_path, tmp_path / "cache", 100)
+    house(tmp_path, tmp_path / "cache")
     assert len(made) == 2
-    assert [p.name for p in (tmp_path / "cache").iterdir()] == [f"house_100_{'0' * 16}.scene"]
+    assert [p.name for p in (tmp_path / "cache").iterdir()] == [f"house_{'0' * 16}.scene"]
 
 
 def test_half_of_the_office_is_a_map(shared, tmp_path, monkeypatch):

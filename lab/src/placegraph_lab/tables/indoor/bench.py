@@ -149,7 +149,7 @@ class Job:
     table: str  # key of `TITLES`
     row: str
     options: PoseSearchOptions
-    map: str  # `house`, `coarse` or a key of `HALVES`
+    map: str  # `house` or a key of `HALVES`
     labels: (
         str  # how patches are encoded: `instances`, `classes`, `none`; `indoor_semantics` has more
     )
@@ -169,20 +169,16 @@ class Job:
 
 
 def house_jobs() -> list[Job]:
-    """Return rows of terms and pairs, with all labels and none, and of the coarse map."""
+    """Return rows of terms and pairs, with all labels and none."""
 
-    def jobs(labels: str, rows: Iterable[str], on: str = "house", more: str = "") -> list[Job]:
+    def jobs(labels: str, rows: Iterable[str]) -> list[Job]:
         terms = SEMANTIC | BARE
         return [
-            Job(labels, f"{row}{more}", PoseSearchOptions().only(**terms[row]), on, labels)
+            Job(labels, row, PoseSearchOptions().only(**terms[row]), "house", labels)
             for row in rows
         ]
 
-    return [
-        *jobs("instances", SEMANTIC), *jobs("classes", SEMANTIC), *jobs("none", BARE),
-        *jobs("instances", ("semantic", "semantic + depth", "all"), "coarse", ", 20k triangles"),
-        *jobs("none", ("depth + colour", "colour"), "coarse", ", 20k triangles"),
-    ]  # fmt: skip
+    return [*jobs("instances", SEMANTIC), *jobs("classes", SEMANTIC), *jobs("none", BARE)]
 
 
 def office_jobs() -> list[Job]:
@@ -264,13 +260,11 @@ class Bench:
         self._windows: dict[tuple[str, int], list[Window]] = {}
 
     def scene(self, name: str) -> SceneMap:
-        """Map `house`, `coarse`, or one of a key of `HALVES`."""
+        """Map `house`, or one of a key of `HALVES`."""
         if name not in self._maps:
             self._maps.clear()
             if name in HALVES:
                 made = indoor_maps.office(self.data, self.cache, name)
-            elif name == "coarse":
-                made = indoor_maps.coarse_house(self.data, self.cache)
             else:
                 made = indoor_maps.house(self.data, self.cache)
             self._maps[name] = made

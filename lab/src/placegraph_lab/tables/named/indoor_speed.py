@@ -141,15 +141,13 @@ def time_tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def methods(run: Run, maps: dict[str, Path], folders: list[Path]) -> list[dict[str, Any]]:
-    """Time a frame of each method on each map, in fresh processes."""
+def methods(run: Run, path: Path, folders: list[Path]) -> list[dict[str, Any]]:
+    """Time a frame of each method in fresh processes."""
     rows = []
-    for name, path in maps.items():
-        for method, options in METHODS.items():
-            if name == "house" or method in {"all terms", "all terms, without polish"}:
-                run.log(f"{method}, {name}")
-                row = run_apart(time_localization, path, folders, options)
-                rows.append({"method": method, "map": name} | row)
+    for method, options in METHODS.items():
+        run.log(method)
+        row = run_apart(time_localization, path, folders, options)
+        rows.append({"method": method, "map": "house"} | row)
     return rows
 
 
@@ -160,18 +158,14 @@ def indoor_speed(
     *,
     quick: Quick = False,
 ) -> None:
-    """Time of indoor localization by stage and map; tracker, memory, cold starts."""
+    """Time of indoor localization by stage; tracker, memory, cold starts."""
     wanted = check_names(parts(only) or (["start"] if quick else []), PARTS, "part")
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     indoor_maps.house(run.data, run.cache)
-    indoor_maps.coarse_house(run.data, run.cache)
-    maps = {
-        "house": indoor_maps.place(run.cache, "house"),
-        "house, 20k triangles": indoor_maps.place(run.cache, f"house_{indoor_maps.COARSE}"),
-    }
+    house = indoor_maps.place(run.cache, "house")
     record: dict[str, Any] = {}
     if "start" in wanted:
-        given = [str(maps["house"]), str(folders[0]), "--frames", f"0:{FRAMES}", "--json"]
+        given = [str(house), str(folders[0]), "--frames", f"0:{FRAMES}", "--json"]
         command = ["scene", "localize", *given]
         spent = []
         for attempt in range(3 + 1):  # the first compiles, if nothing else did
@@ -190,11 +184,11 @@ def indoor_speed(
         text = render((Col(title, "map"), Col("s", "seconds", 2)), [record["start"]])
         print(f"#### Cold start\n\n{text}\n")
     if "localizing" in wanted:
-        record["localizing"] = methods(run, maps, folders)
+        record["localizing"] = methods(run, house, folders)
         paper = [[name, "", seconds, *["–"] * (len(LOCALIZING) - 3)] for name, seconds in PAPER]
         text = render(LOCALIZING, [*record["localizing"], *paper])
         print(f"#### Localizing, first frame and images included\n\n{text}\n")
     if "tracking" in wanted:
-        record["tracking"] = run_apart(time_tracking, maps["house"], folders)
+        record["tracking"] = run_apart(time_tracking, house, folders)
         print(f"#### Tracking\n\n{render(TRACKING, [record['tracking']])}\n")
     run.save(record, complete=not only)
