@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from tests.indoor.mapping.parts import cuboid, lattice, sphere, subdivided
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.simplify import simplify
 from placegraph.indoor.rays import RayCaster, embree
 from placegraph.indoor.rays.trace_kernels import cast_rays
 from placegraph.io.mesh.gltf import read_glb
-from placegraph_lab.tables.indoor.maps import decimate
 
 
 def soup(number, rng, size=0.1):
@@ -87,7 +88,8 @@ def test_backends_agree_on_the_house(house, kind, rng):
         vertices, triangles = subdivided(vertices, triangles)
     elif kind == "decimated":
         part = triangles[:30_000]
-        vertices, triangles, _ = decimate(vertices, part, 4000)
+        mesh = simplify(Mesh.plain(vertices, part), error=np.inf, target=4000)
+        vertices, triangles = mesh.vertices, mesh.triangles
     elif kind == "snapped":  # to 5 cm: most triangles lose their area, many fall together
         vertices = np.round(vertices / 0.05) * 0.05
     casters = _both(vertices, triangles)

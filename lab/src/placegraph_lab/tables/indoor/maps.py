@@ -1,13 +1,11 @@
-"""Maps of the house and the office, and meshes of a given number of triangles, for benchmarks."""
+"""Maps of the house and of halves of the office, made once for each state of the code."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import fuse
@@ -18,28 +16,7 @@ from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.runner import INDOOR, code_key
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.int32]
 OFFICE_TRIANGLES = 80_000
-
-
-def decimate(
-    vertices: ArrayLike, triangles: ArrayLike, target: int, group: ArrayLike | None = None
-) -> tuple[Floats32, Ints, Ints]:
-    """Collapse edges until about `target` triangles are left.
-
-    `vertices`: (V, 3) [m]; `triangles`: (T, 3) rows of vertices; `target`: triangles that are
-    wanted; more are left where collapsing on would tear the surface; `group`: (T,) object of a
-    triangle; surfaces of two objects do not merge where they touch.
-
-    Returns `vertices`: (V', 3) float32 [m]; `triangles`: (T', 3) int32; `group`: (T',) int32, zeros
-    where none was given.
-    """
-    if target < 1:
-        raise OptionError(f"target is {target}; it must be at least 1.")
-    mesh = simplify(Mesh.plain(vertices, triangles, group), error=np.inf, target=target)
-    return mesh.vertices, mesh.triangles, mesh.object_of
 
 
 def house(data: Path, cache: Path) -> SceneMap:
