@@ -40,7 +40,6 @@ from placegraph_lab.tables.scene.sentences import (
     report_poses,
     rooms_of,
     scenes_of,
-    speed,
 )
 from placegraph_lab.tables.statistics import paired_interval
 from placegraph_lab.worlds.flat.flat import Flat
@@ -342,11 +341,9 @@ def scene_sentences(
     for facts in FACTS:
         for wrong in WRONG:
             asked += ask(scenes, rng, facts=facts, wrong=wrong, each=each)
-    times = speed(scenes, rng)
     print(f"{len(scenes)} scenes; recall@1/3/5 among 10 and among 50\n")
     print(report(asked))
-    print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in times.items()))
-    record: dict[str, Any] = {"times": times, "scenes": figures(asked), "described": described}
+    record: dict[str, Any] = {"scenes": figures(asked), "described": described}
     if house is not None:
         windows = house_windows(run.data / "house", 1, every=every)
         spoken = ask_pose(house, windows, rng, seed=seed)

@@ -200,27 +200,6 @@ def recall(ranked: Sequence[RankedSentence]) -> list[float]:
     return [float((ranks <= k).mean()) if len(ranks) else float("nan") for k in AT]
 
 
-def speed(scenes: Sequence[Scene], rng: Generator, *, library: int = 10_000) -> dict[str, float]:
-    """Milliseconds to index a scene and to rank a library in which the scenes repeat."""
-    start = time.perf_counter()
-    index = TextIndex([s.graph for s in scenes], [s.rooms for s in scenes])
-    index.columns  # noqa: B018  # made when first asked for
-    indexed = time.perf_counter() - start
-    large = TextIndex()
-    for i in range(library):
-        large.add_units(index.units(i % len(scenes)))
-    large.columns  # noqa: B018
-    texts = [describe(scenes, i % len(scenes), rng, facts=4, wrong=0.0) for i in range(20)]
-    start = time.perf_counter()
-    for text in texts:
-        large.scores(read(text))
-    return {
-        "index_ms_a_scene": 1e3 * indexed / len(scenes),
-        "rank_ms": 1e3 * (time.perf_counter() - start) / len(texts),
-        "ranked": library,
-    }
-
-
 def figures(ranked: Sequence[RankedSentence]) -> list[dict[str, Any]]:
     """Recall of every row, with a sentence that came out last of it."""
     keys = dict.fromkeys((a.facts, a.wrong, a.candidates) for a in ranked)
