@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import open_capture
-from placegraph.io.capture.frame import Capture, Frame
+from placegraph.io.capture.frame import Capture
 from placegraph_io.ros.decode import decode_message
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import Quick, Run, render, table
@@ -58,18 +57,16 @@ def bag_read(
     quick: Quick = False,
 ) -> None:
     """Read rates of bags [MB/s], beside `rosbags` and `mcap` alone."""
-    # Size of each bag, rounds of which the median counts, frames of a bag that is opened alone
-    megabytes, rounds, frames = (40, 3, 1000) if quick else (300, 5, 13_000)
+    # Size of each bag, and rounds of which the median counts
+    megabytes, rounds = (40, 3) if quick else (300, 5)
     walk = open_capture(run.data / "house/seq00", labels=None)
     with tempfile.TemporaryDirectory() as name:
         rows = [
             time_container(repeat(walk, megabytes), kind, Path(name), rounds)
             for kind in run.track(KINDS, "reading")
         ]
-        seconds = time_opening(frames, Path(name), rounds)
     print(f"MB/s of CPU time; aim: messages/rosbags at most {AIM}\n\n{render(COLUMNS, rows)}")
-    print(f"\nOpening {frames:,} frames, as of 20 GB of VGA: {seconds:.2f} s of CPU time")
-    run.save({"rows": rows, "opening": seconds})
+    run.save({"rows": rows})
 
 
 def repeat(walk: Capture, megabytes: float) -> Capture:
@@ -113,20 +110,6 @@ def time_container(
     row = {"container": name, "megabytes": len(capture) * frame_megabytes(capture)}
     row |= {"frames": len(capture), "mcap": None}
     return row | {reader: median(times) for reader, times in seconds.items()}
-
-
-def time_opening(frames: int, folder: Path, rounds: int) -> float:
-    """CPU seconds to open an MCAP of many frames: what counts is their number, not their size."""
-    rgb, depth, camera = np.zeros((6, 8, 3), np.uint8), np.ones((6, 8)), Camera(8, 6, 8, 8, 4, 3)
-    with BagWriter(folder / "many") as writer:
-        tiny = (Frame.from_arrays(rgb, camera, depth=depth, stamp=i / 30) for i in range(frames))
-        write_capture(writer, Capture.from_frames(tiny), Layout())
-    seconds = []
-    for _ in range(rounds):
-        start = process_time()
-        open_capture(folder / "many")
-        seconds.append(process_time() - start)
-    return median(seconds)
 
 
 def read_messages(path: Path) -> int:
