@@ -137,14 +137,3 @@ def changes_table(rows: Sequence[Row], recall: Callable[[Any], float]) -> str:
                 for n in lengths]  # fmt: skip
         lines.append([job.name, *(shares(recall(s) if s else None for s in pair) for pair in both)])
     return markdown(["", *(f"{n} frames" for n in lengths)], lines)
-
-
-def sequences_table(rows: Sequence[Row], recall: Callable[[Any], float]) -> str:
-    """Return recall by sequence, lengths set off by slashes."""
-    places = sorted({place for row in rows for place in row.places})
-    lengths = sorted({r.length for r in rows})
-    lines = []
-    for job, of in by_job(rows):
-        found = [[of[n].at(place) if n in of else None for n in lengths] for place in places]
-        lines.append([job.name, *(shares(recall(s) if s else None for s in by) for by in found)])
-    return markdown([f"{'/'.join(map(str, lengths))} frames", *places], lines)

@@ -20,7 +20,6 @@ from placegraph_lab.tables.indoor.report import (
     by_job,
     changes_table,
     errors,
-    sequences_table,
 )
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
@@ -68,7 +67,6 @@ def report(rows: Sequence[Row]) -> str:
     if house:
         recall = lambda s: s.recall[RECALL]  # noqa: E731
         text += ["#### House, unchanged / changed scenes, 25 cm 2°", changes_table(house, recall)]
-        text += ["#### House, by sequence, 25 cm 2°", sequences_table(house, recall)]
     pooled = [
         (job.name, score([a for row in of.values() for a in row.results]))
         for job, of in by_job(rows)

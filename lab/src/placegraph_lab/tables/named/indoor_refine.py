@@ -36,7 +36,6 @@ from placegraph_lab.tables.indoor.report import (
     changes_table,
     errors,
     is_covered,
-    sequences_table,
 )
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
@@ -99,7 +98,6 @@ def report(rows: Sequence[Row]) -> str:
             "#### House, unchanged / changed scenes, 10 cm 5° after",
             changes_table(house, recall),
         ]
-        text += ["#### House, by sequence, 10 cm 5° after", sequences_table(house, recall)]
     own = [r for r in rows if r.job.by not in GICP and not r.job.by.endswith(PAPER)]
     if own:
         spread_rows: list[Any] = [
