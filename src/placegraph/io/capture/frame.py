@@ -312,7 +312,6 @@ def posed_frame(
     label_camera: Camera | None = None,
     label_kind: LabelKind = "labels",
     label_names: Mapping[int, str] | None = None,
-    gravity: ArrayLike | None = None,
     turns: int = 0,
 ) -> Frame:
     """Return the frame of images, cameras and pose as stored, rotated by quarter turns.
@@ -322,21 +321,19 @@ def posed_frame(
     index, stamp
         Number of the frame; seconds, or its number.
     odometry
-        (4, 4) odometry_from_camera [m] of the stored image, odometry z up.
+        (4, 4) odometry_from_camera [m] of the stored image, odometry z up; gravity is its -z.
     camera, depth_camera, label_camera
         Intrinsics of the stored images; None where there is no depth, no label.
     images
         Stored images.
     label_kind, label_names
         Meaning of the labels; see `Frame`.
-    gravity
-        (3,) in the stored camera's axes, of any length; -z of the odometry's frame if not given.
     turns
         Counter-clockwise quarter turns from the stored images to the frame.
 
     """
     stored = np.array(odometry, np.float64)
-    down = -stored[2, :3] if gravity is None else np.asarray(gravity, np.float64)
+    down = -stored[2, :3]
     turned_from_stored = quarter_turn(turns)
     pose = stored.copy()
     pose[:3, :3] = stored[:3, :3] @ turned_from_stored.T
