@@ -63,7 +63,7 @@ def test_walks_of_four_recordings(recordings):
 
 
 def test_a_walk_without_end(recordings):
-    drawn = list(islice(loop_recordings(recordings, 0.0, np.random.default_rng(0)), 200))
+    drawn = list(islice(loop_recordings(recordings, np.random.default_rng(0)), 200))
     gone = steps([frame for frame, _, _ in drawn])
     assert gone.max() < 0.11
     kidnapped = [i for i, (_, _, k) in enumerate(drawn) if k]

@@ -101,7 +101,7 @@ def walks(recordings: Sequence[Recording], degrees: float, seed: int) -> list[Wa
 
 
 def loop_recordings(
-    recordings: Sequence[Recording], degrees: float, rng: Generator
+    recordings: Sequence[Recording], rng: Generator
 ) -> Iterator[tuple[Frame, Floats, bool]]:
     """Frames without end: to and fro along a recording, then kidnapped onto another.
 
@@ -116,11 +116,7 @@ def loop_recordings(
         poses, level = split_pose(np.stack([f.odometry for f in part.frames]))
         for i, k in enumerate(loop):
             if i:
-                step = between(poses[loop[i - 1]], poses[k])
-                noise = rng.standard_normal(4)
-                step[:3] += 0.02 * degrees * np.linalg.norm(step[:3]) * noise[:3]
-                step[3] += np.radians(degrees) * noise[3]
-                at = compose(at, step)
+                at = compose(at, between(poses[loop[i - 1]], poses[k]))
             frame, stamp = part.frames[k], number * PERIOD
             odometry = pose_matrix(at, level[k])
             yield (
@@ -265,7 +261,7 @@ class Clock:
 def play_walks(data: Path, cache: Path, path: Path, rate: float, seconds: float) -> dict[str, Any]:
     """Play walks of the house with images at a rate [Hz], and odometry at 100 Hz, in a fresh process."""
     recordings = Places(data, cache).recordings("house")["house"]
-    endless = loop_recordings(recordings, 0.0, np.random.default_rng(0))
+    endless = loop_recordings(recordings, np.random.default_rng(0))
     every = islice(endless, int(rate * seconds))
     frames = [_read(replace(f, stamp=i / rate)) for i, (f, _, _) in enumerate(every)]
     with SceneMap.open(path).live(options=SENSES) as live:
