@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.change.align import sample_surface
 from placegraph_lab.tables.scene.surface_kernels import _CELL, Grid, _distances
 
 Floats = NDArray[np.float64]
@@ -23,8 +24,6 @@ class SurfaceDistances:
     mean: float
     most: float  # 95 % are nearer than this
     maximum: float
-    there: list[float]  # the same three of samples of the first alone
-    back: list[float]  # ... and of the second.
 
 
 def compare(
@@ -32,22 +31,13 @@ def compare(
 ) -> SurfaceDistances:
     """Distances of samples, spread evenly over either surface, from the other surface."""
     there = distances(spread(one, rng, samples), other)
-    back = distances(spread(other, rng, samples), one)
-    (mean, most, maximum), *each = (
-        ([float(d.mean()), float(np.quantile(d, 0.95)), float(d.max())])
-        for d in (np.concatenate([there, back]), there, back)
-    )
-    return SurfaceDistances(mean, most, maximum, *each)
+    off = np.concatenate([there, distances(spread(other, rng, samples), one)])
+    return SurfaceDistances(float(off.mean()), float(np.quantile(off, 0.95)), float(off.max()))
 
 
 def spread(mesh: Mesh, rng: np.random.Generator, samples: int) -> Floats:
     """Points (N, 3) [m], even over the surface."""
-    area = np.linalg.norm(mesh.normals().astype(np.float64), axis=1)
-    rows = rng.choice(len(mesh), samples, p=area / area.sum())
-    root, split = np.sqrt(rng.random(samples)), rng.random(samples)
-    shares = np.stack([1.0 - root, root * (1.0 - split), root * split], axis=1)
-    points: Floats = np.einsum("nkd,nk->nd", mesh.vertices[mesh.triangles[rows]], shares)
-    return points
+    return sample_surface(mesh, np.arange(len(mesh)), samples, rng).points
 
 
 def distances(points: Floats, mesh: Mesh) -> Floats:
