@@ -218,7 +218,7 @@ class Streets:
     def find_ends(self, streets: Sequence[int], side: str) -> Floats:
         """Find the ends (K, 2) [m] of streets, or those to a side: "east"; none if too many."""
         towards = [(a in side) - (b in side) for a, b in (("east", "west"), ("north", "south"))]
-        found = []
+        found: list[Floats] = []
         for street in streets[:MAX_SITES]:
             points = self._sample(street)[0]
             one = points[np.argmax(np.hypot(*(points - points.mean(axis=0)).T))]
