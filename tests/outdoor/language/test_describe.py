@@ -11,6 +11,7 @@ from placegraph.outdoor.language import describe, normalise, tokens
 from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.scan import scan_english
+from placegraph.outdoor.language.statements import RANKED
 
 
 @pytest.mark.parametrize(
@@ -110,6 +111,12 @@ def test_a_colon_behind_a_name_is_a_stop(text, related):
     found = describe(text, names=Names("Elm Park", "Chinatown"))
     words = [mention.words for mention in found.mentions]
     assert [(words[s.source], words[s.target]) for s in found.statements] == related
+
+
+def test_a_rank_among_several_is_reported():
+    found = describe("I'm at the third house on Oak Street. A bench is north of me.")
+    assert [(i.text, i.reason) for i in found.ignored] == [("the third house", RANKED)]
+    assert len(found.statements) == 3
 
 
 def test_the_longest_name_wins():

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 """Determiners that introduce a thing; the others, and none, may speak of one already known."""
+RANKS = frozenset(("first", "second", "third", "fourth", "last", "largest", "biggest", "smallest"))
+"""Words that tell a thing from others of its kind, which no statement does."""
 TYPING_ERROR = 0.8
 """Similarity from which an unknown word counts as a misspelt known one."""
 GENERIC = 0.7
@@ -141,12 +143,15 @@ class References:
         return node
 
     def list_unknown(self) -> list[IgnoredText]:
-        """Return the things of which nothing is known, each with the reason."""
-        return [
-            IgnoredText(mention.words, self.vocabulary.explain_unknown(self.heads[mention.id]))
-            for mention in self.mentions
-            if mention.id > LISTENER and not mention.senses and not mention.name
-        ]
+        """Return the things of which nothing is known, or that are one of several, with the reason."""
+        found = []
+        for mention in self.mentions[LISTENER + 1 :]:
+            if not (mention.senses or mention.name):
+                why = self.vocabulary.explain_unknown(self.heads[mention.id])
+                found.append(IgnoredText(mention.words, why))
+            elif not RANKS.isdisjoint(self.modifiers[mention.id]):
+                found.append(IgnoredText(mention.words, RANKED))
+        return found
 
     def is_known(self, node: int) -> bool:
         """Tell whether a mention has a name, or a noun that a map knows."""
@@ -222,6 +227,7 @@ NO_MAP = "is never on a map"
 NO_TARGET = "does not say relative to what"
 NO_PLACE = "does not locate any object"
 UNKNOWN = "unknown word"
+RANKED = "which of several it is cannot be used"
 OF_A_WALK = "left and right along a walk have no fixed direction on a map"
 TO_ITSELF = "relates a thing to itself"
 

@@ -23,6 +23,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
+from placegraph.outdoor.language.statements import RANKED
 from placegraph.outdoor.likelihood.query import (
     NOT_MAPPED,
     Query,
@@ -50,7 +51,7 @@ GRAIN = 50.0
 """Step [m] of the radius of a claim of a named area."""
 MAX_QUOTED = 3
 """Largest number of unread words that a reason quotes."""
-UNREAD = ("unknown word", "not understood")
+UNREAD = ("unknown word", "not understood", RANKED)
 
 
 @dataclass(frozen=True, slots=True)
