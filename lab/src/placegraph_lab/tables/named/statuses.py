@@ -149,7 +149,7 @@ def walks(folder: Path) -> Iterator[TextSet]:
     lines = (folder / "walks_manhattan.jsonl").read_text("utf-8").splitlines()
     texts = tuple(
         LabelledText(
-            w["text"], *(w["route"][k][::-1] for k in (-1, 0)), radians(w["start_heading_deg"])
+            w["text"], w["route"][-1][::-1], w["route"][0][::-1], radians(w["start_heading_deg"])
         )
         for w in map(json.loads, lines)
     )
