@@ -90,7 +90,7 @@ def test_never_more_than_asked_for(height, width, count):
     assert 1 <= len(found) <= count
 
 
-@pytest.fixture(scope="module", params=["sift", "xfeat dense"])
+@pytest.fixture(scope="module", params=["sift", "xfeat"])
 def any_matcher(request):
     if request.param == "sift":
         yield matcher("sift")
@@ -100,7 +100,7 @@ def any_matcher(request):
     before = torch.get_num_threads()
     torch.set_num_threads(1)  # so small is the network
     weights = request.getfixturevalue("shared") / "weights/xfeat.pt"
-    yield matcher("xfeat", weights=weights, dense=True)
+    yield matcher("xfeat", weights=weights)
     torch.set_num_threads(before)
 
 
