@@ -291,13 +291,14 @@ def reach(agreed: Agreement, correlation: float = np.nan) -> Floats:
     return np.array([depth, agreed.texture, agreed.tone, correlation])
 
 
-_REPEATING = 0.3
+_REPEATING = 0.25
 """Share of its texture that a map's own frames find elsewhere, from which on the map repeats itself."""
 _UNEVEN = 0.2, 0.1
 """Deviation of a map's own agreement, as a share of its mean, of maps that do not repeat themselves and
 of those that do: light and viewpoints change."""
 _SEARCHED = 1.0
-"""Log odds that depth adds to a pose against all places that were not searched."""
+"""Log odds of a pose against all places that were not searched; by images of a map that repeats itself
+alone: 0."""
 _COLOURS = np.array([[1.5, 0.5, 0.0], [1.5, 0.5, 1.0]])
 """Weights of textures, tones and correlation of images, of both kinds of maps: of any two images of a
 room tones agree."""
@@ -325,7 +326,8 @@ def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np
         return np.inf
     gains = np.log(np.maximum(means / (deviations * np.sqrt(2.0 * np.pi)), 1.0)) - 0.5 * short**2
     odds = float(_COLOURS[repeating][known[1:]] @ gains[1:][known[1:]]) - log_odds(repeats, 0.0)
-    return odds + _SEARCHED - 0.5 * repeats * float(short[0] ** 2) if known[0] else odds
+    odds += _SEARCHED if known[0] or not repeating else 0.0
+    return odds - 0.5 * repeats * float(short[0] ** 2) if known[0] else odds
 
 
 def both_odds(one: float, other: float) -> float:
