@@ -248,6 +248,23 @@ def test_colloquial_spelling(text, language, meaning):
         assert any(is_said(s, wanted, description) for s in description.statements), description
 
 
+@pytest.mark.parametrize("code", EXAMPLES)
+def test_the_grammar_reads_no_fewer_things_than_names_alone(code):
+    """Without its grammar a language is read by names and kinds in any order."""
+    found = {True: 0, False: 0}
+    for text, heading, wanted in EXAMPLES[code]:
+        words = {word for told in wanted for word in MEANING.fullmatch(told)["nodes"].split(", ")}
+        for grammar in found:
+            angle = None if heading is None else radians(heading)
+            description = describe(text, heading=angle, language=code, grammar=grammar)
+            nodes = {n for s in description.statements for n in (s.source, s.target, s.target2)}
+            mentions = [description.mentions[n] for n in nodes - {None, SPEAKER, LISTENER}]
+            found[grammar] += sum(
+                any(means(m, word) for m in mentions) for word in words - {"I", "you"}
+            )
+    assert found[True] >= found[False] > 0
+
+
 def test_names_and_kinds_alone():
     names = NameIndex.build(Names(("Zum Hirsch",)))
     description = describe("Östlich vom Zum Hirsch liegt keine Bank.", names=names, grammar=False)
