@@ -255,9 +255,11 @@ def _find_bins(view: View, turn: float, lanes: int, offset: int, noise: Noise, b
     bin_of = np.minimum(band, ELEVATIONS - 1) * AZIMUTHS + azimuth
     order = np.argsort(bin_of, kind="stable")
     use, (met, first) = use[order], np.unique(bin_of[order], return_index=True)
+    odd = len(met) % 2  # a last bin that says nothing makes pairs
+    met = np.pad(met, (0, odd))
 
     def join(rows: NDArray[np.floating]) -> NDArray[np.float32]:
-        return np.add.reduceat(rows, first).astype(np.float32)
+        return np.pad(np.add.reduceat(rows, first).astype(np.float32), ((0, odd), (0, 0)))
 
     reach, patch, terms = reach[use], view.patch[use], view.terms
     semantic = depth = colour = np.zeros((len(met), 0), np.float32)
