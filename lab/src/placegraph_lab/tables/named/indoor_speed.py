@@ -18,7 +18,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.errors import PlacegraphError
+from placegraph.indoor.likelihood.observe import COARSE
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
+from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import maps as indoor_maps
@@ -37,7 +40,7 @@ from placegraph_lab.tables.runner import (
 from placegraph_lab.tables.statistics import peak, run_apart
 
 FRAMES = 10  # frames of a sequence that are localized
-PARTS = ("localizing", "tracking", "start")
+PARTS = ("localizing", "search", "tracking", "start")
 MEGA = 1e-6
 PAPER = (
     ("*paper, three passes, a GPU (Tab. 4)*", "2.90 s"),
@@ -67,6 +70,11 @@ LOCALIZING = (
     Col("M rays a frame", "rays_a_frame", 2, "", MEGA),
     Col("M rays/s", "rays_per_second", 1, "", MEGA), Col("scoring", "scoring_share", share),
     Col("peak", "peak_bytes", 0, "MB", MEGA),
+)  # fmt: skip
+SEARCH = (
+    Col("search, median CPU, house", "method"),
+    Col("1 frame", lambda r: r["cpu_seconds"]["1"], 0, "ms", 1e3),
+    Col(f"{FRAMES} frames", lambda r: r["cpu_seconds"][str(FRAMES)], 0, "ms", 1e3),
 )  # fmt: skip
 TRACKING = (
     Col("tracker", lambda r: f"house, {r['updates']} updates"),
@@ -114,6 +122,27 @@ def time_localization(
         "first_call_seconds": first,
         "peak_bytes": peak(),
     }
+
+
+def time_search(
+    scene: Path, folders: Sequence[Path], options: PoseSearchOptions
+) -> dict[str, float]:
+    """Median CPU time of the search of one frame and of a sequence; in a fresh process."""
+    opened, spent = SceneMap.open(scene), {}
+    captures = [open_capture(folder) for folder in folders]
+    for count in (1, FRAMES):
+        seconds = []
+        for lap in range(3):  # the first compiles, and makes the table
+            for capture in captures:
+                query = PoseQuery.of(opened, capture[:count], options=options)
+                window = observe(query)
+                window.views(COARSE)
+                start = time.process_time()
+                search(window, np.random.default_rng(0))
+                if lap:
+                    seconds.append(time.process_time() - start)
+        spent[str(count)] = float(np.median(seconds))
+    return spent
 
 
 def time_tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
@@ -188,6 +217,12 @@ def indoor_speed(
         paper = [[name, "", seconds, *["–"] * (len(LOCALIZING) - 3)] for name, seconds in PAPER]
         text = render(LOCALIZING, [*record["localizing"], *paper])
         print(f"#### Localizing, first frame and images included\n\n{text}\n")
+    if "search" in wanted:
+        record["search"] = [
+            {"method": name, "cpu_seconds": run_apart(time_search, house, folders, given, cores=1)}
+            for name, given in list(METHODS.items())[:4]
+        ]
+        print(f"#### Search\n\n{render(SEARCH, record['search'])}\n")
     if "tracking" in wanted:
         record["tracking"] = run_apart(time_tracking, house, folders)
         print(f"#### Tracking\n\n{render(TRACKING, [record['tracking']])}\n")
