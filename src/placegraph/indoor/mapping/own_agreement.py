@@ -106,11 +106,8 @@ def _measure_elsewhere(
     """Return what a frame at a pose (4, 4) finds elsewhere by depth: probability, and largest texture."""
     options = PoseSearchOptions().only(depth=True)
     modes = localize_capture(scorer.scene, [frame], options=options, refine=False).modes
-    away = [
-        np.linalg.norm(mode.map_from_camera[:3, 3] - pose[:3, 3]) >= NEAR for mode in modes[:_FIRST]
-    ]
-    far = [mode for mode, is_away in zip(modes, away, strict=False) if is_away]
-    still = np.zeros((1, 4))
+    at, still = pose[:3, 3], np.zeros((1, 4))
+    far = [m for m in modes[:_FIRST] if np.linalg.norm(m.map_from_camera[:3, 3] - at) >= NEAR]
     textures = [agreement(scorer, mode.pose, view, still).texture for mode in far]
     total = sum(mode.probability for mode in modes)
     wrong = sum(mode.probability for mode in far) / total if total else 1.0

@@ -72,16 +72,11 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
     with time_stage(window.seconds, "verdict"):
         judging, looked = window.judging, window.newest
         told_apart = [judging.views(FINE)[i] for i in looked]
-
-        def agreed_at(fit: Fit) -> Agreement:
-            steps = between(fit.pose, fit.poses[looked])
-            return agreement(judging.scorer, fit.pose, told_apart, steps)
-
         candidates, shares = _probabilities(
             window, candidates, window.scorer.model.compute_temperature(told_apart)
         )
         count = max(_EXPLAINED, int((shares > RIVAL).sum()))
-        agreed = [agreed_at(fit) for fit in candidates[:count]]
+        agreed = [agreement_at(window, fit.poses) for fit in candidates[:count]]
         if window.options.likelihood.tempered:
             own = [_own_agreement(window.scene, fit.pose) for fit in candidates[: len(agreed)]]
             odds = [
