@@ -25,7 +25,7 @@ def house(number, street, east, north):
 @pytest.fixture
 def city(build_world):
     """Three streets to the north cross three to the east, 200 m apart; a few houses have numbers."""
-    ends = [(MAIN, 0, -50, 0, 450), (OAK, 200, -50, 200, 450)]
+    ends = [(MAIN, 0, -50, 0, 450), (OAK, 200, -50, 200, 450), ("The Crescent", 600, 0, 600, 90)]
     ends += [
         (name, -50, north, 450, north)
         for name, north in ((BROADWAY, 0), (TENTH, 200), (ELEVENTH, 400))
@@ -98,6 +98,7 @@ def test_house_numbers(place, text, east, north):
         "A bench is between Main Street and Oak Street.",
         "near two fountains and the main entrance",
         "9000 Oak Street",
+        "At the end of the line, and at the end of oak floors.",
         "",
     ],
 )
@@ -105,8 +106,16 @@ def test_other_words_are_no_sites(place, text):
     assert place(text) == []
 
 
-def test_a_text_is_located_at_a_crossing(city):
-    found = city.locate("Southwest corner of Oak & 10th.")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Southwest corner of Oak & 10th.",
+        "I'm at the corner of Oak and 10th.",
+        "The fountain at the corner of Oak and 10th",
+    ],
+)
+def test_a_text_is_located_at_a_crossing(city, text):
+    found = city.locate(text)
     (goal,) = city.name_index.find_places("Oak & 10th")
     assert (
         np.hypot(*(city.plane.to_plane([found.best.longitude, found.best.latitude]) - goal)) < 30.0

@@ -536,11 +536,18 @@ def _find_distant(
         if len(certain) and city.count_bearers(certain).sum() <= MAX_DISTANT:
             few.add(m + 2)
     reaches = [
-        s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
+        s.far
+        or s.distance is not None
+        or not here.union(sites).isdisjoint(ends(s))
+        or few.issuperset(ends(s))
         for s in used
     ]
     spoken = {
-        n - 2 for s, r in zip(used, reaches, strict=True) if r for n in ends(s) if n not in here
+        n - 2
+        for s, r in zip(used, reaches, strict=True)
+        if r
+        for n in ends(s)
+        if n in sites or n not in here
     }
     nothing = (np.zeros(0, np.int64), np.zeros(0, np.float32))
     away = {
@@ -616,8 +623,14 @@ def _make_key(statement: Statement, description: Description) -> tuple[object, .
 
 
 def find_speaker_nodes(statements: Sequence[Statement]) -> frozenset[int]:
-    """Return the nodes at the place of the speaker: the speaker, and what they stand at."""
+    """Return the nodes at the place of the speaker: the speaker, and what they stand at.
+
+    Who writes "Fountain: in Elm Park, by the gate" and no more speaks of the place of the fountain.
+    """
     at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
+    about = {s.source for s in statements}
+    if len(about) == 1 and all(is_binding(s) or _is_beside(s) for s in statements):
+        at |= about
     return frozenset(at | {SPEAKER})
 
 

@@ -109,6 +109,7 @@ class Streets:
         for i in range(len(rows)):
             for form in _list_short_forms(self._names[i].split()):
                 loose.setdefault(" ".join(form), []).append(i)
+        loose.pop("the", None)  # of "The Crescent"
         return exact, loose
 
     def find_sites(self, text: str) -> list[Site]:
@@ -168,7 +169,7 @@ class Streets:
             if len(at):
                 return _site(tokens, one.first - 1, one.last, at), one.last
         first, side = _find_end(tokens, one.first)
-        if first < one.first:
+        if first < one.first and (one.typed or one.exact or tokens[one.first].capital):
             at = self.find_ends(one.streets, side)
             return (_site(tokens, first, one.last, at), one.last) if len(at) else (None, -1)
         if following is None:
