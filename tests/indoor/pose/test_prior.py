@@ -8,7 +8,8 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import PoseSearchOptions
-from placegraph.indoor.pose.prior import LogPrior
+from placegraph.indoor.pose.prior import LogPrior, Prior
+from placegraph.indoor.pose.window import PoseQuery, observe
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,30 @@ def test_a_sentence_about_nothing_here_is_told(room):
     table = room.visibility(PoseSearchOptions())
     with pytest.raises(OptionError, match="mentions nothing on this map"):
         LogPrior.of(room, table, "next to the swimming pool", None)
+
+
+def test_a_prior_far_off_the_map_prefers_no_place():
+    across = np.column_stack([np.linspace(0.0, 20.0, 21), np.zeros(21), np.full(21, 1.5)])
+    yaws = np.array([0.0, np.pi])
+    near, far = (Prior(x, 0.0, yaw=0.0, spread=10.0).log(across, yaws) for x in (0.0, 200.0))
+    assert near[0, 0] == pytest.approx(0.0)
+    assert near[0, 0] - near[-1, 0] > 1.5
+    assert near[0, 0] - near[0, 1] > 2.5
+    assert np.ptp(far) < 0.01
+    # a height that is off everywhere tells storeys apart, and leaves the rest as it is
+    storeys = across + np.array([0.0, 0.0, 3.0])
+    high = Prior(0.0, 0.0, z=60.0, spread=2.0).log(np.concatenate([across, storeys]), yaws)
+    assert high[21, 0] == pytest.approx(0.0)
+    assert high[21, 0] - high[0, 0] > 0.9
+
+
+def test_a_wide_prior_climbs_with_the_camera(room, walk):
+    prior = Prior(0.0, 0.0, z=1.0, yaw=0.2, spread=3.0)
+    window = observe(PoseQuery.of(room, walk, frames=slice(0, 2), prior=prior))
+    window.poses[-1] = window.poses[0] + np.array([0.0, 0.0, 3.0, 0.5])
+    moved = Prior(0.0, 0.0, z=4.0, yaw=0.7, spread=3.0)
+    wanted = LogPrior.of(room, window.table, None, None, moved).logs
+    np.testing.assert_allclose(window.log_prior.logs, wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize("shares", [[1.0], [0.0, 0.0], [-1.0, 2.0], [np.nan, 1.0]])

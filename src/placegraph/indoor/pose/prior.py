@@ -48,15 +48,17 @@ class Prior:
         return self.spread > _WIDE
 
     def log(self, positions: NDArray[Any], yaws: NDArray[Any]) -> Floats:
-        """Return the log density (K, A) [nat, 0 at best] of positions (K, 3) and yaws (A,).
+        """Return the log density (K, A) [nat, 0 at the prior] of positions (K, 3) and yaws (A,).
 
-        A share of `_OUTLIERS` is spread evenly, since compasses and fixes err indoors.
+        A share of `_OUTLIERS` is spread evenly, since compasses and fixes err indoors. A prior far off
+        all positions therefore prefers none of them. Heights count relative to the nearest one.
         """
         offset = positions - (self.x, self.y, self.z or 0.0)
-        squares = np.square(offset[:, : 2 if self.z is None else 3]).sum(axis=1) / self.spread**2
+        height = np.zeros(len(offset)) if self.z is None else np.abs(offset[:, 2])
+        squares = np.square(offset[:, :2]).sum(axis=1) + np.square(height - height.min())
         turn = np.zeros(len(yaws)) if self.yaw is None else (np.cos(yaws - self.yaw) - 1.0)
-        logs = turn / self.turn**2 - squares[:, None] / 2.0
-        mixed: Floats = np.log(_OUTLIERS + (1.0 - _OUTLIERS) * np.exp(logs - logs.max()))
+        logs = turn / self.turn**2 - squares[:, None] / (2.0 * self.spread**2)
+        mixed: Floats = np.log(_OUTLIERS + (1.0 - _OUTLIERS) * np.exp(logs))
         return mixed
 
 

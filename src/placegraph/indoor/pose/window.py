@@ -272,9 +272,12 @@ class Window:
         """Log prior of the last frame's pose; None: there is none."""
         description, shares, near = self.query.description, self.query.shares, self.query.prior
         if near is not None and near.is_wide:
-            x, y, _, turn = (self.poses[-1] - self.poses[0]).tolist()
-            yaw = None if near.yaw is None else near.yaw + turn
-            near = replace(near, yaw=yaw, spread=hypot(near.spread, x, y))
+            x, y, rise, turn = (self.poses[-1] - self.poses[0]).tolist()
+            z, yaw = (
+                None if at is None else at + moved
+                for at, moved in ((near.z, rise), (near.yaw, turn))
+            )
+            near = replace(near, z=z, yaw=yaw, spread=hypot(near.spread, x, y))
         else:
             near = None  # poses are drawn around it
         if description is None and shares is None and near is None:
