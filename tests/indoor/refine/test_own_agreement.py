@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -118,6 +119,24 @@ def test_answers_that_fall_short_are_not_ok(measured, exact, count, status):
     assert sum(mode.probability for mode in estimate.modes) < 0.1
     assert count > FEW or len(estimate.modes)
     json.dumps(estimate.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(("textures", "repeats"), [((np.nan, 0.2), 0.2), ((np.nan,), 0.0)])
+def test_places_without_texture_leave_what_repeats_known(
+    room, exact, monkeypatch, textures, repeats
+):
+    modes = [
+        SimpleNamespace(map_from_camera=np.eye(4) + 9.0, pose=np.zeros(4), probability=0.5)
+        for _ in textures
+    ]
+    found = iter((0.8, *textures))
+    measuring = "placegraph.indoor.mapping.own_agreement"
+    monkeypatch.setattr(
+        f"{measuring}.localize_capture", lambda *_, **__: SimpleNamespace(modes=modes)
+    )
+    monkeypatch.setattr(f"{measuring}.agreement", lambda *_: seen(texture=next(found)))
+    own = measure_own_agreement(room, exact.capture.frames[:1], exact.poses[:1])
+    assert own[-1] * own[1] == pytest.approx(repeats)
 
 
 def test_textures_tell_places_of_the_same_shapes_apart(room, exact):

@@ -74,7 +74,7 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     means *= 1.0 - 0.5 * alone
     deviations = np.hypot(deviations, alone * means / np.sqrt(12.0))
     wrong, textures = np.mean(elsewhere, axis=0) if elsewhere else (np.nan, np.nan)
-    return np.array([*means, *deviations, textures / means[1] if scene.has_colours else wrong])
+    return np.array([*means, *deviations, textures / means[1] if means[1] > 0 else wrong])
 
 
 def _measure_seen_alone(scene: Scene, frames: Sequence[Frame], poses: Floats, row: int) -> float:
@@ -111,4 +111,4 @@ def _measure_elsewhere(
     textures = [agreement(scorer, mode.pose, view, still).texture for mode in far]
     total = sum(mode.probability for mode in modes)
     wrong = sum(mode.probability for mode in far) / total if total else 1.0
-    return float(wrong), max(textures, default=0.0)
+    return float(wrong), float(np.nan_to_num(textures).max(initial=0.0))
