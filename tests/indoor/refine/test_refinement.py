@@ -72,6 +72,13 @@ def test_images_alone(room, walk, exact, kit):
     assert refinement.stats["matches"] > 100
 
 
+@pytest.mark.parametrize("depth", [True, False])
+def test_a_start_that_is_exact_may_be_refined(room, walk, exact, kit, depth):
+    options = RefineOptions(depth=depth, images=not depth, reach=(0.0, 0.0))
+    estimate = room.refine(walk, exact.poses[4], frames=FIVE, options=options)
+    kit.check_near(estimate.best.map_from_camera, exact.poses[4], 0.02, 0.3)
+
+
 @pytest.mark.parametrize(
     ("undecided", "accepted", "landmarks", "searched", "after"),
     [

@@ -480,7 +480,7 @@ def refine_from(
     Without PoseLib depth alone is used.
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
-    refiner.loose = estimate.modes[0].covariance[:3, :3]
+    refiner.loose = estimate.modes[0].covariance[:3, :3] + _SHARPEST**2 * np.eye(3)
     try:
         check = confirm_fit(refiner, coarse, refiner.fit_trajectory(start, progress))
     except MissingExtraError as error:
@@ -568,7 +568,7 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
     if any(s.depth is not None for s in window.observations):
         start = _searched(window, given, refining.options)
     refiner = Refiner.of(window, refining.options, refining.matcher)
-    refiner.prior = coarse, np.maximum(_reach(refining.options), _SHARPEST)
+    refiner.prior = coarse, _reach(refining.options)
     refined = refine_from(
         window,
         _estimate_given_pose(window, coarse, refining.options),
@@ -604,7 +604,7 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
 def _reach(options: RefineOptions) -> Floats:
     """Return standard deviations (6,) [m], [rad] of a given pose."""
     way, turn = options.reach
-    return np.array([way, way, 0.3 * way, turn, turn, turn])
+    return np.maximum([way, way, 0.3 * way, turn, turn, turn], _SHARPEST)
 
 
 def _estimate_given_pose(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
