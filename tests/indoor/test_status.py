@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import placegraph
 from placegraph.core.estimate import PoseMode, Status
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement
-from placegraph.indoor.status import SURE, decide_fit
+from placegraph.indoor.status import SURE, Diagnostics, decide_fit, decide_pose
 
 INDOOR = Path(placegraph.__file__).parent / "indoor"
 
@@ -88,6 +88,14 @@ def test_rivals_make_it_ambiguous():
     assert "55%" in reason
     _, reason = decide_fit(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
     assert "2 other places" in reason
+
+
+@pytest.mark.parametrize(("searched", "why"), [(0.9, "may look the same"), (-0.9, "much less")])
+def test_reasons_against_a_pose_by_what_was_not_searched(searched, why):
+    agreed = replace(GOOD, frames=np.array([[0.95, 0.97, 0.2]]))
+    status, reason, _ = decide_pose(Diagnostics(agreement=agreed, searched=searched), modes(1.0))
+    assert status is Status.AMBIGUOUS
+    assert why in reason
 
 
 def test_a_place_known_to_a_metre_only_is_not_ok():

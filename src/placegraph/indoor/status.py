@@ -48,6 +48,7 @@ the same differ by as much as their fits were lucky."""
 FEW = 5
 """Largest number of frames that may agree by chance."""
 _UNLIKE_OWN = "it agrees much less than the frames that the map was made of"
+_MAY_REPEAT = "places that were not searched may look the same"
 RIVAL = 0.01
 """Probability of a mode from which on it counts as a rival."""
 _UPRIGHT = 0.8
@@ -189,7 +190,8 @@ def decide_pose(
     elif status is Status.OK and np.isfinite(diagnostics.searched):
         odds = both_odds(CONFIDENCE.odds(agreed), diagnostics.searched)
         if modes[0].probability / (1.0 + np.exp(-odds)) < SURE:
-            status, reason = Status.AMBIGUOUS, f"One place fits best, but {_UNLIKE_OWN}."
+            why = _UNLIKE_OWN if diagnostics.searched < 0.0 else _MAY_REPEAT
+            status, reason = Status.AMBIGUOUS, f"One place fits best, but {why}."
     if diagnostics.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
         return status, diagnostics.contradiction, replace(diagnostics, consistent=consistent)
