@@ -373,7 +373,8 @@ def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tu
         )
     found, one_scene = diagnostics_of(estimate), len({m.scene for m in estimate.modes}) == 1
     undecided = found.undecided and found.searched > log_odds(SURE, 0.0)
-    if refined.landmarks is not None and undecided and refined.accepted and one_scene:
+    counts = refined.landmarks is not None and refined.accepted and one_scene
+    if counts and undecided and least_certain(estimate.modes[0].covariance)[0] <= LOOSE:
         # they were looked for in the whole map, and led to where the likelihood is largest
         status = Status.OK
         reason = f"One place fits: {refined.landmarks} landmarks of the map agree on it."

@@ -80,19 +80,29 @@ def test_a_start_that_is_exact_may_be_refined(room, walk, exact, kit, depth):
 
 
 @pytest.mark.parametrize(
-    ("undecided", "accepted", "landmarks", "searched", "after"),
+    ("undecided", "accepted", "landmarks", "searched", "spread", "after"),
     [
-        (True, True, 40, 2.0, Status.OK),
-        (True, True, None, 2.0, Status.AMBIGUOUS),
-        (True, False, 40, 2.0, Status.AMBIGUOUS),
-        (False, True, 40, 2.0, Status.AMBIGUOUS),  # something else speaks against it
-        (True, True, 22, 0.5, Status.AMBIGUOUS),  # so do colours: signs of a corridor are alike
+        (True, True, 40, 2.0, 0.1, Status.OK),
+        (True, True, None, 2.0, 0.1, Status.AMBIGUOUS),
+        (True, False, 40, 2.0, 0.1, Status.AMBIGUOUS),
+        (False, True, 40, 2.0, 0.1, Status.AMBIGUOUS),  # something else speaks against it
+        (
+            True,
+            True,
+            22,
+            0.5,
+            0.1,
+            Status.AMBIGUOUS,
+        ),  # so do colours: signs of a corridor are alike
+        (True, True, 40, 2.0, 0.3, Status.AMBIGUOUS),  # landmarks leave the position open
     ],
 )
-def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, searched, after):
+def test_landmarks_make_sure_of_a_pose(
+    coarse, undecided, accepted, landmarks, searched, spread, after
+):
     refiner = SimpleNamespace(matcher=None, seconds={}, stats={})
     poses = coarse.trajectory.copy()
-    fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
+    fitted = SimpleNamespace(poses=poses, solution=None, covariance=spread**2 * np.eye(6))
     objection = "" if accepted else "it is elsewhere"
     told = RefinementDiagnostics(accepted=accepted, objection=objection, landmarks=landmarks)
     judgement = FitCheck(told, "", fitted, {})

@@ -529,12 +529,12 @@ def _apply_check(estimate: PoseEstimate, refiner: Refiner, check: FitCheck) -> P
     stats = {**check.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
     if candidate.solution is not None and not check.accepted:
         stats["candidate"] = candidate.poses[-1].tolist()  # what was refused
-    status, reason = decide_refined(estimate, check.diagnostics)
+    refined = replace(estimate, modes=(best, *estimate.modes[1:]))
+    status, reason = decide_refined(refined, check.diagnostics)
     return replace(
-        estimate,
+        refined,
         status=status,
         reason=reason,
-        modes=(best, *estimate.modes[1:]),
         trajectory=trajectory,
         refinement=Refinement(check.accepted, check.reason, coarse, estimate.trajectory, stats),
         diagnostics=replace(diagnostics_of(estimate), refinement=check.diagnostics),
