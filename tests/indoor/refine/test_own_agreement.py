@@ -139,6 +139,13 @@ def test_places_without_texture_leave_what_repeats_known(
     assert own[-1] * own[1] == pytest.approx(repeats)
 
 
+def test_frames_without_depth_are_no_obstacle(room, exact):
+    frames = list(exact.capture.frames[:2])
+    images = SimpleNamespace(rgb=frames[0].rgb, labels=frames[0].labels, depth=lambda: None)
+    frames[0] = replace(frames[0], images=images)
+    assert np.isfinite(measure_own_agreement(room, frames, exact.poses[:2])).all()
+
+
 def test_textures_tell_places_of_the_same_shapes_apart(room, exact):
     """A place that looks like another has its shapes and their edges, not the marks on its walls."""
     options = PoseSearchOptions().only(depth=True, colour=True)

@@ -64,7 +64,7 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
                 0
             )
         found = np.vstack([found, reach(at, rho)])
-        if number % max(1, len(rows) // SOUGHT) == 0:
+        if number % max(1, len(rows) // SOUGHT) == 0 and (view[0].depth > 0).any():
             elsewhere.append(_measure_elsewhere(scorer, frame, view, poses[row]))
     known = [column[np.isfinite(column)] for column in found.T]
     means, deviations = (
