@@ -211,6 +211,9 @@ def test_search_boxes_of_other_pages_may_read_names_only(client):
 def test_bad_searches(client):
     assert client.get("/api").json()["code"] == "fields"
     assert client.get("/api", params={"q": "a", "lat": 91}).status_code == 422
+    for box in ("8,50,7,51", "7,51,8,50", "nan,50,8,51"):
+        refused = client.get("/api", params={"q": "a", "bbox": box})
+        assert "give minLon,minLat,maxLon,maxLat" in refused.json()["detail"]
     assert found(client, "xqzzy") == []
     assert found(client, "?") == []
 

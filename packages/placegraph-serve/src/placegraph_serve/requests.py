@@ -215,6 +215,9 @@ class Reverse(_Filter):
     limit: int = Field(1, ge=1, le=50, description="Maximum number of features.")
 
 
+Box = tuple[float, float, float, float]
+
+
 class Search(_Filter):
     """A text of a search box; the parameters of Photon's `/api`."""
 
@@ -222,7 +225,7 @@ class Search(_Filter):
     lat: float | None = Field(None, ge=-90, le=90, description="Latitude to prefer [deg].")
     lon: float | None = Field(None, ge=-540, le=540, description="Longitude to prefer [deg].")
     limit: int = Field(15, ge=1, le=50, description="Maximum number of features.")
-    bbox: tuple[float, float, float, float] | None = Field(
+    bbox: Box | None = Field(
         None, description="Box of the features: minLon,minLat,maxLon,maxLat [deg]."
     )
     zoom: float = Field(12.0, ge=0, le=24, description="Zoom of the map: reach of the preference.")
@@ -236,6 +239,13 @@ class Search(_Filter):
     def _split(cls, given: Any) -> Any:  # noqa: ANN401  # as it came
         text = given[0] if isinstance(given, list) and len(given) == 1 else given
         return text.split(",") if isinstance(text, str) else text
+
+    @field_validator("bbox")
+    @classmethod
+    def _check_box(cls, box: Box | None) -> Box | None:
+        if box is not None and not (box[0] <= box[2] and box[1] <= box[3]):
+            raise ValueError("the box is empty; give minLon,minLat,maxLon,maxLat")
+        return box
 
 
 LONGEST = 1280
