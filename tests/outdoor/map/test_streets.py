@@ -112,6 +112,11 @@ def test_other_words_are_no_sites(place, text):
         "Southwest corner of Oak & 10th.",
         "I'm at the corner of Oak and 10th.",
         "The fountain at the corner of Oak and 10th",
+        "Ich bin an der Ecke Oak und 10th.",
+        "Estoy en la esquina de Oak y 10th.",
+        "Je suis à l'angle de Oak et 10th.",
+        "Я на углу Oak и 10th.",
+        "Sono all'angolo tra Oak e 10th.",
     ],
 )
 def test_a_text_is_located_at_a_crossing(city, text):

@@ -260,7 +260,8 @@ class GraphBuilder:
                 told = mentions[node]
                 capital = language.capitals and told.words[0].isupper()
                 common = told.senses and not (told.name or capital)
-            if common or rest in roads:
+            site = node < len(mentions) and mentions[node].name in self.references.sites
+            if common or site or rest in roads:
                 continue
             if len(rest) > min(3, len(name) // 3) and not known.senses(rest):
                 continue

@@ -248,13 +248,13 @@ TYPES = ROADS | read_words("""
     straat cad jalan alameda carrer rambla רחוב שדרות דרך شارع
 """)
 """Words in names of streets that say that it is one."""
-JOINS = read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con")
+JOINS = read_words("and & @ / at near und y et och ja ve и і corner ecke esquina con com en و")
 """Words between the names of two streets that cross."""
 BETWEEN = read_words("between zwischen entre tra fra mellan tussen")
 CORNERS = read_words("""
     corner intersection crossing junction crossroads corners ecke kreuzung coin angle carrefour
-    esquina cruce cruzamento angolo incrocio hoek kruising korsning kulma risteys rog kosesi угол
-    перекресток
+    esquina cruce cruzamento angolo incrocio hoek kruising korsning hornet kulma risteys rog kosesi угол
+    langle allangolo углу перекресток перекрестке تقاطع
 """)
 SIDES = COMPASS | read_words("ne nw se sw st northeastern northwestern southeastern southwestern")
 """Words between "the" and "corner of" a crossing."""

@@ -42,7 +42,9 @@ NEIGHBOURS, SURE_NUMBER = 800.0, 40.0
 """Reach of numbers of parallel streets, and error of a house number told from them [m]."""
 LONGEST = 5
 """Words of the longest street name that is looked for."""
-_FILL = JOINS | CORNERS | {",", "the", "of", "with", "st"}
+_OF = BETWEEN | {"of", "de", "del", "der", "da", "du", "di", "van", fold("av")}
+"""Words between "corner" and the first of two streets."""
+_FILL = JOINS | CORNERS | _OF | {",", "the", "with", "st", "a", "la"}
 _TOKEN = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|[&@/,;:()]|[.](?=\s|$)|\s--?\s|-|\n")
 _NUMBER = re.compile(r"\d{1,5}")
 _NOWHERE = np.zeros((0, 2))
@@ -179,10 +181,11 @@ class Streets:
             site = self._read_block(tokens, one, following, streets[k + 2])
             if site is not None:
                 return site, streets[k + 2].last
-        if before in BETWEEN or not _joins(gap):
-            return None, -1
         first = _find_lead(tokens, one.first)
-        led = first < one.first or _is_led(tokens, one.first, one.last + 1) or before in _OPENS
+        led = first < one.first
+        if (before in BETWEEN and not led) or not (_joins(gap) or (led and gap == [fold("e")])):
+            return None, -1
+        led = led or _is_led(tokens, one.first, one.last + 1) or before in _OPENS
         named = one.typed or following.typed or one.exact or following.exact
         at = self.find_crossings(one.streets, following.streets) if led or named else _NOWHERE
         return (_site(tokens, first, following.last, at), following.last) if len(at) else (None, -1)
@@ -415,7 +418,7 @@ def _is_led(tokens: list[_Token], first: int, end: int) -> bool:
     """Tell whether marks or words beside a name in small letters say that it is a street."""
     before = tokens[first - 1].word if first else ""
     after = tokens[end].word if end < len(tokens) else ""
-    led = first > 1 and before == "of" and tokens[first - 2].word in CORNERS
+    led = first > 1 and before in _OF and tokens[first - 2].word in CORNERS
     return led or before in ("@", "/", "&") or after in ("@", "/", "&")
 
 
@@ -424,7 +427,7 @@ def _find_lead(tokens: list[_Token], first: int) -> int:
     i = first - 1
     if i >= 0 and tokens[i].word == "the":
         i -= 1
-    if i < 1 or tokens[i].word != "of" or tokens[i - 1].word not in CORNERS:
+    if i < 1 or tokens[i].word not in _OF or tokens[i - 1].word not in CORNERS:
         return first if i < 0 or tokens[i].word not in CORNERS else i
     i -= 1
     while i > 0 and tokens[i - 1].word in SIDES:
