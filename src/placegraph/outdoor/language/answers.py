@@ -14,7 +14,8 @@ def translate(text: str, code: str) -> str:
         found = pattern.search(text)
         if found:
             text = text[: found.start()] + sentence.format(*found.groups()) + text[found.end() :]
-    return text
+    joined = "” and “"
+    return text.replace(joined, translate_option(joined, code))
 
 
 def translate_option(option: str, code: str) -> str:

@@ -150,6 +150,7 @@ def find_stretches(
     """
     if code is not None:
         return [Stretch(0, len(text), language(code, folder))]
+    text = _LINK.sub(lambda link: " " * len(link.group()), text)  # ".com" is no Portuguese
     spans = [m.span() for m in _SENTENCE_SPAN.finditer(text) if m.end() > m.start()]
     if not _OTHER.search(text) and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
@@ -273,6 +274,7 @@ LONGEST = 12
 """Letters of the longest word that is cut out of a text without spaces."""
 _UNKNOWN = 3.0
 """Price of a letter of no known word, of which a known word costs 1."""
+_LINK = re.compile(r"\S+://\S+")
 _STOPS = ".!?;…。！？｡؟؛।"
 _COMMAS = r",:()\[\]–—/、，،：（）《》〈〉"
 _QUOTED = re.compile(r"[「『“„«][^」』”“»\n]{1,60}[」』”“»]|(?<!\w)\"[^\"\n]{1,60}\"(?!\w)")
