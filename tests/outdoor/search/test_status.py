@@ -172,3 +172,16 @@ def test_coordinates_are_no_description_but_a_hint(text, harbour):
     estimate = harbour.locate(text)
     assert estimate.status is Status.LOST
     assert "pass them as `near` (--near 7.4246,43.7384 on the command line)" in estimate.reason
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("49.28274, -123.12079", "-123.12079,49.28274"),
+        ("-123.12079, 49.28274", "-123.12079,49.28274"),
+        ("33.86881 S, 151.20930 E", "151.2093,-33.86881"),
+        ("-33.86881° S, 151.20930° E", "151.2093,-33.86881"),
+    ],
+)
+def test_coordinates_keep_digits_and_signs(text, near, harbour):
+    assert f"(--near {near} on" in harbour.locate(text, language="en").reason

@@ -295,9 +295,12 @@ def find_obstacle(query: Query, description: Description, *, tells_way: bool = F
         return ""
     if place is not None:
         latitude, south, longitude, west = place.groups()
-        north, east = (-1 if south else 1) * float(latitude), (-1 if west else 1) * float(longitude)
+        north = -abs(float(latitude)) if south else float(latitude)
+        east = -abs(float(longitude)) if west else float(longitude)
+        if abs(north) > 90.0:  # longitude first, as in GeoJSON
+            north, east = east, north
         return (
-            f"The text gives coordinates; pass them as `near` (--near {east:g},{north:g} on "
+            f"The text gives coordinates; pass them as `near` (--near {east:.9g},{north:.9g} on "
             f"the command line), and {ADVICE}"
         )
     if query.unused:
