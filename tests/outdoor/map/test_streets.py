@@ -128,6 +128,12 @@ def test_a_text_is_located_at_a_crossing(city, text):
     assert found.best.evidence[0].verdict == "for"
 
 
+def test_the_reason_counts_places_that_are_not_listed(city):
+    one, five = (city.locate("Main between 10th and 11th", top=top) for top in (1, 5))
+    assert len(one.modes) == 1 < len(five.modes)
+    assert one.reason == five.reason
+
+
 @pytest.mark.parametrize(
     ("width", "text", "reason"),
     [
@@ -167,6 +173,7 @@ def test_an_area_is_sure_within_its_own_radius(build_world, tmp_path, width, rad
     page = write_page(city, found, tmp_path / "page.html").read_text()
     said = f"within {found.radius:.0f} m"
     assert said in found.reason
+    assert "any of them" not in found.reason or width < 100.0
     assert said in page
     doubt = city.locate("I'm in Elm Park, by the gondola ticket booth.")
     assert (doubt.status is Status.OK) == (width < 100.0)

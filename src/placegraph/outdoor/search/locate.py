@@ -81,6 +81,8 @@ def search_views(request: Request) -> Posterior:
 
 Explain = Callable[[Floats], tuple[Evidence, ...]]
 """Computes the evidence at a position (2,) [m]."""
+MIN_MODES = 5
+"""Smallest number of modes that the reason of an estimate counts, however few are listed."""
 MAX_SUPPORT = 4000
 """Largest number of points of the posterior in an estimate."""
 
@@ -89,14 +91,15 @@ def make_estimate(request: Request, posterior: Posterior, top: int) -> CityEstim
     """Make the estimate of a posterior: at most `top` modes, their evidence, status and support."""
     city, query, matching = request.city, request.query, request.matching
     spacing = city.cells.size if matching.ranks_cells else SPACING
-    modes = (rank_modes if matching.is_ranking_only else find_modes)(posterior, top, spacing)
+    find = rank_modes if matching.is_ranking_only else find_modes
+    modes = find(posterior, max(top, MIN_MODES), spacing)
     diagnostics = diagnose(posterior, modes, infer_claim(request.understood), query, city)
     if matching.ranks_cells:
         diagnostics = replace(
             diagnostics, cell_matcher=matching.matcher, is_ranking_only=matching.is_ranking_only
         )
     explain = partial(find_evidence, city=city, query=query)
-    estimate = decide_estimate(posterior, modes, diagnostics, query, city, explain)
+    estimate = decide_estimate(posterior, modes[:top], diagnostics, query, city, explain)
     return replace(estimate, understood=request.understood, ranked=matching.is_ranking_only)
 
 

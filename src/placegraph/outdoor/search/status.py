@@ -214,24 +214,26 @@ def diagnose(
         if city is None or not (city.objects.kind == POINT).all():
             names = [text.mentions[node].name for node in sorted(query.by_kind & used)]
         unread = [i.text.strip() for i in text.ignored if i.reason in UNREAD]
-    near = 0.0
+    near, others = 0.0, 0
     if modes:
         at = modes[0].position
+        others = sum(
+            other.probability >= SERIOUS * modes[0].probability
+            and float(np.hypot(*(other.position - at))) <= claim.radius
+            for other in modes[1:]
+        )
         extent = find_area_extent(query, at, city) if query and city else 0.0
         near = posterior.mass_within(at, max(extent, claim.radius))
         if extent > MODE_RADIUS:  # most viewpoints of a wide area were not scored
             claim = replace(IN_AN_AREA, radius=GRAIN * ceil(extent / GRAIN))
             near *= (1.0 - posterior.elsewhere) / float(posterior.probabilities.sum())
+            others = 0  # one place is the area
     return Diagnostics(
         elsewhere=posterior.elsewhere,
         best=modes[0].probability if modes else None,
         near_best=near,
         claim=claim,
-        others=sum(
-            other.probability >= SERIOUS * modes[0].probability
-            and float(np.hypot(*(other.position - modes[0].position))) <= claim.radius
-            for other in modes[1:]
-        ),
+        others=others,
         unknown_names=tuple(dict.fromkeys(names)),
         unread=tuple(dict.fromkeys(filter(None, unread))),
     )
