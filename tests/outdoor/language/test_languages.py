@@ -219,6 +219,17 @@ def test_names_in_any_language_script_and_form(listed, text, meant):
         assert any(means(m, word.strip("()")) for m in mentions)
 
 
+def test_the_ends_of_a_text_make_no_name():
+    names = NameIndex.build(Names(("Elms Hill",)))
+    description = describe("Hill blorf gwyn Elms", names=names)
+    assert not any(m.name == "elms hill" for m in description.mentions)
+
+
+@pytest.mark.parametrize("text", ["Park Avenue", "180 West 11th Avenue"])
+def test_an_english_avenue_is_not_french(text):
+    assert describe(text).language == "en"
+
+
 def test_a_name_that_no_statement_speaks_of_is_near():
     names = NameIndex.build(Names(("Kiosk am Eck", "Zum Hirsch")))
     text = "Ich war gestern, so sagt man, wohl ganz blorf Zum Hirsch."

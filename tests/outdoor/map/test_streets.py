@@ -83,12 +83,22 @@ def test_crossings_and_blocks(place, text, words, east, north):
         ("150 West 10th", 100, 200),  # between its neighbours
         ("200 Broadway", 200, 0),
         ("180 West 11th Avenue", 160, 400),  # by the numbers of parallel streets
+        ("West 10th Avenue 200", 200, 210),  # as most of the world writes
     ],
 )
 def test_house_numbers(place, text, east, north):
     ((words, *found),) = place(text)
     assert words == text
     assert np.hypot(found[0] - east, found[1] - north) < 50.0
+
+
+def test_a_number_on_streets_of_one_name_in_two_towns(build_world):
+    houses = [house("12", OAK, e, 20.0) for e in (0.0, 5000.0)]
+    ends = [(e, 0.0, {}) for e in (0.0, 100.0, 5000.0, 5100.0)]
+    way = {"highway": "residential", "name": OAK}
+    city = build_world([*houses, *ends], [((2, 3), way), ((4, 5), way)])
+    east = city.name_index.streets.resolve("12 Oak Street")[:, 0]
+    assert np.ptp(east) == pytest.approx(5000.0, abs=10.0)
 
 
 @pytest.mark.parametrize(
@@ -98,6 +108,7 @@ def test_house_numbers(place, text, east, north):
         "A bench is between Main Street and Oak Street.",
         "near two fountains and the main entrance",
         "9000 Oak Street",
+        "On West 10th Avenue 200 metres east of here.",
         "At the end of the line, and at the end of oak floors.",
         "",
     ],

@@ -252,7 +252,8 @@ class GraphBuilder:
         prefixes = lists.get("street_prefixes", ROADS) | lists.get("place_prefixes", ROADS)
         roads = lists["street_suffixes"] | lists["road_words"] | ROADS
         text = _LABEL.sub(",", text)
-        for name, rest in names.find_within(f"{text} {_SUFFIX.sub(' ', text)}"):
+        found = [*names.find_within(text), *names.find_within(_SUFFIX.sub(" ", text))]
+        for name, rest in dict.fromkeys(found):
             node = next((m.id for m in mentions[2:] if name in normalise(m.words)), len(mentions))
             if node == len(mentions):
                 common = known.senses(name) or name in language.words

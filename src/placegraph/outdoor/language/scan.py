@@ -150,7 +150,7 @@ def find_stretches(
     """
     if code is not None:
         return [Stretch(0, len(text), language(code, folder))]
-    text = _LINK.sub(lambda link: " " * len(link.group()), text)  # ".com" is no Portuguese
+    text = _NO_SIGN.sub(lambda found: " " * len(found.group()), text)
     spans = [m.span() for m in _SENTENCE_SPAN.finditer(text) if m.end() > m.start()]
     if not _OTHER.search(text) and all(_is_english(text[a:b]) for a, b in spans):
         return [Stretch(0, len(text), english())]
@@ -274,7 +274,8 @@ LONGEST = 12
 """Letters of the longest word that is cut out of a text without spaces."""
 _UNKNOWN = 3.0
 """Price of a letter of no known word, of which a known word costs 1."""
-_LINK = re.compile(r"\S+://\S+")
+_NO_SIGN = re.compile(r"\S+://\S+|(?<=\w )avenue\b(?! \w)", re.IGNORECASE)
+"""Words that are of no language: ".com" is no Portuguese, "Park Avenue" no French."""
 _STOPS = ".!?;…。！？｡؟؛।"
 _COMMAS = r",:()\[\]–—/、，،：（）《》〈〉"
 _QUOTED = re.compile(r"[「『“„«][^」』”“»\n]{1,60}[」』”“»]|(?<!\w)\"[^\"\n]{1,60}\"(?!\w)")

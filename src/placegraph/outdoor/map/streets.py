@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -170,6 +170,11 @@ class Streets:
             at = self.find_address(int(before), one.streets)
             if len(at):
                 return _site(tokens, one.first - 1, one.last, at), one.last
+        after = [token.word for token in tokens[one.last + 1 : one.last + 3]]
+        if after and _NUMBER.fullmatch(after[0]) and not after[-1][:1].isalpha():  # "Hauptstr. 12"
+            at = self.find_address(int(after[0]), one.streets, grid=False)
+            if len(at):
+                return _site(tokens, one.first, one.last + 1, at), one.last + 1
         first, side = _find_end(tokens, one.first)
         if first < one.first and (one.typed or one.exact or tokens[one.first].capital):
             at = self.find_ends(one.streets, side)
@@ -240,12 +245,15 @@ class Streets:
         shares = np.array([[0.25], [0.5], [0.75]])
         return np.asarray(a[i] + shares * (b[j] - a[i]))
 
-    def find_address(self, number: int, streets: Sequence[int]) -> Floats:
-        """Find the places (K, 2) [m] of a house number: as mapped, else between its neighbours."""
-        key = ("number", number, tuple(streets))
+    def find_address(self, number: int, streets: Sequence[int], *, grid: bool = True) -> Floats:
+        """Find the places (K, 2) [m] of a house number: as mapped, else between its neighbours.
+
+        Else parallel streets tell it where they are numbered alike (`grid`).
+        """
+        key = ("number", number, tuple(streets), grid)
         at = self.sites.get(key)
         if at is None:
-            found = [self._place_number(number, street) for street in streets[:MAX_SITES]]
+            found = [self._place_number(number, street, grid) for street in streets[:MAX_SITES]]
             sure = [at for at, rank in found if rank == 2] or [at for at, rank in found if rank]
             at = self._keep(key, _merge(np.concatenate([_NOWHERE, *sure]))[:MAX_SITES])
         return at
@@ -257,20 +265,20 @@ class Streets:
         self.sites[key] = at
         return at
 
-    def _place_number(self, number: int, street: int) -> tuple[Floats, int]:
+    def _place_number(self, number: int, street: int, grid: bool) -> tuple[Floats, int]:
         """Return the place (K, 2) [m] of a number on a street; 2 as mapped, 1 interpolated, 0 none."""
         known = self._numbers.get(self._names[street])
         if known is not None:
             numbers, at = known
             i = bisect_left(numbers, number)
-            if i < len(numbers) and numbers[i] == number:
-                return at[i : i + 1], 2
+            if (end := bisect_right(numbers, number)) > i:
+                return at[i:end], 2  # streets of one name in several towns
             gap = numbers[i] - numbers[i - 1] if 0 < i < len(numbers) else MAX_GAP + 1
-            if gap <= MAX_GAP:
+            if gap <= MAX_GAP and np.hypot(*(at[i] - at[i - 1])) < NEIGHBOURS:
                 share = (number - numbers[i - 1]) / gap
                 points, place = self._sample(street)[0], at[i - 1] + share * (at[i] - at[i - 1])
                 return points[np.argmin(np.hypot(*(points - place).T))][None], 1
-        return self._tell_by_parallels(number, street)
+        return self._tell_by_parallels(number, street) if grid else (_NOWHERE, 0)
 
     def _tell_by_parallels(self, number: int, street: int) -> tuple[Floats, int]:
         """Tell where a number lies on a street by the numbers of parallel streets, as in a grid."""
@@ -297,7 +305,7 @@ class Streets:
 
     @cached_property
     def _numbers(self) -> dict[str, tuple[list[int], Floats]]:
-        """House numbers of each street, ascending, and their places (K, 2) [m]."""
+        """House numbers of each street, ascending, and their places (K, 2) [m]: one or more of each."""
         o = self.objects
         address = {}
         for value, name in enumerate(o.names):
@@ -310,12 +318,15 @@ class Streets:
         for row, value in zip(rows.tolist(), o.name_values[which].tolist(), strict=True):
             street, number = address[value]
             found.setdefault(street, {}).setdefault(number, []).append(row)
-        return {
-            street: (
-                sorted(of),
-                np.array([o.center[of[n]].mean(axis=0) for n in sorted(of)], np.float64),
-            )
+        placed = {
+            street: [
+                (n, at) for n in sorted(of) for at in _merge(o.center[of[n]].astype(np.float64))
+            ]
             for street, of in found.items()
+        }
+        return {
+            street: ([n for n, _ in of], np.array([at for _, at in of]))
+            for street, of in placed.items()
         }
 
     @cached_property
