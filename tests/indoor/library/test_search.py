@@ -69,7 +69,7 @@ def test_blank_images_are_of_nowhere(maps, rooms):
         try:
             estimate = library.search([odd])
         except OptionError as error:
-            assert "no input" in str(error)  # noqa: PT017  # either is right
+            assert "nothing to compare" in str(error)  # noqa: PT017  # either is right
         else:
             assert estimate.status is not Status.OK
 
