@@ -417,6 +417,8 @@ class NamedPlaces(NamedTuple):
     """Mentions of them."""
     lacking: frozenset[int]
     """Mentions of nameless things of which the map has none there: it lacks most of them."""
+    here: frozenset[int]
+    """Mentions at the place of the speaker, who is one."""
 
     def adjust(self, statement: Statement, noise: float) -> float:
         """Return the share of wrong statements like this: of exact names few, of what is lacking most."""
@@ -431,7 +433,7 @@ class NamedPlaces(NamedTuple):
 
         "I'm at the fountain in Elm Park. It is north of the pool": maps lack most fountains.
         """
-        at = self.lacking & find_speaker_nodes(statements)
+        at = self.lacking & self.here
         for s in statements:
             source, target = (SPEAKER if node in at else node for node in ends(s))
             if s.relation is Relation.SAME and SPEAKER in ends(s):
@@ -465,6 +467,9 @@ def _find_named(
 ) -> NamedPlaces | None:
     """Find the places that a text names exactly as where the speaker is; None without any."""
     here = find_speaker_nodes(description.statements)
+    about = {s.source for s in description.statements}
+    if len(about) == 1 and all(is_binding(s) or _is_beside(s) for s in description.statements):
+        here |= about  # "Fountain: in Elm Park, by the gate" tells the place of the fountain
     nodes = {
         node
         for s in description.statements
@@ -484,7 +489,7 @@ def _find_named(
             points = [np.concatenate(streets.objects.parts(row)) for row in rows if streets]
             boxes[node] = np.array([[*p.min(axis=0), *p.max(axis=0)] for p in points])
     if streets is None:
-        return NamedPlaces(frozenset(boxes), frozenset()) if boxes else None
+        return NamedPlaces(frozenset(boxes), frozenset(), here) if boxes else None
     around = np.concatenate([np.zeros((0, 4)), *boxes.values()])
     lacking = {
         m.id
@@ -493,7 +498,7 @@ def _find_named(
         if not len(tokens[0])
         or (len(around) and not _is_proper(m) and _may_lack(tokens, around, city, streets.objects))
     }
-    return NamedPlaces(frozenset(boxes), frozenset(lacking)) if boxes or lacking else None
+    return NamedPlaces(frozenset(boxes), frozenset(lacking), here) if boxes or lacking else None
 
 
 def _may_lack(
@@ -623,14 +628,8 @@ def _make_key(statement: Statement, description: Description) -> tuple[object, .
 
 
 def find_speaker_nodes(statements: Sequence[Statement]) -> frozenset[int]:
-    """Return the nodes at the place of the speaker: the speaker, and what they stand at.
-
-    Who writes "Fountain: in Elm Park, by the gate" and no more speaks of the place of the fountain.
-    """
+    """Return the nodes at the place of the speaker: the speaker, and what they stand at."""
     at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
-    about = {s.source for s in statements}
-    if len(about) == 1 and all(is_binding(s) or _is_beside(s) for s in statements):
-        at |= about
     return frozenset(at | {SPEAKER})
 
 
