@@ -524,6 +524,18 @@ def _may_lack(
     return bool(np.median(wide) < WIDE)
 
 
+def _is_rare(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: Lexicon) -> bool:
+    """Return whether at most `MAX_DISTANT` objects surely bear some of tokens (k,)."""
+    certain = tokens[weights > KIND_WEIGHT]
+    return bool(len(certain) and city.count_bearers(certain).sum() <= MAX_DISTANT)
+
+
+def _are_quarters(rows: NDArray[np.int64], city: Lexicon) -> bool:
+    """Return whether objects are quarters that a map draws as points, and people are "in"."""
+    o = city.objects
+    return len(rows) > 0 and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
+
+
 def _find_distant(
     used: list[Statement],
     mentions: list[tuple[NDArray[np.int32], NDArray[np.float32]]],
@@ -535,11 +547,7 @@ def _find_distant(
     """Find objects of rare mentions, and `sites`, where a statement may be about what is out of sight."""
     here = find_speaker_nodes(used)
     tells_way = any(s.far for s in used) or tells_way
-    few = set(sites)
-    for m, (tokens, weights) in enumerate(mentions):
-        certain = tokens[weights > KIND_WEIGHT]
-        if len(certain) and city.count_bearers(certain).sum() <= MAX_DISTANT:
-            few.add(m + 2)
+    few = {m + 2 for m, mention in enumerate(mentions) if _is_rare(*mention, city)}.union(sites)
     reaches = [
         s.far
         or s.distance is not None
@@ -576,14 +584,10 @@ def _find_distant(
             rows += len(at)
     if not any(len(o) for o, _ in members):
         return None
-    o = city.objects  # a map draws quarters as points, and people are "in" them
-    quarters = {
-        m + 2
-        for m, (rows, _) in enumerate(members)
-        if len(rows)
-        and m + 2 not in sites
-        and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
-    }
+    bearers = (rows for rows, _ in members)
+    quarters = {m + 2 for m, rows in enumerate(bearers) if _are_quarters(rows, city)}.difference(
+        sites
+    )
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
