@@ -584,10 +584,8 @@ def _find_distant(
             rows += len(at)
     if not any(len(o) for o, _ in members):
         return None
-    bearers = (rows for rows, _ in members)
-    quarters = {m + 2 for m, rows in enumerate(bearers) if _are_quarters(rows, city)}.difference(
-        sites
-    )
+    bearers = {m + 2: rows for m, (rows, _) in enumerate(members) if m + 2 not in sites}
+    quarters = {node for node, rows in bearers.items() if _are_quarters(rows, city)}
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
