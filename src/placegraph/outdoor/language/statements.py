@@ -8,7 +8,6 @@ from math import pi
 from typing import TYPE_CHECKING
 
 from placegraph.language.text import IgnoredText, Measure
-from placegraph.outdoor.language.chunks import LONGEST_NOUN
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -19,6 +18,7 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.language.grammar import NounPhrase, Place
+from placegraph.outdoor.language.proper_names import LONGEST_NOUN
 from placegraph.outdoor.language.words import Words, normalise, singular, tokens
 
 if TYPE_CHECKING:
