@@ -28,9 +28,15 @@ from placegraph.indoor.language.likeness import EXACT, match_labels, room_kind, 
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.io.osm.indoor_osm import parse_levels
 from placegraph.language.text import IgnoredText, check_text
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Description, Relation
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    WITHIN,
+    Description,
+    Relation,
+    ends,
+)
 from placegraph.outdoor.language.description import Statement as OutdoorStatement
-from placegraph.outdoor.likelihood.query import ends
 from placegraph.outdoor.search.request import parse as read_outside
 
 if TYPE_CHECKING:

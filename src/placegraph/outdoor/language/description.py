@@ -154,6 +154,17 @@ SURE = 0.75
 _HERE = (Relation.VISIBLE, Relation.NEAR, Relation.DIRECTION)
 
 
+def ends(statement: Statement) -> tuple[int, int]:
+    """Return source and target of a statement."""
+    return statement.source, statement.target
+
+
+def find_speaker_nodes(statements: Sequence[Statement]) -> frozenset[int]:
+    """Return the nodes at the place of the speaker: the speaker, and what they stand at."""
+    at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
+    return frozenset(at | {SPEAKER})
+
+
 def find_conflicts(
     statements: Sequence[Statement],
     nouns: Sequence[str],

@@ -18,9 +18,10 @@ from placegraph.outdoor.language.description import (
     Description,
     Relation,
     Statement,
+    ends,
 )
 from placegraph.outdoor.likelihood.match_kernels import score_distant, score_exact
-from placegraph.outdoor.likelihood.query import Query, ends
+from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH

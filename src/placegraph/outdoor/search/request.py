@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, angle_between, bearing
 from placegraph.errors import OptionError
 from placegraph.outdoor.language import describe
-from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
-from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.likelihood.query import (
-    Query,
-    TokenWeights,
-    compile_query,
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    Description,
+    Relation,
+    Statement,
     ends,
     find_speaker_nodes,
 )
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.likelihood.query import Query, TokenWeights, compile_query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.names import NameIndex

@@ -22,15 +22,11 @@ from placegraph.outdoor.language.description import (
     Description,
     Relation,
     Statement,
-)
-from placegraph.outdoor.language.statements import RANKED
-from placegraph.outdoor.likelihood.query import (
-    NOT_MAPPED,
-    Query,
     ends,
     find_speaker_nodes,
-    is_binding,
 )
+from placegraph.outdoor.language.statements import RANKED
+from placegraph.outdoor.likelihood.query import NOT_MAPPED, Query, is_binding
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.search.posterior import MODE_RADIUS, Mode, Posterior

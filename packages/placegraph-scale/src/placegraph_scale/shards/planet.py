@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import MapError
-from placegraph.outdoor.language.description import LISTENER, Description
-from placegraph.outdoor.likelihood.query import compile_query, ends
+from placegraph.outdoor.language.description import LISTENER, Description, ends
+from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.search.locate import MAX_SUPPORT
 from placegraph.outdoor.search.posterior import (
