@@ -63,6 +63,7 @@ class Prior:
 
 
 _OUTLIERS = 0.05
+"""Share of wide priors that are wrong."""
 _WIDE = 1.0
 """Spread above which a prior weights all places of the map [m]."""
 

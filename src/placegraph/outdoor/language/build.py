@@ -125,7 +125,7 @@ def describe(
             _read_sentence(sentence, spoken, builder)
         if spoken.code != "en" or not grammar:
             builder.note(sentence, grammar=grammar and spoken.grammar)
-    for part in parts if names else ():
+    for part in parts:
         if names and (part.language.code != "en" or not part.certain):
             builder.complete(cleaned[part.start : part.end], part.language, names)
     builder.finish()
