@@ -196,6 +196,11 @@ def test_a_point_has_an_address(client):
     (street,) = client.get("/reverse", params=asked | {"layer": "street"}).json()["features"]
     assert best["properties"]["street"] == street["properties"]["name"]
     assert client.get("/reverse", params=asked | {"lon": lon + 9}).json()["features"] == []
+    far = asked | {"radius": 5000, "limit": 50, "layer": ["county"]}
+    assert client.get("/reverse", params=far).json()["features"] == []
+    near = client.get("/reverse", params=asked | {"radius": 5000, "limit": 3}).json()["features"]
+    assert near[0]["properties"]["osm_id"] == best["properties"]["osm_id"]
+    assert len(near) == 3
 
 
 def test_search_boxes_of_other_pages_may_read_names_only(client):

@@ -98,9 +98,9 @@ class Gazetteer:
     def measure_distances(
         self, at: Floats, reach: float, mask: NDArray[np.bool_]
     ) -> dict[int, float]:
-        """Return the distances [m] of the objects of a mask (N,) about a point (2,); 0 inside an area.
+        """Return distances [m] from a point (2,) to objects of a mask (N,); 0 inside an area.
 
-        Boxes of the objects lie within `reach` [m].
+        Only objects count whose box begins within `reach` [m].
         """
         low, high = self.city.columns.box[:, :2], self.city.columns.box[:, 2:]
         close = ((low <= at + reach) & (high >= at - reach)).all(axis=1)
@@ -124,31 +124,28 @@ class Gazetteer:
         return away
 
     def find_nearest(self, request: Mapping[str, Any]) -> dict[int, float]:
-        """Return objects with a name about a point, and how far each is [m]."""
+        """Return the objects with a name nearest to a point, and how far each is [m]."""
         at = self.city.plane.to_plane((request["lon"], request["lat"]))
+        low, high = self.city.columns.box[:, :2], self.city.columns.box[:, 2:]
+        bound = np.hypot(*np.maximum(np.maximum(low - at, at - high), 0.0).T)
         last, found = 1000.0 * request["radius"], dict[int, float]()
-        for reach in (*(r for r in (30.0, 100.0, 300.0, 1000.0) if r < last), last):
-            near = self.measure_distances(at, reach, self.named)
-            found = {r: d for r, d in near.items() if d <= reach and self.admits(r, request)}
-            if len(found) >= request["limit"]:
+        rows = np.flatnonzero(self.named & self.select(request) & (bound <= last))
+        for row in rows[np.argsort(bound[rows], kind="stable")].tolist():
+            enough = len(found) >= request["limit"]
+            if enough and bound[row] > sorted(found.values())[request["limit"] - 1]:
                 break
-        return found
+            found[row] = self._measure_distance(at, row)
+        return {row: away for row, away in found.items() if away <= last}
 
-    def admits(self, row: int, request: Mapping[str, Any]) -> bool:
-        """Return whether an object is of the layers, tags and box of a request."""
-        key, _, value = self.city.objects.label(row).partition("=")
-        if request["layer"] and _layer(key, value) not in request["layer"]:
-            return False
-        wanted = [_has_tag(tag, key, value) for tag in request["osm_tag"] if "!" not in tag]
-        if (wanted and not any(wanted)) or any(
-            _has_tag(tag.replace("!", ""), key, value) for tag in request["osm_tag"] if "!" in tag
-        ):
-            return False
-        box = request.get("bbox")
-        if box is None:
-            return True
-        lon, lat = self.city.plane.to_lonlat(self.city.objects.center[row]).tolist()
-        return bool(box[0] <= lon <= box[2] and box[1] <= lat <= box[3])
+    def select(self, request: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Return whether objects (N,) are of the layers, tags and box of a request."""
+        objects = self.city.objects
+        fits = np.array([_fits(label, request) for label in objects.labels], np.bool_)
+        mask: NDArray[np.bool_] = fits[objects.label_values[objects.label_starts[:-1]]]
+        if request.get("bbox") is not None:
+            at, box = self.city.plane.to_lonlat(objects.center), request["bbox"]
+            mask &= ((at >= box[:2]) & (at <= box[2:])).all(axis=1)
+        return mask
 
     def find_ways(self, row: int) -> list[int]:
         """Return the ways of the street that a way belongs to: of its name, and touching one another."""
@@ -228,7 +225,8 @@ def rows_of(gazetteer: Gazetteer, request: Mapping[str, Any]) -> dict[int, float
         return {}
     rows = _objects(city, _names(city, words), gazetteer.first)
     rows = rows or _objects(city, _labels(city, text), 0)
-    scores = {row: fit for row, fit in rows.items() if gazetteer.admits(row, request)}
+    mask = gazetteer.select(request)
+    scores = {row: fit for row, fit in rows.items() if mask[row]}
     if request["lat"] is not None and request["lon"] is not None:
         at = city.plane.to_plane((request["lon"], request["lat"]))
         reach = NEAR * 2.0 ** (ZOOM - request["zoom"])
@@ -323,10 +321,15 @@ def _layer(key: str, value: str) -> str:
     return _PLACES.get(value, "house") if key == "place" else _TYPES.get(key, "house")
 
 
-def _has_tag(tag: str, key: str, value: str) -> bool:
-    """Return whether a label is of a tag as Photon writes it: `key`, `key:value` or `:value`."""
-    wanted, _, of_value = tag.partition(":")
-    return wanted in {"", key} and of_value in {"", value}
+def _fits(label: str, request: Mapping[str, Any]) -> bool:
+    """Return whether objects of a label are of the layers and tags of a request."""
+    key, _, value = label.partition("=")
+    if request["layer"] and _layer(key, value) not in request["layer"]:
+        return False
+    wanted = {tag for tag in request["osm_tag"] if "!" not in tag}
+    excluded = {tag.replace("!", "") for tag in request["osm_tag"]} - wanted
+    own = {key, label.replace("=", ":"), f":{value}"}  # as Photon writes tags
+    return own.isdisjoint(excluded) and not (wanted and own.isdisjoint(wanted))
 
 
 def _feature(at: list[float], properties: dict[str, Any]) -> dict[str, Any]:
