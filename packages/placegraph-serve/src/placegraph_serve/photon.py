@@ -140,7 +140,7 @@ class Gazetteer:
     def select(self, request: Mapping[str, Any]) -> NDArray[np.bool_]:
         """Return whether objects (N,) are of the layers, tags and box of a request."""
         objects = self.city.objects
-        fits = np.array([_fits(label, request) for label in objects.labels], np.bool_)
+        fits = np.array([_is_wanted(label, request) for label in objects.labels], np.bool_)
         mask: NDArray[np.bool_] = fits[objects.label_values[objects.label_starts[:-1]]]
         if request.get("bbox") is not None:
             at, box = self.city.plane.to_lonlat(objects.center), request["bbox"]
@@ -321,7 +321,7 @@ def _layer(key: str, value: str) -> str:
     return _PLACES.get(value, "house") if key == "place" else _TYPES.get(key, "house")
 
 
-def _fits(label: str, request: Mapping[str, Any]) -> bool:
+def _is_wanted(label: str, request: Mapping[str, Any]) -> bool:
     """Return whether objects of a label are of the layers and tags of a request."""
     key, _, value = label.partition("=")
     if request["layer"] and _layer(key, value) not in request["layer"]:
