@@ -4,7 +4,7 @@ from pathlib import Path
 import placegraph
 
 HOME = Path(placegraph.__file__).parent
-MOST = 34
+MOST = 35
 """Files that a sentence enters at most, from `CityMap.locate` to the estimate, evidence included."""
 FIRST = "A café is south of me. I am on Lange Straße, 40 m from the library. There is no fountain."
 """What derives a map's indexes and compiles."""

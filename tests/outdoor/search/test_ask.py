@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.outdoor.language.answers import read_answers, translate
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
+from placegraph.outdoor.language.languages import read_answers, translate
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
     NO,

@@ -19,7 +19,6 @@ from placegraph.core.estimate import CityEstimate, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.language.text import IgnoredText
-from placegraph.outdoor.language.answers import read_answers, translate, translate_option
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -29,6 +28,7 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
+from placegraph.outdoor.language.languages import read_answers, translate, translate_option
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.city import City

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place
 from placegraph.core.geometry import Floats, angle_between, bearing
-from placegraph.outdoor.language.answers import translate
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,
@@ -20,6 +19,7 @@ from placegraph.outdoor.language.description import (
     Statement,
     ends,
 )
+from placegraph.outdoor.language.languages import translate
 from placegraph.outdoor.likelihood.match_kernels import score_distant, score_exact
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City

@@ -16,13 +16,13 @@ from placegraph.outdoor.likelihood.bound_kernels import (
     find_views_by_bound,
     sample_systematic,
 )
-from placegraph.outdoor.likelihood.distant import DistantObjects
 from placegraph.outdoor.likelihood.match_kernels import (
     REJECTED,
     score_distant,
     score_exact,
     score_views,
 )
+from placegraph.outdoor.likelihood.query import DistantObjects
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.search.request import Request

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
-from placegraph.outdoor.likelihood.distant import DistantObjects
-from placegraph.outdoor.likelihood.query import MentionTokens, Query
+from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens, Query
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.objects import CityObjects, columns_of, index_of
 from placegraph.outdoor.map.street_graph import Blocks
