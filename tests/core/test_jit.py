@@ -302,6 +302,8 @@ def test_calls_are_kernels_and_types_of_today_and_read_as_they_are_spelled():
     words = warm._type_names()
     definitions = (line.split(" = ") for line in warm._lines() if " = " in line)
     names = {text: name for name, text in definitions}
+    for name in names.values():
+        assert len(words[name]) == len(words[name].instance_class._fields), name
     for call in CALLS:
         kernel, args = warm._resolve(call), warm._parse_types(call, words)
         assert len(args) == len(inspect.signature(kernel.py_func).parameters), call
