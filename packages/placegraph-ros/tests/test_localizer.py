@@ -14,7 +14,7 @@ from placegraph_ros.localizer import Localizer, run
 from placegraph_ros.options import LiveOptions
 from placegraph_ros.pose_messages import UPRIGHT_BASE
 from placegraph_ros.sources import WaitPolicy, bag_source, open_source
-from ros_world import FRAMES, START, off
+from ros_world import FRAMES, START, off, write_bag
 
 ONE_BY_ONE = LiveOptions(background=False)
 
@@ -62,6 +62,39 @@ def test_a_bag(room):
     assert names == {("map", "odom"), ("odom", "base_link")}
     assert len(heard["localization/map"]) == len(heard["tf_static"]) == 1
     assert len(heard["localization/image"]) == FRAMES
+
+
+def seconds(stamped):
+    return stamped["header"]["stamp"]["sec"], stamped["header"]["stamp"]["nanosec"]
+
+
+@pytest.mark.parametrize("samples", [5, 1])
+def test_pose_and_transforms_of_one_stamp_are_one_answer(room, tmp_path, samples):
+    bag = write_bag(tmp_path / "bag.mcap", room.clip, samples)  # 1: odometry at the images' stamps
+    _, heard = followed(bag_source(bag), room)
+    edges = {}
+    for t in (t for m in heard["tf"] for t in m.fields["transforms"]):
+        key = t["child_frame_id"], seconds(t)
+        assert key not in edges, "a stamp has one transform"
+        moved = t["transform"]
+        edges[key] = matrix({"position": moved["translation"], "orientation": moved["rotation"]})
+    assert len(heard["localization/pose"]) > 0.7 * FRAMES
+    rows = [*heard["localization/pose"], *heard["localization/odometry"]]
+    for fields in (message.fields for message in rows):
+        led = edges["odom", seconds(fields)] @ edges["base_link", seconds(fields)]
+        np.testing.assert_allclose(matrix(fields["pose"]["pose"]), led, atol=1e-9)
+
+
+def test_a_correction_is_sent_at_once(room):
+    plan, first, _ = halves(room)
+    localizer = Localizer(room.scene, replace(ONE_BY_ONE, background=True), plan=plan)
+    before = taken(localizer, first)
+    stamps = [seconds(t) for m in before if m.topic == "tf" for t in m.fields["transforms"]]
+    localizer.tracker.wait()
+    (now,) = [m.fields["transforms"][0] for m in localizer.take(None) if m.topic == "tf"]
+    assert now["child_frame_id"] == "odom"
+    assert seconds(now) > max(stamps), "without odometry in between"
+    localizer.close()
 
 
 def truth_at(room, message):
@@ -276,7 +309,8 @@ def shifted(data):
 
 @pytest.mark.parametrize("seconds", [-5, 2**31 - 1])
 def test_stamps_that_ros_cannot_say(seconds, room):
-    localizer = Localizer(room.scene, ONE_BY_ONE, plan=bag_source(room.bag).plan)
+    ahead = replace(ONE_BY_ONE, tolerance=1.0)
+    localizer = Localizer(room.scene, ahead, plan=bag_source(room.bag).plan)
     packets = [
         p._replace(data=p.data[:4] + pack("<i", seconds) + p.data[8:]) if p.topic != "/tf_static" else p
         for p in bag_source(room.bag).events

@@ -6,7 +6,7 @@ bag, a recording, a viewer (`foxglove`), or a node of ROS 2 (`node`).
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -24,7 +24,7 @@ from placegraph_io.ros.stream import Fault, FrameAssembly, OdometryPose, Packet,
 from placegraph_io.ros.topics import CapturePlan, TopicChoice
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary
-from placegraph_ros.pose_messages import PoseReporter, frame_ids
+from placegraph_ros.pose_messages import TICK, PoseReporter, frame_ids
 from placegraph_ros.scene_messages import image_messages
 
 if TYPE_CHECKING:
@@ -84,7 +84,8 @@ class Localizer:
         self._live: LivePose | None = None  # after the last motion
         self._looks_at_images = True  # whether images are used
         self._moves = False
-        self._odometry: tuple[float, Floats] | None = None
+        self._motions: deque[tuple[float, Floats]] = deque()  # not reported yet
+        self._newest: tuple[float, Floats] | None = None  # reported last
 
     @property
     def topics(self) -> frozenset[str] | None:
@@ -100,7 +101,7 @@ class Localizer:
             messages = self._take_frame(event)
         elif isinstance(event, Fault):
             messages = self._count_fault(event.topic, event.reason)
-        return messages + self._report_changes()
+        return messages + self._report_motions() + self._report_changes()
 
     def finish(self) -> list[Message]:
         """Return the messages at the end of the stream."""
@@ -111,10 +112,11 @@ class Localizer:
         if self._assembly is not None:
             for part in self._assembly.finish():
                 messages += self._part(part)
+        messages += self._report_motions()
         self.tracker.wait()
-        if self.options.background and self._odometry is not None:  # after the last image
-            messages += self._reporter.report_motion(self.tracker.pose(), *self._odometry)
-        return messages + self._report_changes()
+        if self.options.background and self._newest is not None:  # after the last image
+            self._motions.append((self._newest[0] + TICK, self._newest[1]))
+        return messages + self._report_motions() + self._report_changes()
 
     def _take_packet(self, packet: Packet) -> list[Message]:
         if self._assembly is not None:
@@ -151,14 +153,28 @@ class Localizer:
         if isinstance(part, Frame):
             return self._take_frame(part)
         self._moves = True
-        self._odometry = part.stamp, part.odometry_from_camera
+        motion = part.stamp, part.odometry_from_camera
         try:
-            live = self.tracker.move(*self._odometry, part.covariance)
+            live = self.tracker.move(*motion, part.covariance)
         except OptionError as error:
-            live = self.tracker.move(*self._odometry)
+            live = self.tracker.move(*motion)
             self._covariance_fault = f"The covariance of odometry is not used: {error}"
         self._live = None if self._update_mount() else live
-        return self._reporter.report_motion(live, *self._odometry)
+        self._motions.append(motion)
+        return []
+
+    def _report_motions(self) -> list[Message]:
+        """Return odometry and transforms; those at and after an image that is used at once wait for it."""
+        waits = not self.options.background and self._assembly is not None
+        until = self._assembly.oldest_waiting if waits and self._assembly is not None else np.inf
+        messages: list[Message] = []
+        while self._motions and self._motions[0][0] < until:
+            self._newest = motion = self._motions.popleft()
+            try:
+                messages += self._reporter.report_motion(self.tracker.pose(motion[0]), *motion)
+            except OptionError as error:  # an invalid clock
+                self._count_fault("odometry", str(error))
+        return messages
 
     def _update_mount(self) -> bool:
         """Update the mount of the camera, and use a pending pose; return whether there was one."""
@@ -186,8 +202,10 @@ class Localizer:
             return messages + self._count_fault("a frame", str(error))
         if not self._moves:  # no odometry beside the images
             self._update_mount()
-            self._odometry = frame.stamp, frame.odometry
-            messages += self._reporter.report_motion(self.tracker.pose(), *self._odometry)
+        if not (self._moves and self.options.background):  # the transforms of the pose's own stamp
+            later = [motion for motion in self._motions if motion[0] > frame.stamp]
+            earlier = [motion for motion in self._motions if motion[0] < frame.stamp]
+            self._motions = deque([*earlier, (frame.stamp, frame.odometry), *later])
         return messages
 
     def _report_changes(self) -> list[Message]:

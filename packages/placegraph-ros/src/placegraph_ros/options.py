@@ -38,9 +38,7 @@ class LiveOptions:
     mode: Mode = "continuous"  # `once`: use images until the pose is known, and again on request
     map_frame: str = "map"
     base_frame: str = ""  # Base frame; base_link, base_footprint or odometry's child if empty
-    tolerance: float = (
-        0.1  # Time by which the stamp of map -> odom is ahead, for lookups until then [s]
-    )
+    tolerance: float = 0.0  # Time by which the stamp of map -> odom is ahead, as a node needs [s]
     with_inputs: bool = (
         True  # Also write what a robot knows already: images, the camera's mount, odometry
     )

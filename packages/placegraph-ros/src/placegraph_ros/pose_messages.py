@@ -115,6 +115,7 @@ def transforms_message(
 
 
 STATUS = "localization/status"
+TICK = 1e-6  # from one transform to its correction [s]: tf2 ignores a second one of a stamp
 
 
 def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
@@ -145,7 +146,9 @@ class PoseReporter:
     ) -> None:
         self.maps, self.frames = maps, frames
         self.base_from_camera: Floats = UPRIGHT_BASE
-        self._tolerance, self._with_inputs = tolerance, with_inputs
+        self.tolerance, self._with_inputs = tolerance, with_inputs
+        self._corrected: Floats | None = None  # map_from_odom that was reported last, at ...
+        self._odom_stamp = 0.0  # ... this stamp
         self._shown: str | None = None
         self._rig = False
         self._estimate: PoseEstimate | None = None
@@ -159,7 +162,7 @@ class PoseReporter:
         self, live: LivePose, stamp: float, odom_from_camera: Floats
     ) -> list[Message]:
         """Return odometry in the map, and the transform map -> odom."""
-        messages = self._scenery(stamp, live.scene)
+        messages, self._odom_stamp = self._scenery(stamp, live.scene), stamp
         if self._with_inputs:
             base = odom_from_camera @ np.linalg.inv(self.base_from_camera)
             carried = transform(self.frames.odom, self.frames.base, base, stamp)
@@ -167,20 +170,34 @@ class PoseReporter:
         if live.map_from_camera is None or live.covariance is None or live.map_from_odom is None:
             return messages
         told = pose_messages(
-            live.map_from_camera, live.covariance, stamp, self.frames,
+            live.map_from_odom @ odom_from_camera, live.covariance, stamp, self.frames,
             base_from_camera=self.base_from_camera,
         )  # fmt: skip
-        ahead = stamp + self._tolerance
-        moved = transform(self.frames.map, self.frames.odom, live.map_from_odom, ahead)
         ridden = [m for m in told if m.topic.endswith("odometry")]
-        return [*messages, *ridden, transforms_message([moved], stamp)]
+        return [*messages, *ridden, *self._report_correction(live.map_from_odom, stamp)]
+
+    def _report_correction(self, map_from_odom: Floats, stamp: float) -> list[Message]:
+        """Return map -> odom, stamped ahead of `stamp` [s] by the tolerance."""
+        self._corrected, self._odom_stamp = map_from_odom, stamp
+        ahead = stamp + self.tolerance
+        moved = transform(self.frames.map, self.frames.odom, map_from_odom, ahead)
+        return [transforms_message([moved], stamp)]
 
     def report_changes(self, live: LivePose, stamp: float) -> list[Message]:
-        """Return the messages after an image taken at `stamp` [s]; empty where nothing changed."""
+        """Return the messages after an image taken at `stamp` [s]; empty where nothing changed.
+
+        A correction that came later than odometry is sent at once, just after its last stamp.
+        """
+        messages: list[Message] = []
+        anchor = live.map_from_odom
+        if anchor is not None and anchor is not self._corrected and self._odom_stamp:
+            messages = self._report_correction(anchor, self._odom_stamp + TICK)
         if live.estimate is None or live.estimate is self._estimate:
             if self._status == (live.status, live.reason):
-                return []
-            return self.report_status(live.status, live.reason, live.stamp, live=live)
+                return messages
+            return [
+                *messages, *self.report_status(live.status, live.reason, live.stamp, live=live)
+            ]  # fmt: skip
         self._estimate, stamp = live.estimate, stamp_or_zero(stamp)
         told = estimate_messages(
             live.estimate, stamp, self.frames, base_from_camera=self.base_from_camera
@@ -191,7 +208,7 @@ class PoseReporter:
             if m.type != "diagnostic_msgs/msg/DiagnosticArray" and not m.topic.endswith("odometry")
         ]
         status = self.report_status(live.status, live.reason, stamp, live=live)
-        return [*self._scenery(stamp, live.scene), *kept, *status]
+        return [*messages, *self._scenery(stamp, live.scene), *kept, *status]
 
     def report_status(
         self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None

@@ -244,6 +244,11 @@ class FrameAssembly:
         return self._last
 
     @property
+    def oldest_waiting(self) -> float:
+        """Stamp of the oldest image that waits for depth or transforms [s]; infinite: none waits."""
+        return self._waiting[0][0] if self._waiting else np.inf
+
+    @property
     def topics(self) -> frozenset[str]:
         """Names of the topics that make frames."""
         assert self.plan.pose_reader is not None  # noqa: S101
