@@ -48,17 +48,73 @@ class Logger:
         return partial(self._say, level)
 
 
-class Node:
-    def __init__(self, world, node_name):
-        self.world, self.name = world, node_name
+PRIMARY = {
+    "configure": ("unconfigured", "inactive"), "activate": ("inactive", "active"),
+    "deactivate": ("active", "inactive"), "cleanup": ("inactive", "unconfigured"),
+}  # fmt: skip
+
+
+class LifecycleNode:
+    """`rclpy.lifecycle.LifecycleNode`, with the states of its node.py; `world` is set by `World`."""
+
+    world = None
+
+    def __init__(self, node_name, *, enable_communication_interface=True, **kwargs):
+        world = self.world
+        world.node, self.name, self.state = self, node_name, "unconfigured"
+        self.callbacks = {n: getattr(self, f"on_{n}") for n in (*PRIMARY, "shutdown", "error")}
+        self.described, self.on_set = {}, []
         self.told, self.publishers, self.subscriptions = {}, [], []
         self.services, self.timers, self.logger = {}, [], world.logger
         self.destroyed = False
 
-    def resolved(self, topic):
-        return topic if topic.startswith("/") else f"/{topic}"
+    def trigger(self, name):
+        before, after = PRIMARY[name]
+        assert self.state == before, f"{name} while {self.state}"
+        returned = self.callbacks[name](SimpleNamespace(label=before, state_id=0))
+        if returned == "ERROR":
+            returned = self.callbacks["error"](SimpleNamespace(label=before, state_id=0))
+            after = "unconfigured"
+        self.state = after if returned == "SUCCESS" else before
+
+    def trigger_configure(self):
+        self.trigger("configure")
+
+    def trigger_activate(self):
+        self.trigger("activate")
+
+    def trigger_deactivate(self):
+        self.trigger("deactivate")
+
+    def trigger_cleanup(self):
+        self.trigger("cleanup")
+
+    def get_name(self):
+        return self.name
+
+    def get_namespace(self):
+        return self.world.namespace
+
+    def resolve_topic_name(self, topic, *, only_expand=False):
+        inside = topic if topic.startswith("/") else f"{self.get_namespace().rstrip('/')}/{topic}"
+        return self.world.remappings.get(topic, inside)
+
+    resolved = resolve_topic_name
+
+    def count_subscribers(self, topic_name):
+        own = sum(s.topic == topic_name for s in self.subscriptions)
+        return own + (topic_name in self.world.listened)
+
+    def add_on_set_parameters_callback(self, callback):
+        self.on_set.append(callback)
+
+    def set_parameter(self, name, value):
+        if self.described[name].read_only:
+            return SimpleNamespace(successful=False, reason=f"read-only parameter: {name}")
+        return self.on_set[0]([SimpleNamespace(name=name, value=value)])
 
     def declare_parameter(self, name, value=None, descriptor=None, ignore_override=False):
+        self.described[name] = descriptor
         given = self.world.parameters.get(name, value)
         if type(given) is not type(value) and not descriptor.dynamic_typing:
             raise TypeError(f"Trying to set parameter {name!r} to {given!r}, expecting {value!r}")
@@ -76,9 +132,21 @@ class Node:
     def create_service(self, srv_type, srv_name, callback, *, callback_group=None):
         service = SimpleNamespace(type=srv_type, callback=callback, group=callback_group)
         self.services[srv_name] = service
+        service.name = srv_name
+        return service
 
-    def create_timer(self, timer_period_sec, callback):
-        self.timers.append(callback)
+    def create_timer(self, timer_period_sec, callback, callback_group=None, clock=None):
+        self.timers.append(SimpleNamespace(callback=callback, clock=clock, period=timer_period_sec))
+        return self.timers[-1]
+
+    def destroy_timer(self, timer):
+        self.timers.remove(timer)
+
+    def destroy_service(self, service):
+        del self.services[service.name]
+
+    def destroy_publisher(self, publisher):
+        self.publishers.remove(publisher)
 
     def destroy_subscription(self, subscription):
         self.subscriptions.remove(subscription)
@@ -101,8 +169,9 @@ class Node:
 
 
 class World:
-    def __init__(self, parameters, topics, lacks=()):
+    def __init__(self, parameters, topics, lacks=(), namespace="/", remappings=()):
         self.parameters, self.topics, self.lacks = parameters, topics, lacks
+        self.namespace, self.remappings, self.listened = namespace, dict(remappings), set(topics)
         self.logger, self.node, self.now, self.running = Logger(), None, 0, False
         self.spin = lambda: None
 
@@ -118,12 +187,17 @@ class World:
             subscription.callback(decoded)
 
     def tick(self):
-        for timer in self.node.timers:
-            timer()
+        for timer in list(self.node.timers):
+            timer.callback()
 
     def message(self, kind):
-        if kind == "rcl_interfaces/msg/ParameterDescriptor":
-            return SimpleNamespace
+        if kind.startswith("rcl_interfaces/"):
+            fields = typestore("cdr").fielddefs[kind][1]
+
+            class Fields:
+                __slots__ = [name for name, _ in fields]
+
+            return Fields
         package = kind.partition("/")[0]
         if package in self.lacks:
             raise ModuleNotFoundError(f"No module named {package!r}")
@@ -133,10 +207,6 @@ class World:
         if kind.partition("/")[0] in self.lacks:
             raise ModuleNotFoundError(kind)
         return kind
-
-    def create_node(self, node_name, *, context=None, namespace=None):
-        self.node = Node(self, node_name)
-        return self.node
 
     def init(self, *, args=None, context=None):
         self.running = True
@@ -183,11 +253,16 @@ class World:
         groups = module(
             "rclpy.callback_groups", MutuallyExclusiveCallbackGroup=MutuallyExclusiveCallbackGroup
         )
-        logging = module("rclpy.logging", get_logger=lambda name: self.logger)
+        returns = SimpleNamespace(SUCCESS="SUCCESS", FAILURE="FAILURE", ERROR="ERROR")
+        node = type("LifecycleNode", (LifecycleNode,), {"world": self})
+        lifecycle = module("rclpy.lifecycle", LifecycleNode=node, TransitionCallbackReturn=returns)
+        clock = module(
+            "rclpy.clock", Clock=lambda *, clock_type: clock_type,
+            ClockType=SimpleNamespace(STEADY_TIME="steady"),
+        )  # fmt: skip
         module(
-            "rclpy", qos=qos, executors=executors, callback_groups=groups, logging=logging,
-            create_node=self.create_node, init=self.init, ok=self.ok,
-            try_shutdown=self.try_shutdown,
+            "rclpy", qos=qos, executors=executors, callback_groups=groups, lifecycle=lifecycle,
+            clock=clock, init=self.init, ok=self.ok, try_shutdown=self.try_shutdown,
         )  # fmt: skip
         module("rosidl_runtime_py")
         module("rosidl_runtime_py.utilities", get_message=self.message, get_service=self.service)

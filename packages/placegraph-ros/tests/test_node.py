@@ -18,6 +18,11 @@ from placegraph_ros.sources import bag_source
 from ros_world import FRAMES
 
 PACKAGE = Path(__file__).resolve().parents[1] / "ament"
+REMAPPINGS = {
+    "rgb/image": "/camera/color/image_raw", "rgb/camera_info": "/camera/color/camera_info",
+    "depth/image": "/camera/aligned_depth_to_color/image_raw",
+    "depth/camera_info": "/camera/aligned_depth_to_color/camera_info",
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -32,12 +37,14 @@ def recorded(room):
 def robot(room, recorded, monkeypatch):
     nodes = []
 
-    def started(lacks=(), **parameters):
-        world = World({"map": str(room.map)} | parameters, recorded[1], lacks)
+    def started(lacks=(), namespace="/", remappings=REMAPPINGS, **parameters):
+        parameters = {"map": str(room.map)} | parameters
+        world = World(parameters, recorded[1], lacks, namespace, remappings)
         world.install(monkeypatch)
         world.init()
         shell = LocalizerNode(RosModules.load())
         nodes.append(shell)
+        shell.start()
         return world, shell
 
     yield started
@@ -87,7 +94,7 @@ def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
     (edge,) = told["/tf"][-1].transforms
     assert (edge.header.frame_id, edge.child_frame_id) == ("map", "odom")
     ahead = edge.header.stamp.sec + edge.header.stamp.nanosec * 1e-9
-    assert ahead - packets[-1].stamp == pytest.approx(0.1, abs=0.11)
+    assert ahead - packets[-1].stamp == pytest.approx(1.0, abs=0.11), "as AMCL"
     assert told["/localization/particle_cloud"][-1].particles
     assert told["/localization/status"][-1].message.startswith("OK")
     assert told["/diagnostics"][-1].status[0].message.startswith("OK")
@@ -193,7 +200,7 @@ def test_main(room, recorded, monkeypatch, capsys):
     def interrupted():
         raise KeyboardInterrupt
 
-    world = World({"map": str(room.map)}, recorded[1])
+    world = World({"map": str(room.map), "autostart_node": True}, recorded[1])
     world.install(monkeypatch)
     world.spin = interrupted
     assert main() == 0
@@ -206,10 +213,101 @@ def test_main(room, recorded, monkeypatch, capsys):
         ({"map": str(room.map), "mode": "twice"}, 7, "mode is 'twice'"),
         ({"map": str(room.map), "transform_tolerance": "soon"}, 7, "transform_tolerance is 'soon'"),
     ):
-        world = World(parameters, recorded[1])
+        world = World(parameters | {"autostart_node": True}, recorded[1])
         world.install(monkeypatch)
         assert main() == code
         assert words in world.logger.said[-1][1]
+
+
+def beats(world, topic="/bond"):
+    return [(b.id, b.active) for b in world.node.told.get(topic, [])]
+
+
+def test_a_lifecycle_with_bond_as_nav2_wants_it(robot, recorded):
+    packets, _ = recorded
+    world, shell = robot(namespace="/robot1", remappings=REMAPPINGS | {"odom": "/odom"})
+    sent(world, shell, packets)
+    node, bond = world.node, world.node.told["/robot1/bond"][-1]
+    assert (bond.id, bond.active, bond.heartbeat_timeout) == ("placegraph_localizer", True, 4.0)
+    assert {t.clock for t in node.timers} == {"steady"}
+    assert 0.1 in {t.period for t in node.timers}
+    assert len(node.told["/robot1/localization/pose"]) > 3
+    node.trigger_deactivate()
+    assert beats(world, "/robot1/bond")[-1] == ("placegraph_localizer", False)
+    assert not [*node.timers, *node.subscriptions, *node.services, *node.publishers]
+    node.trigger_activate()  # as the manager resumes it
+    told = len(node.told["/robot1/localization/pose"])
+    sent(world, shell, packets)
+    assert len(node.told["/robot1/localization/pose"]) > told + 3
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    shell.given["map"] = "nowhere.scene"
+    node.trigger_configure()
+    assert node.state == "unconfigured"
+    assert "nowhere.scene" in world.logger.said[-1][1]
+
+
+def test_the_manager_lets_go(robot):
+    world, _ = robot()
+    world.tick()
+    (mine,) = world.node.told["/bond"]
+    kind, store = "bond/msg/Status", typestore("cdr")
+    for active in (True, False):
+        mine.instance_id, mine.active = "the manager's", active
+        world.send(Packet("/bond", kind, 1.0, bytes(store.serialize_cdr(mine, kind))))
+        world.tick()
+    assert beats(world)[1:] == [("placegraph_localizer", True), ("placegraph_localizer", False)]
+
+
+def test_robot1_never_takes_the_camera_of_robot2(robot, recorded):
+    _, topics = recorded
+    world, _ = robot(namespace="/robot1", remappings={"/tf_static": "/robot1/tf_static"})
+    both = {f"/{r}{name}": kinds for name, kinds in topics.items() for r in ("robot1", "robot2")}
+    names = {
+        "/robot1/rgb/image": "sensor_msgs/msg/Image", "/robot2/rgb/image": "sensor_msgs/msg/Image",
+        "/robot1/tf_static": "tf2_msgs/msg/TFMessage",
+    }  # fmt: skip
+    world.topics |= both | {name: (kind,) for name, kind in names.items()}
+    world.tick()
+    heard = {s.topic for s in world.node.subscriptions if s.raw}
+    assert heard == {"/robot1/rgb/image", "/robot1/odom", "/robot1/tf_static"}
+    for _ in range(10):
+        world.tick()
+    (warned,) = [said for level, said in world.logger.said if level == "warning"]
+    assert "published on /robot1/rgb/camera_info; remap" in warned
+
+
+def test_discovery_on_request_wakes_no_lazy_publisher(robot, recorded):
+    packets, _ = recorded
+    world, shell = robot(discover=True, remappings={})
+    lazy = {"/lazy/image": ("sensor_msgs/msg/Image",)}
+    world.topics |= lazy
+    sent(world, shell, packets)
+    assert not any(s.topic in lazy for s in world.node.subscriptions)
+    assert len(world.node.told["/localization/pose"]) > 3
+
+
+def test_parameters_are_described_and_honoured(robot, recorded):
+    packets, _ = recorded
+    world, shell = robot()
+    described = world.node.described
+    assert all(d.description.endswith((".", "[s].")) for d in described.values())
+    assert described["map"].read_only
+    (limits,) = described["transform_tolerance"].floating_point_range
+    assert (limits.from_value, limits.to_value) == (0.0, 60.0)
+    sent(world, shell, packets)
+    assert not world.node.set_parameter("map", "other.scene").successful
+    refused = world.node.set_parameter("mode", "twice")
+    assert not refused.successful
+    assert "choose 'continuous' or 'once'" in refused.reason
+    assert world.node.set_parameter("transform_tolerance", 3.0).successful
+    settled(shell)
+    assert shell.localizer.options.tolerance == 3.0
+    count = len(world.node.told["/tf"])
+    assert world.node.set_parameter("publish_tf", False).successful
+    shell.inbox.put(next(p for p in packets if p.topic == "/odom")._replace(time=2e9))
+    settled(shell)
+    assert len(world.node.told["/tf"]) == count
 
 
 def test_a_worker_that_dies_ends_the_node(robot):
@@ -243,7 +341,8 @@ def test_the_package():
     assert (PACKAGE / "resource" / "placegraph_ros").is_file()
     written = YAML(typ="safe").load((PACKAGE / "config" / "localizer.yaml").read_text("utf-8"))
     # whatever namespace and name the node is given
-    assert written["/**"]["ros__parameters"] == PARAMETERS
+    defaults = {name: value for name, (value, _) in PARAMETERS.items()}
+    assert written["/**"]["ros__parameters"] == defaults
 
 
 def test_the_launch_file(monkeypatch):
@@ -267,3 +366,6 @@ def test_the_launch_file(monkeypatch):
     assert (node["package"], node["executable"]) == ("placegraph_ros", "localizer")
     assert ("localization/pose", "amcl_pose") in node["remappings"]
     assert node["parameters"][0] == "$params"
+    assert node["parameters"][1]["use_sim_time"] == "$use_sim_time"
+    assert node["namespace"] == "$namespace"
+    assert {("/tf", "tf"), ("rgb/image", "$image")} < set(node["remappings"])

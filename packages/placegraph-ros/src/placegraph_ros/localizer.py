@@ -263,6 +263,13 @@ class Localizer:
         self._looks_at_images = True
         return self._report_changes()
 
+    def change(self, options: LiveOptions) -> list[Message]:
+        """Change the mode and the tolerance of transforms."""
+        self.options = options
+        self._reporter.tolerance = options.tolerance
+        self._looks_at_images |= options.mode == "continuous"
+        return []
+
     def load(self, maps: SceneMap | SceneLibrary) -> list[Message]:
         """Change the map, without a pose (``load_map``)."""
         self.tracker.close()

@@ -1,4 +1,4 @@
-"""The localizer as a node of ROS 2: a shell that carries messages, and leaves the rest to `Localizer`.
+"""The localizer as a lifecycle node of ROS 2: a shell around `Localizer` that carries messages.
 
 Callbacks put bytes into an inbox and return; a thread of its own takes them out. Messages are neither
 decoded nor made by rclpy: what comes is decoded where it is used, what goes are the bytes of `encode`.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
 from typing import Any
 from urllib.parse import unquote, urlsplit
+from uuid import uuid4
 
 import numpy as np
 
@@ -25,10 +27,17 @@ from placegraph.maps import open_scenes
 from placegraph_io.ros.decode import frame_name
 from placegraph_io.ros.poses import is_static
 from placegraph_io.ros.stream import WANTED, Packet
-from placegraph_io.ros.topics import IMAGES
+from placegraph_io.ros.topics import IMAGES, read_topic_choice
 from placegraph_ros.localizer import Localizer, Request, run
-from placegraph_ros.message import Message, cdr
-from placegraph_ros.options import PARAMETERS, LiveOptions, choice_of_parameters, stream_name
+from placegraph_ros.message import Message, cdr, header
+from placegraph_ros.options import (
+    CHANGEABLE,
+    PARAMETERS,
+    RANGES,
+    TOPICS,
+    LiveOptions,
+    stream_name,
+)
 from placegraph_ros.pose_messages import STATUS
 
 NEWEST = 4  # Most waiting images of a topic; then the oldest is dropped
@@ -102,23 +111,25 @@ _LOADED, _MISSING, _INVALID = 0, 1, 2  # results of nav2_msgs/LoadMap
 
 
 class Services:
-    """Subscription to `initialpose`, and the services of nav2's localizers.
+    """Subscription to `initialpose`, and the services of nav2's localizers, of an active node.
 
     Services answer at once, and take effect before the next message; `load_map` answers when the map is
     open.
     """
 
-    def __init__(self, ros: RosModules, node: Any, inbox: Inbox, map_frame: str) -> None:  # noqa: ANN401
-        self._node, self._inbox, self._map = node, inbox, map_frame
-        told = ros.message("geometry_msgs/msg/PoseWithCovarianceStamped")
-        node.create_subscription(told, "initialpose", self.place, 10)
+    def __init__(self, shell: LocalizerNode, active: ExitStack) -> None:
+        self._shell, ros, node = shell, shell.ros, shell.node
+
+        def serve(kind: Any, name: str, answer: Any, **group: Any) -> None:  # noqa: ANN401  # rclpy's
+            active.callback(node.destroy_service, node.create_service(kind, name, answer, **group))
+
+        pose = ros.message("geometry_msgs/msg/PoseWithCovarianceStamped")
+        told = node.create_subscription(pose, "initialpose", self.place, 10)
+        active.callback(node.destroy_subscription, told)
         empty = ros.service("std_srvs/srv/Empty")
-        node.create_service(
-            empty, "reinitialize_global_localization", partial(self._forward, Localizer.relocalize)
-        )
-        node.create_service(
-            empty, "request_nomotion_update", partial(self._forward, Localizer.update)
-        )
+        everywhere = partial(self._forward, Localizer.relocalize)
+        serve(empty, "reinitialize_global_localization", everywhere)
+        serve(empty, "request_nomotion_update", partial(self._forward, Localizer.update))
         try:
             pose_reader = ros.service("nav2_msgs/srv/SetInitialPose")
             loading = ros.service("nav2_msgs/srv/LoadMap")
@@ -128,18 +139,19 @@ class Services:
                 "(apt install ros-$ROS_DISTRO-nav2-msgs)."
             )
             return
-        node.create_service(pose_reader, "set_initial_pose", self.set_pose)
+        serve(pose_reader, "set_initial_pose", self.set_pose)
         alone = ros.groups.MutuallyExclusiveCallbackGroup()  # opening takes seconds; others go on
-        node.create_service(loading, "load_map", self.load, callback_group=alone)
+        serve(loading, "load_map", self.load, callback_group=alone)
 
     def place(self, message: Any) -> None:  # noqa: ANN401  # rclpy's
         """Take a pose that was told; what is none is refused, and the log says why."""
         try:
-            pose, covariance = read_initial_pose(message, self._map)
+            frame = self._shell.localizer.options.map_frame
+            pose, covariance = read_initial_pose(message, frame)
         except InputError as error:
-            self._node.get_logger().error(str(error))
+            self._shell.node.get_logger().error(str(error))
             return
-        self._inbox.ask(lambda localizer: localizer.place(pose, covariance))
+        self._shell.inbox.ask(lambda localizer: localizer.place(pose, covariance))
 
     def set_pose(self, request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
         """`set_initial_pose`."""
@@ -147,7 +159,7 @@ class Services:
         return response
 
     def _forward(self, what: Any, _request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
-        self._inbox.ask(what)
+        self._shell.inbox.ask(what)
         return response
 
     def load(self, request: Any, response: Any) -> Any:  # noqa: ANN401  # rclpy's
@@ -155,12 +167,12 @@ class Services:
         address = urlsplit(request.map_url)
         path = Path(unquote(address.path) if address.scheme == "file" else request.map_url)
         try:
-            maps = open_scenes(path)
+            self._shell.maps = maps = open_scenes(path)
         except PlacegraphError as error:
-            self._node.get_logger().error(f"load_map: {error}")
+            self._shell.node.get_logger().error(f"load_map: {error}")
             response.result = _INVALID if path.exists() else _MISSING
             return response
-        self._inbox.ask(lambda localizer: localizer.load(maps))
+        self._shell.inbox.ask(lambda localizer: localizer.load(maps))
         response.result = _LOADED
         return response
 
@@ -180,8 +192,10 @@ def read_initial_pose(message: Any, map_frame: str) -> tuple[Floats, Floats]:  #
 
 
 NAME = "placegraph_localizer"
-_UPDATE_INTERVAL = 1.0  # seconds between two looks at which topics there are
+_UPDATE_INTERVAL = 0.5  # seconds between two looks at which topics there are
+_SILENT = 10  # looks after which missing topics are named
 _GLOBAL = ("tf", "tf_static", "diagnostics")  # topics that stand in no namespace
+_TRANSFORMS = ("/tf", "/tf_static")
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +203,8 @@ class RosModules:
     """Modules of ROS 2 that the node uses."""
 
     rclpy: Any
+    lifecycle: Any
+    clock: Any
     qos: Any
     executors: Any
     groups: Any
@@ -200,7 +216,7 @@ class RosModules:
         """Import the modules; `MissingExtraError` where ROS 2 is not installed."""
         try:
             import rclpy
-            from rclpy import callback_groups, executors, qos
+            from rclpy import callback_groups, clock, executors, lifecycle, qos
             from rosidl_runtime_py.utilities import get_message, get_service
         except ImportError as error:
             raise MissingExtraError(
@@ -209,58 +225,205 @@ class RosModules:
                 '"placegraph[ros]" in the same Python environment. Bags and `placegraph live` need '
                 "no ROS."
             ) from error
-        return cls(rclpy, qos, executors, callback_groups, get_message, get_service)
+        return cls(
+            rclpy, lifecycle, clock, qos, executors, callback_groups, get_message, get_service
+        )
+
+    def steady(self) -> Any:  # noqa: ANN401  # rclpy's
+        """Return a clock that neither simulated time nor a correction of the system's clock moves."""
+        return self.clock.Clock(clock_type=self.clock.ClockType.STEADY_TIME)
+
+    def publish(self, publisher: Any, message: Message) -> None:  # noqa: ANN401  # rclpy's
+        """Publish a message; after a Ctrl-C it has nowhere to go."""
+        data = cdr(message)
+        try:
+            publisher.publish(data)
+        except Exception:
+            if self.rclpy.ok():
+                raise
+
+
+class Bond:
+    """Heartbeat by which nav2's lifecycle manager knows that an active node lives, as bondcpp sends it."""
+
+    def __init__(self, ros: RosModules, node: Any, period: float, active: ExitStack) -> None:  # noqa: ANN401
+        self._ros, self._node, self._period = ros, node, period
+        self._instance, self._beats = str(uuid4()), True
+        kind = ros.message("bond/msg/Status")
+        self._publisher = node.create_publisher(kind, "bond", 5)
+        active.callback(node.destroy_publisher, self._publisher)
+        active.callback(self.beat, last=True)
+        heard = node.create_subscription(kind, "bond", self._hear, 100)
+        active.callback(node.destroy_subscription, heard)
+        timer = node.create_timer(period, self.beat, clock=ros.steady())
+        active.callback(node.destroy_timer, timer)
+
+    def beat(self, *, last: bool = False) -> None:
+        """Send a heartbeat, or that there will be none."""
+        if not self._beats:
+            return
+        self._beats = not last
+        now = self._node.get_clock().now().nanoseconds * 1e-9
+        fields = {
+            "header": header(now, ""), "id": self._node.get_name(), "instance_id": self._instance,
+            "active": not last, "heartbeat_timeout": 4.0, "heartbeat_period": self._period,
+        }  # fmt: skip
+        self._ros.publish(self._publisher, Message("bond", "bond/msg/Status", now, fields))
+
+    def _hear(self, status: Any) -> None:  # noqa: ANN401  # rclpy's
+        is_mine = status.id == self._node.get_name() and status.instance_id != self._instance
+        if is_mine and not status.active:  # the manager has let go
+            self.beat(last=True)
 
 
 class LocalizerNode:
-    """Subscribes to what frames are made of, tells the pose, and offers the services of a localizer.
+    """Lifecycle node that subscribes to images and odometry, and publishes the pose as a localizer does.
 
-    Raises `OptionError`: a parameter is out of its range; `InputError`, `MapError`: the map cannot be
-    opened.
+    Configuring opens the map; while the node is active, it listens and publishes. A transition that fails
+    is logged, with the reason in `refused`.
     """
+
+    localizer: Localizer
+    inbox: Inbox
+    maps: Any  # A scene map or a library
 
     def __init__(self, ros: RosModules) -> None:
         self.ros = ros
-        self.node = ros.rclpy.create_node(NAME)
-        given = {
-            name: self.node.declare_parameter(name, value, self._descriptor(value)).value
-            for name, value in PARAMETERS.items()
+        changes = {
+            "configure": self._configure, "activate": self._activate, "deactivate": self._deactivate,
+            "cleanup": self._deactivate, "shutdown": self._deactivate, "error": self._deactivate,
+        }  # fmt: skip
+        own = {f"on_{k}": staticmethod(partial(self._change, v)) for k, v in changes.items()}
+        self.node = type("Localizer", (ros.lifecycle.LifecycleNode,), own)(NAME)
+        self.given = {
+            name: self.node.declare_parameter(
+                name, value, self._descriptor(name, value, text)
+            ).value
+            for name, (value, text) in PARAMETERS.items()
         }
-        if not given["map"]:
-            raise OptionError(
-                "map: no map is given; set the parameter map to a .scene or a library."
-            )
-        self.publish_tf = bool(given["publish_tf"])
-        self.inbox = Inbox()
-        self.localizer = Localizer(
-            open_scenes(given["map"]), LiveOptions.from_parameters(given), name=str(stream_name(given, NAME)),
-            choice=choice_of_parameters(given, NAME), device=given["device"],
-        )  # fmt: skip
+        self.node.add_on_set_parameters_callback(self._set_parameters)
+        self.refused: Exception | None = None
+        self._active = ExitStack()  # destroys what the active node has made
         self._subscribed: dict[tuple[str, str], Any] = {}
         self._publishers: dict[str, Any] = {}
         self._unknown: set[str] = set()
-        self._status = ""
-        self.services = Services(ros, self.node, self.inbox, self.localizer.options.map_frame)
-        self.node.create_timer(_UPDATE_INTERVAL, self.update_subscriptions)
+        self._status, self._looks = "", 0
+        self._names: dict[str, str] = {}  # topics by role
+        self._worker: Thread | None = None  # while the node is active
         self._error: BaseException | None = None
-        self._worker = Thread(target=self._work, name="placegraph", daemon=True)
-        self._worker.start()
 
-    def _descriptor(self, value: object) -> Any:  # noqa: ANN401  # of rcl_interfaces
+    def _descriptor(self, name: str, value: object, text: str) -> Any:  # noqa: ANN401  # of rcl_interfaces
         """Return the descriptor of a parameter; seconds may be integers (`1`), too."""
         descriptor = self.ros.message("rcl_interfaces/msg/ParameterDescriptor")()
+        descriptor.description = text
+        descriptor.read_only = name not in CHANGEABLE
         descriptor.dynamic_typing = isinstance(value, float)
+        if name in RANGES:
+            kind = "floating_point" if isinstance(value, float) else "integer"
+            limits = self.ros.message(f"rcl_interfaces/msg/{kind.title().replace('_', '')}Range")()
+            limits.from_value, limits.to_value = RANGES[name]
+            setattr(descriptor, f"{kind}_range", [limits])
         return descriptor
 
-    def close(self) -> None:
-        """End the worker and log the counts of frames; raise the worker's error, if any."""
+    def _set_parameters(self, parameters: Sequence[Any]) -> Any:  # noqa: ANN401  # of rcl_interfaces
+        """Use new values of parameters at once, or refuse them with the reason."""
+        result = self.ros.message("rcl_interfaces/msg/SetParametersResult")()
+        given = self.given | {p.name: p.value for p in parameters if p.name in PARAMETERS}
+        try:
+            options = LiveOptions.from_parameters(given)
+        except OptionError as error:
+            result.successful, result.reason = False, str(error)
+            return result
+        self.given, result.successful = given, True
+        if self._worker is not None:
+            self.inbox.ask(lambda localizer: localizer.change(options))
+        return result
+
+    def _change(self, change: Any, _state: Any) -> Any:  # noqa: ANN401  # rclpy's
+        """Make a transition; rclpy itself would hide errors."""
+        returns, self.refused = self.ros.lifecycle.TransitionCallbackReturn, None
+        try:
+            change()
+        except Exception as error:  # noqa: BLE001
+            self._active.close()
+            self.refused = error
+            self.node.get_logger().fatal(str(error) or repr(error))
+            return returns.FAILURE if isinstance(error, PlacegraphError) else returns.ERROR
+        return returns.SUCCESS
+
+    def _configure(self) -> None:
+        """Open the map; raises for parameters out of range, and where it cannot be opened."""
+        if not self.given["map"]:
+            raise OptionError(
+                "map: no map is given; set the parameter map to a .scene or a library."
+            )
+        LiveOptions.from_parameters(self.given)
+        self.maps = open_scenes(self.given["map"])
+
+    def _activate(self) -> None:
+        """Listen and publish, beginning without a pose."""
+        stream, node = stream_name(self.given, NAME), self.node
+        choice = read_topic_choice(stream, None)
+        self._names.clear()
+        if not self.given["discover"]:
+            unused = {"depth": not choice.with_depth, "imu": not choice.with_imu}
+            for role, name in TOPICS.items():
+                said = getattr(choice, role) or name
+                if isinstance(said, str) and not unused.get(role):  # else intrinsics
+                    self._names[role] = node.resolve_topic_name(said)
+            named = {r: self._names[r] for r in ("colour", "camera") if r in self._names}
+            choice = replace(choice, **named)  # type: ignore[arg-type]
+        self.inbox, self._looks = Inbox(), 0
+        self.localizer = Localizer(
+            self.maps, LiveOptions.from_parameters(self.given), name=str(stream), choice=choice,
+            device=self.given["device"],
+        )  # fmt: skip
+        with ExitStack() as active:
+            active.callback(self._end_worker)
+            self._worker = Thread(target=self._work, name="placegraph", daemon=True)
+            self._worker.start()
+            Services(self, active)
+            look = node.create_timer(
+                _UPDATE_INTERVAL, self.update_subscriptions, clock=self.ros.steady()
+            )
+            active.callback(node.destroy_timer, look)
+            period = self.given["bond_heartbeat_period"]
+            if period > 0 and self._type("bond/msg/Status") is not None:
+                Bond(self.ros, node, float(period), active)
+            self._active = active.pop_all()
+        self.update_subscriptions()
+
+    def _deactivate(self) -> None:
+        """Destroy what the active node has made; the pose is forgotten."""
+        self._active.close()
+
+    def _end_worker(self) -> None:
+        """End the worker and log the counts of frames."""
+        while self._subscribed:
+            self.node.destroy_subscription(self._subscribed.popitem()[1])
         self.inbox.close()
-        self._worker.join()
+        if self._worker is not None:
+            self._worker.join()
+            self._worker = None
+        while self._publishers:
+            if (publisher := self._publishers.popitem()[1]) is not None:
+                self.node.destroy_publisher(publisher)
         summary = self.localizer.summary
         self.node.get_logger().info(
             f"{summary.frames} frames, {summary.dropped + self.inbox.dropped} dropped; "
             f"{'; '.join(f'{n} left out: {why}' for why, n in summary.left_out.items()) or 'none left out'}"
         )
+
+    def start(self) -> None:
+        """Configure and activate without a lifecycle manager; raises the reason where that fails."""
+        for trigger in (self.node.trigger_configure, self.node.trigger_activate):
+            trigger()
+            if self.refused is not None:
+                raise self.refused
+
+    def close(self) -> None:
+        """End the node; raise the worker's error, if any."""
+        self._active.close()
         self.node.destroy_node()
         if self._error is not None:
             raise self._error
@@ -274,19 +437,40 @@ class LocalizerNode:
             self.ros.rclpy.try_shutdown()
 
     def update_subscriptions(self) -> None:
-        """Subscribe to all usable topics, and later only to the chosen ones."""
+        """Subscribe to named or discovered topics that are published, later only to the chosen ones."""
         chosen = self.localizer.topics
-        own = {p.topic_name for p in list(self._publishers.values()) if p is not None}
-        for name, kinds in self.node.get_topic_names_and_types():
+        published = self.node.get_topic_names_and_types()
+        for name, kinds in published:
+            is_chosen = self._is_candidate(name) if chosen is None else name in chosen
             for kind in kinds:
-                wanted = kind.replace("/msg/", "/") in WANTED
-                is_chosen = (
-                    name not in own - {"/tf", "/tf_static"} if chosen is None else name in chosen
-                )
-                if wanted and is_chosen and (name, kind) not in self._subscribed:
+                wanted = is_chosen and kind.replace("/msg/", "/") in WANTED
+                if wanted and (name, kind) not in self._subscribed:
                     self._subscribe(name, kind)
         for key in [k for k in self._subscribed if chosen is not None and k[0] not in chosen]:
             self.node.destroy_subscription(self._subscribed.pop(key))
+        self._looks += 1
+        missing = {n for r, n in self._names.items() if r in {"colour", "camera"}} - {
+            name for name, _ in published
+        }
+        if self._looks == _SILENT and missing:
+            self.node.get_logger().warning(
+                f"Nothing is published on {', '.join(sorted(missing))}; remap the topics, as in "
+                f"-r {TOPICS['colour']}:=/camera/color/image_raw."
+            )
+
+    def _is_candidate(self, name: str) -> bool:
+        """Return whether a topic may make frames, before any are chosen.
+
+        Discovery stays in the node's namespace, and takes what others listen to: a lazy publisher sleeps on.
+        """
+        node = self.node
+        if name in {node.resolve_topic_name(fixed) for fixed in _TRANSFORMS}:
+            return True
+        if not self.given["discover"]:
+            return name in self._names.values()
+        own = {p.topic_name for p in list(self._publishers.values()) if p is not None}
+        inside = name.startswith(f"{node.get_namespace().rstrip('/')}/") and name not in own
+        return inside and node.count_subscribers(name) > 0
 
     def _subscribe(self, name: str, kind: str) -> None:
         if (message := self._type(kind)) is None:
@@ -310,7 +494,7 @@ class LocalizerNode:
 
     def write(self, message: Message) -> None:
         """Publish a message; one whose package is not installed is passed over, and that is said once."""
-        if message.topic == "tf" and not self.publish_tf:
+        if message.topic == "tf" and not self.given["publish_tf"]:
             return
         if message.topic == STATUS and message.fields["message"] != self._status:
             self._status = message.fields["message"]
@@ -322,12 +506,7 @@ class LocalizerNode:
                 self._profile(message),
             )  # fmt: skip
         if (publisher := self._publishers[message.topic]) is not None:
-            data = cdr(message)
-            try:
-                publisher.publish(data)
-            except Exception:  # what is said after a Ctrl-C has nowhere to go
-                if self.ros.rclpy.ok():
-                    raise
+            self.ros.publish(publisher, message)
 
     def _profile(self, message: Message) -> Any:  # noqa: ANN401  # rclpy's
         q = self.ros.qos
@@ -362,6 +541,8 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         shell = LocalizerNode(ros)
         try:
+            if shell.given["autostart_node"]:
+                shell.start()
             # a thread for what takes long, which is to open another map
             executor = ros.executors.MultiThreadedExecutor(num_threads=2)
             executor.add_node(shell.node)
@@ -370,8 +551,7 @@ def main(args: Sequence[str] | None = None) -> int:
             pass
         finally:
             shell.close()
-    except PlacegraphError as error:
-        ros.rclpy.logging.get_logger(NAME).fatal(str(error))
+    except PlacegraphError as error:  # the log has it
         return error.exit_code
     finally:
         ros.rclpy.try_shutdown()

@@ -11,24 +11,47 @@ from typing import Any, Literal, Self
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph_io.ros.topics import TopicChoice, read_topic_choice
 
 Mode = Literal["continuous", "once"]
 
-TOPICS = ("colour", "depth", "camera", "depth_camera", "odometry", "imu", "frame")
-PARAMETERS: dict[str, Any] = {
-    "map": "",
-    "mode": "continuous",
-    "map_frame": "map",
-    "base_frame": "",
-    "transform_tolerance": 0.1,
-    "publish_tf": True,
-    "topics": "",
-    **dict.fromkeys(TOPICS, ""),
-    "seed": 0,
-    "device": "auto",
+TOPICS = {
+    "colour": "rgb/image",
+    "depth": "depth/image",
+    "camera": "rgb/camera_info",
+    "depth_camera": "depth/camera_info",
+    "odometry": "odom",
+    "imu": "imu",
 }
-"""Parameters of the node and their defaults; `ament/config/localizer.yaml` explains each."""
+"""Topics of the node by role, to be remapped."""
+PARAMETERS: dict[str, tuple[Any, str]] = {
+    "map": ("", "Scene map, library, or folder of scenes; must be given."),
+    "mode": ("continuous", "once: use images until the pose is known, and again on request."),
+    "map_frame": ("map", "Frame of the map."),
+    "base_frame": (
+        "",
+        "Frame of the base; base_link, base_footprint or odometry's child if empty.",
+    ),
+    "transform_tolerance": (1.0, "Time by which map -> odom is stamped ahead [s]."),
+    "publish_tf": (True, "Whether map -> odom is published."),
+    "topics": ("", "JSON file with intrinsics, transforms and names of topics, as beside a bag."),
+    "discover": (False, "Choose among the topics of the namespace to which others listen."),
+    "seed": (0, "Seed of all random numbers."),
+    "device": ("auto", "cpu, cuda or auto."),
+    "autostart_node": (False, "Configure and activate without a lifecycle manager."),
+    "bond_heartbeat_period": (
+        0.1,
+        "Time between heartbeats to the lifecycle manager [s]; 0: none.",
+    ),
+}
+"""Parameters of the node: defaults and descriptions."""
+CHANGEABLE = ("mode", "transform_tolerance", "publish_tf")
+"""Parameters that are used at once when set; the others are read-only."""
+RANGES = {
+    "transform_tolerance": (0.0, 60.0),
+    "bond_heartbeat_period": (0.0, 10.0),
+    "seed": (0, 2**31 - 1),
+}
+"""Smallest and largest values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +80,7 @@ class LiveOptions:
         """Return the options of a node's parameters; `OptionError` for values out of range."""
         tolerance = given["transform_tolerance"]
         if type(tolerance) not in {int, float}:
-            raise OptionError(f"transform_tolerance is {tolerance!r}; give seconds, such as 0.1.")
+            raise OptionError(f"transform_tolerance is {tolerance!r}; give seconds, such as 1.0.")
         frames = {name: given[name].lstrip("/") for name in ("map_frame", "base_frame")}
         mode, seed = mode_of(given["mode"]), given["seed"]
         return cls(mode=mode, tolerance=tolerance, with_inputs=False, seed=seed, **frames)
@@ -74,15 +97,6 @@ def mode_of(name: str) -> Mode:
 def stream_name(given: Mapping[str, Any], name: str) -> Path:
     """Return the name of a node's stream in messages: the file `topics` without its ending, or `name`."""
     return Path(given["topics"].removesuffix(".json") or name)
-
-
-def choice_of_parameters(given: Mapping[str, Any], name: str) -> TopicChoice:
-    """Return the topics of a node's parameters and its file `topics` (NAME.json if not given).
-
-    The file has the keys of one beside a bag. Raises `InputError` for its content.
-    """
-    chosen = {role: given[role] for role in TOPICS if given[role]}
-    return read_topic_choice(stream_name(given, name), chosen)
 
 
 @dataclass(slots=True)

@@ -32,6 +32,10 @@ _POINTS = (
     "uint32[] indices"
 )
 _DEFINITIONS = {
+    "bond/msg/Status": (
+        "std_msgs/Header header\nstring id\nstring instance_id\nbool active\n"
+        "float32 heartbeat_timeout\nfloat32 heartbeat_period"
+    ),
     "nav2_msgs/msg/Particle": "geometry_msgs/Pose pose\nfloat64 weight",
     "nav2_msgs/msg/ParticleCloud": "std_msgs/Header header\nnav2_msgs/Particle[] particles",
     "foxglove_msgs/msg/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
