@@ -67,7 +67,8 @@ def posed():
 def test_a_pose_and_its_evidence_as_json(posed):
     got = strict(posed)
     keys = {
-        "status", "reason", "modes", "frames", "trajectory", "stats", "refinement", "calibration",
+        "status", "reason", "remainder", "modes", "frames", "trajectory", "stats", "refinement",
+        "calibration",
     }  # fmt: skip
     assert set(got) == keys
     assert got["refinement"] is None

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph
-from placegraph.core.estimate import PoseMode, Status
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement
-from placegraph.indoor.status import SURE, Diagnostics, decide_fit, decide_pose
+from placegraph.indoor.status import SURE, Diagnostics, decide_fit, decide_joined, decide_pose
 
 INDOOR = Path(placegraph.__file__).parent / "indoor"
 
@@ -84,10 +84,24 @@ def test_a_wall_and_a_floor_are_no_place():
 def test_rivals_make_it_ambiguous():
     answer, reason = decide_fit(GOOD, modes(0.55, 0.45), TOLD)
     assert answer is Status.AMBIGUOUS
-    assert "another place" in reason
+    assert "The first of 2 places holds 55%; others fit" in reason
     assert "55%" in reason
     _, reason = decide_fit(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
-    assert "2 other places" in reason
+    assert "The first of 3 places holds 40%" in reason
+
+
+def test_other_images_of_the_room_exclude_rivals_or_the_best_mode():
+    found = Diagnostics(agreement=replace(GOOD, frames=np.array([[0.95, 0.97, 0.2]])))
+    status, reason, found = decide_pose(found, modes(0.6, 0.4))
+    alone = PoseEstimate(status, tuple(modes(0.6, 0.4)), f"{reason} Note.", diagnostics=found)
+    assert status is Status.AMBIGUOUS
+    assert decide_joined(alone, [0.995, 0.005]).status is Status.OK
+    half = decide_joined(alone, [0.7, 0.3])
+    assert (half.status, half.best.probability) == (status, 0.7)
+    assert half.reason == "The first of 2 places holds 70%; others fit as well. Note."
+    sure = replace(alone, status=Status.OK)
+    assert decide_joined(sure, [0.9, 0.1]).status is Status.OK
+    assert decide_joined(sure, [0.4, 0.6]).status is Status.AMBIGUOUS
 
 
 @pytest.mark.parametrize(("searched", "why"), [(0.9, "may look the same"), (-0.9, "much less")])

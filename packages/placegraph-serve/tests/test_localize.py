@@ -1,6 +1,7 @@
 import base64
 import io
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -75,6 +76,45 @@ def test_a_phones_picture_without_gravity(client, frame, truth):
     assert told["geojson"]["features"]
     for name in ("plan", "overlay"):
         assert told["pictures"][name].startswith("data:image/png;base64,iVBOR")
+
+
+@pytest.mark.parametrize("row", [4, 12, 15])
+def test_a_guessed_lens_widens_the_covariance_and_the_reason_agrees(client, walk, truth, row):
+    """The lens was not given: the pose is as uncertain as the guess makes it, and the reason says so."""
+    picture = ("a.png", encoded(pg.open_capture(walk)[row].rgb()))
+    told, known = (
+        asked(client, [("images", picture)], **more).json()
+        for more in ({}, {"intrinsics": INTRINSICS})
+    )
+    best, sure = told["estimate"]["modes"][0], known["estimate"]["modes"][0]
+    spread, least = (
+        np.sqrt(np.linalg.eigvalsh(np.array(m["covariance"])[:3, :3])[-1]) for m in (best, sure)
+    )
+    assert spread > 0.05 > least
+    assert "focal length" in told["notes"][0]
+    assert not known["notes"]
+    metres = re.search(r"known only to (\S+) m", told["estimate"]["reason"])
+    assert not metres or float(metres[1]) == pytest.approx(spread, abs=0.05)
+    if told["estimate"]["status"] == "OK":
+        assert off(best, truth[row]) < 3 * spread
+
+
+@pytest.mark.parametrize("rows", [(0, 1, 2), (3, 4, 8), (6, 7, 8), (2, 3, 13)])
+def test_three_images_without_odometry_are_as_sure_and_right_as_the_best_one(
+    client, walk, truth, rows
+):
+    pictures = [("images", ("i.png", encoded(pg.open_capture(walk)[row].rgb()))) for row in rows]
+
+    def told(*files):
+        estimate = asked(client, files, intrinsics=INTRINSICS).json()["estimate"]
+        return estimate["status"] == "OK", estimate["modes"][0]["probability"], estimate
+
+    alone = [told(picture)[:2] for picture in pictures]
+    is_sure, share, estimate = told(*pictures)
+    assert (is_sure, round(share, 2)) >= max((sure, round(p, 2)) for sure, p in alone)
+    least = 3 * np.linalg.eigvalsh(np.array(estimate["modes"][0]["covariance"])[:3, :3])[-1] ** 0.5
+    assert off(estimate["modes"][0], truth[rows[estimate["frames"][-1]]]) < max(least, 0.1)
+    assert f"{share:.0%}" in estimate["reason"] or "places" not in estimate["reason"]
 
 
 def test_images_of_a_way_with_depth(client, walk, truth):

@@ -19,6 +19,7 @@ from placegraph.cli.common import (
     console,
     evidence_cells,
     numbers_of,
+    print_remainder,
     progress_of,
     show_facts,
     table,
@@ -443,6 +444,7 @@ def _show(estimate: CityEstimate, question: Question | None) -> None:
             f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {share}±{mode.spread:.0f} m  "
             f"cell {mode.cell}"
         )
+    print_remainder(out, estimate, len(estimate.modes))
     if estimate.evidence:
         rows = table("", "statement", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from placegraph.core.estimate import Evidence
+    from placegraph.core.estimate import Estimate, Evidence
 
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, Option("--quiet", help="Print neither progress nor summary.")]
@@ -39,6 +39,16 @@ def numbers_of(text: str, option: str, counts: Container[int], advice: str) -> l
     if len(found) not in counts or not all(map(isfinite, found)):
         raise OptionError(f"{option} is {text!r}; {advice}")
     return found
+
+
+def print_remainder(out: Console, estimate: Estimate[Any], count: int) -> None:
+    """Print the probability of the places that are not among the `count` modes, from 1 % on."""
+    if estimate.remainder is None or not count:
+        return
+    hidden = estimate.modes[count:]
+    left = estimate.remainder + sum(mode.probability for mode in hidden)
+    if left >= 0.01:
+        out.print(f"{f'{len(hidden)} more, and elsewhere' if hidden else 'Elsewhere'}: {left:.1%}")
 
 
 def echo_json(value: object) -> None:

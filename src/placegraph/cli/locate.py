@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph.cli.city import Near, location_prior
 from placegraph.cli.command import Argument, Fields, Option
-from placegraph.cli.common import AsJson, console, echo_json, evidence_cells, progress_of, table
+from placegraph.cli.common import (
+    AsJson,
+    console,
+    echo_json,
+    evidence_cells,
+    print_remainder,
+    progress_of,
+    table,
+)
 from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
 from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
 from placegraph.errors import OptionError
@@ -96,6 +104,7 @@ def show(estimate: WorldEstimate) -> None:
         out.print(f"{rank}. {mode.where}  {mode.probability:6.1%}{_earth(mode)}")
         if rank == 1 and mode.pose is not None:
             out.print(f"   {pose_words(mode.pose)}")
+    print_remainder(out, estimate, len(estimate.modes))
     if estimate.evidence:
         rows = table("", "evidence", "log-likelihood ratio", "matched objects")
         for e in estimate.evidence[: MOST_OBJECTS + 4]:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from placegraph.cli.command import Fields, Option
-from placegraph.cli.common import AsJson, console, evidence_cells, numbers_of, progress_of, table
+from placegraph.cli.common import (
+    AsJson,
+    console,
+    evidence_cells,
+    numbers_of,
+    print_remainder,
+    progress_of,
+    table,
+)
 from placegraph.cli.scene_options import (
     KNOWN,
     REFINED,
@@ -104,9 +112,10 @@ def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:
     """Print an estimate so that a person can read it; `before`: what was refined."""
     out = console()
     out.print(f"{estimate.status.name}: {estimate.reason}")
-    for rank, mode in enumerate(estimate.modes, 1):
-        if rank == 1 or mode.probability >= LEAST:
-            out.print(f"{rank}. {pose_words(mode)}")
+    shown = [m for m in estimate.modes if m.probability >= LEAST] or list(estimate.modes[:1])
+    for rank, mode in enumerate(shown, 1):
+        out.print(f"{rank}. {pose_words(mode)}")
+    print_remainder(out, estimate, len(shown))
     if estimate.refinement is not None:
         out.print(refinement_words(estimate.refinement, before))
     of_objects = [e for e in estimate.evidence if e.objects]

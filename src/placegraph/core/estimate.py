@@ -275,10 +275,17 @@ class Estimate(GeoExport, HtmlRepr, Generic[Mode]):
         """Evidence of the best mode."""
         return self.best.evidence if self.best else ()
 
+    @property
+    def remainder(self) -> float | None:
+        """Probability of other places than the modes; None where the modes are only ranked."""
+        shares = [getattr(mode, "probability", 0.0) for mode in self.modes]
+        return None if getattr(self, "ranked", False) else max(0.0, 1.0 - sum(shares))
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and strings, ready for `json.dumps`."""
         modes = [m.to_dict() for m in self.modes]
-        return {"status": self.status.name, "reason": self.reason, "modes": modes}
+        head = {"status": self.status.name, "reason": self.reason, "remainder": self.remainder}
+        return head | {"modes": modes}
 
 
 @dataclass(frozen=True, repr=False)

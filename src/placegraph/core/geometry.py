@@ -6,7 +6,7 @@ counter-clockwise from the map's x axis, seen from above. Conventions: `docs/con
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import cos, radians, sqrt
 from typing import Any
@@ -271,6 +271,8 @@ class Camera:
     """Coefficients of OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]], or the four of its fisheye."""
     model: str = "opencv"
     """`MODELS`: a pinhole ("opencv"), or "fisheye", which shows up to 85 degrees off its axis."""
+    focal_error: float = 0.0
+    """Standard deviation of the focal lengths, as a share of them; 0: they are calibrated."""
 
     def __post_init__(self) -> None:
         sizes = (self.width, self.height, self.fx, self.fy)
@@ -300,8 +302,10 @@ class Camera:
     def resize(self, width: int, height: int) -> Camera:
         """Return the camera with images of another size."""
         sx, sy = width / self.width, height / self.height
-        focal, centre = (self.fx * sx, self.fy * sy), (self.cx * sx, self.cy * sy)
-        return Camera(width, height, *focal, *centre, self.distortion, self.model)
+        return replace(
+            self, width=width, height=height,
+            fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy,
+        )  # fmt: skip
 
     def is_refocused(self, other: Camera) -> bool:
         """Return whether another camera is this one, perhaps refocused: same size, `REFOCUS` of fx, fy."""

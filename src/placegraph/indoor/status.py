@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from placegraph.core.estimate import (
     Calibration,
+    Estimate,
     PoseEstimate,
     PoseMode,
     SceneEstimate,
@@ -179,7 +181,12 @@ def decide_pose(
     consistent = _is_consistent(diagnostics, agreed)
     if diagnostics.image_fault:
         return Status.LOST, diagnostics.image_fault, replace(diagnostics, consistent=consistent)
-    status, reason = decide_fit(agreed, modes, diagnostics.ratio_per_frame)
+    status, reason = decide_fit(
+        agreed,
+        modes,
+        diagnostics.ratio_per_frame,
+        float(1.0 / (1.0 + np.exp(-diagnostics.searched))),
+    )
     undecided = status is Status.AMBIGUOUS
     if (
         status is not Status.LOST
@@ -191,7 +198,8 @@ def decide_pose(
         odds = both_odds(CONFIDENCE.odds(agreed), diagnostics.searched)
         if modes[0].probability / (1.0 + np.exp(-odds)) < SURE:
             why = _UNLIKE_OWN if diagnostics.searched < 0.0 else _MAY_REPEAT
-            status, reason = Status.AMBIGUOUS, f"One place fits best, but {why}."
+            held = modes[0].probability / (1.0 + np.exp(-diagnostics.searched))
+            status, reason = Status.AMBIGUOUS, f"One place fits best ({held:.0%}), but {why}."
     if diagnostics.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
         return status, diagnostics.contradiction, replace(diagnostics, consistent=consistent)
@@ -215,27 +223,64 @@ def decide_pose(
 
 
 def decide_fit(
-    agreed: Agreement, modes: Sequence[PoseMode], ratio_per_frame: float
+    agreed: Agreement, modes: Sequence[PoseMode], ratio_per_frame: float, share: float = 1.0
 ) -> tuple[Status, str]:
     """Return status and reason: the best mode must agree with what was seen, and beat all others.
 
-    `ratio_per_frame`: log-likelihood ratio of the best mode against anywhere [nat].
+    `ratio_per_frame`: log-likelihood ratio of the best mode against anywhere [nat]; `share`: probability
+    of the places that were searched.
     """
     against = _contradicts(agreed, ratio_per_frame)
     if against:
         return Status.LOST, f"No place on the map fits: {against}."
-    best = modes[0]
+    best, rivals = modes[0], sum(m.probability > RIVAL for m in modes[1:])
+    first = "One place fits best, but"
+    if rivals:
+        first = f"The first of {rivals + 1} places holds {share * best.probability:.0%}, and"
     loose, axis = least_certain(best.covariance)
     if loose > LOOSE:
         what = "its height is" if abs(axis[2]) > _UPRIGHT else "it is"
-        return Status.AMBIGUOUS, f"One place fits best, but {what} known only to {loose:.1f} m."
+        return Status.AMBIGUOUS, f"{first} {what} known only to {loose:.1f} m."
     if _is_sure(agreed, 1.0) and not _is_sure(agreed, best.probability):
-        rivals = sum(m.probability > RIVAL for m in modes[1:])
-        others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
-        return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
+        return Status.AMBIGUOUS, f"{first.removesuffix(', and')}; others fit as well."
     if not _is_sure(agreed, best.probability):
-        return Status.AMBIGUOUS, f"One place fits best, but {_describe_weakness(agreed)}."
+        return Status.AMBIGUOUS, f"{first} {_describe_weakness(agreed)}."
     return Status.OK, f"One place fits: {_describe_agreement(agreed)}."
+
+
+AnyEstimate = TypeVar("AnyEstimate", bound=Estimate[Any])
+
+
+def decide_joined(estimate: AnyEstimate, shares: Sequence[float]) -> AnyEstimate:
+    """Return the estimate of one image with the shares of its modes by all images of the room.
+
+    In a scene map an image that only rivals kept from `OK` may become so; one whose best mode the other
+    images contradict is not `OK`.
+    """
+    modes = tuple(replace(m, probability=p) for m, p in zip(estimate.modes, shares, strict=True))
+    joined = replace(estimate, modes=modes)
+    if estimate.status is Status.OK and shares[0] < max(SURE, *shares):
+        reason = f"The images fit different places ({shares[0]:.0%} for the best of this one)."
+        return replace(joined, status=Status.AMBIGUOUS, reason=reason)
+    if not isinstance(joined, PoseEstimate) or shares[0] < max(shares):
+        return joined
+    found = diagnostics_of(joined)
+    if not found.undecided or found.agreement is None:
+        return joined
+
+    def decide_again(modes: Sequence[PoseMode]) -> tuple[Status, str]:
+        whole = sum(mode.probability for mode in modes)
+        alone = tuple(replace(mode, probability=mode.probability / whole) for mode in modes)
+        status, reason, _ = decide_pose(found, alone)
+        if found.refinement is None:
+            return status, reason
+        decided = replace(joined, status=status, reason=reason, modes=alone)
+        return decide_refined(decided, found.refinement)
+
+    (_, before), (status, reason) = decide_again(estimate.modes), decide_again(modes)
+    if status is Status.OK:
+        return replace(joined, status=status, reason=f"{reason} The other images confirm it.")
+    return replace(joined, reason=joined.reason.replace(before, reason))
 
 
 def reject_frames(fault: str, frames: Sequence[int]) -> PoseEstimate:

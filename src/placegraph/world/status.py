@@ -72,7 +72,10 @@ def decide_by_frames(
     best: PoseEstimate, mode: WorldMode, evidence: WorldEvidence, query: WorldQuery
 ) -> tuple[Status, str]:
     """Decide on the best pose: its own status, unless other evidence contradicts it."""
-    where = f"In {mode.where}: {best.reason}"
+    alone = best.modes[0].probability
+    share = f"{mode.probability:.0%}"
+    told = "" if f"{alone:.0%}" == share else f" ({share} among all maps)"
+    where = f"In {mode.where}{told}: {best.reason}"
     against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
     unmet = diagnostics_of(best).unmet
     if not against or (unmet and unmet in best.reason):

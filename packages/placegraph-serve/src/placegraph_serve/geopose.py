@@ -224,7 +224,7 @@ def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]
     frame, leveled = frame_of(colour[-1], depth, request.accelerometer, dispatcher.options)
     images = Images((frame,), moved=True, leveled=leveled)
     try:
-        estimate, _ = find_best(dispatcher.places, images, hints)
+        estimate, frames = find_best(dispatcher.places, images, hints)
     except OptionError as error:  # the image shows nothing
         return _answer(request, Status.LOST.name, str(error))
     modes = [
@@ -232,7 +232,7 @@ def geopose(dispatcher: Dispatcher, arguments: dict[str, Any]) -> dict[str, Any]
         for mode in estimate.modes
         for pose in earth_poses(mode)
     ]
-    said, found = list(notes(dispatcher.places, hints, estimate)), None
+    said, found = notes(dispatcher.places, hints, estimate, frames), None
     if estimate.status is Status.OK:
         try:
             found = estimate.geopose()

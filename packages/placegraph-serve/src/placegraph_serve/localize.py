@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from math import radians
@@ -10,19 +11,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from placegraph.core.estimate import PoseEstimate, Status
+import numpy as np
+
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Camera
 from placegraph.core.options import in_radians
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.status import diagnostics_of
+from placegraph.indoor.status import decide_joined, diagnostics_of
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_serve.locate import describe_answer, on_earth, options_in, read_answer
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.requests import (
     LEVEL,
+    TILTS,
     Hints,
     Images,
     Photo,
@@ -34,6 +38,7 @@ from placegraph_serve.requests import (
     images_of,
     read_depth,
     read_photo,
+    tilt_camera,
 )
 
 if TYPE_CHECKING:
@@ -41,6 +46,12 @@ if TYPE_CHECKING:
 
 MOST_ALONE = 8
 """Images at most that no odometry joins."""
+LENS = (
+    "The image does not tell its focal length, so a usual one was assumed; send `intrinsics`, or the "
+    "original image of the camera."
+)
+ROOM, TOGETHER = 6.0, 0.95
+"""Distance [m] within which images without odometry were taken, and the probability that they were."""
 
 
 def warm(_dispatcher: Dispatcher, _request: None) -> dict[str, Any]:
@@ -80,7 +91,7 @@ def localize(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
         "geopose": on_earth(estimate.geopose),
         "geojson": on_earth(estimate.geojson),
         "pictures": pictures,
-        "notes": notes(places, hints, estimate),
+        "notes": notes(places, hints, estimate, frames),
     }
 
 
@@ -122,22 +133,72 @@ def read(folder: Path, request: dict[str, Any], options: ServeOptions) -> tuple[
 def find_best(
     places: Places, images: Images, hints: Hints, *, record: bool = False
 ) -> tuple[Any, list[Frame]]:
-    """The best of the answers to what may be tried, and the frames that it is of."""
-    best: tuple[Any, list[Frame]] | None = None
-    trials = images.trials()
-    for i, frames in enumerate(trials):
-        try:
-            estimate = answer(places, frames, hints, record=record)
-        except OptionError:
-            if best is None and i == len(trials) - 1:
-                raise
-            continue
-        if best is None or rank_answer(estimate) > rank_answer(best[0]):
-            best = estimate, frames
-        if rank_answer(estimate) >= (1, 0.0):
+    """Return the estimate of images, and the frames that it is of.
+
+    Images without odometry are localized one by one; as images of one room they confirm each other. Cameras
+    of unknown tilt are tried as tilted while no image is certain.
+    """
+    groups = [list(images.frames)] if images.moved else [[frame] for frame in images.frames]
+    found: dict[int, tuple[Any, list[Frame]]] = {}
+    problem: OptionError | None = None
+    for tilt in (None,) if images.leveled else (None, *TILTS):
+        for i, group in enumerate(groups):
+            if i in found and rank_answer(found[i][0]) >= (False, True):
+                continue
+            frames = group if tilt is None else [tilt_camera(frame, tilt) for frame in group]
+            try:
+                estimate = answer(places, frames, hints, record=record)
+            except OptionError as error:
+                problem = error
+                continue
+            if i not in found or rank_answer(estimate) > rank_answer(found[i][0]):
+                found[i] = estimate, frames
+        if any(estimate.status is Status.OK for estimate, _ in found.values()):
             break
-    assert best is not None  # noqa: S101  # the last trial raises
-    return best
+    if not found:
+        assert problem is not None  # noqa: S101  # nothing was localized
+        raise problem
+    joined = join_images([estimate for estimate, _ in found.values()])
+    best = max(range(len(joined)), key=lambda i: rank_image(joined[i]))
+    estimate, frames = joined[best], list(found.values())[best][1]
+    apart = [e for e in joined if e.status is Status.OK and not are_near(e.best, estimate.best)]
+    if apart and estimate.best is not None:
+        reason = f"{estimate.reason} {len(apart)} of {len(joined)} images fit another place."
+        estimate = replace(estimate, reason=reason)
+    return estimate, frames
+
+
+def join_images(estimates: Sequence[Any]) -> list[Any]:
+    """Return estimates of images of one room, the modes of each weighed by the other images.
+
+    Under a mode, another image was taken within `ROOM` with probability `TOGETHER`, or else anywhere:
+    p(mode) is multiplied by 1 - TOGETHER p(modes of the other that are not near).
+    """
+    told = [e for e in estimates if e.status is not Status.LOST and e.modes]
+    joined = []
+    for estimate in estimates:
+        others = [other for other in told if other is not estimate]
+        if not others or estimate not in told:
+            joined.append(estimate)
+            continue
+        weights = np.array([*(mode.probability for mode in estimate.modes), estimate.remainder])
+        for other in others:
+            far = [
+                sum(m.probability for m in other.modes if not are_near(m, mode))
+                for mode in estimate.modes
+            ]
+            weights *= 1.0 - TOGETHER * np.array([*far, 1.0 - other.remainder])
+        joined.append(decide_joined(estimate, (weights / weights.sum())[:-1].tolist()))
+    return joined
+
+
+def are_near(one: Any, other: Any) -> bool:  # noqa: ANN401  # modes of a scene or of a world
+    """Return whether two modes may be of one room."""
+    one, other = (m if isinstance(m, PoseMode) else m.pose for m in (one, other))
+    if not isinstance(one, PoseMode) or not isinstance(other, PoseMode) or one.scene != other.scene:
+        return False
+    off = one.scene_from_camera[:3, 3] - other.scene_from_camera[:3, 3]
+    return float(np.linalg.norm(off)) < ROOM
 
 
 def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -> Any:  # noqa: ANN401
@@ -171,12 +232,17 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
     )  # fmt: skip
 
 
-def rank_answer(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
-    """Rank an answer among those to other tilts and images: whether it is certain, and how well it fits."""
-    pose = pose_estimate(estimate)
+def rank_answer(estimate: Any) -> tuple[bool, bool, float]:  # noqa: ANN401
+    """Rank an answer among those to other tilts of a camera: its certainty, and how well it fits."""
+    pose, certain = pose_estimate(estimate), estimate.status is Status.OK
     refined = pose is not None and pose.refinement is not None and pose.refinement.accepted
-    settled = estimate.status is Status.OK or refined
-    return int(settled), 0.0 if pose is None else diagnostics_of(pose).ratio
+    return certain, certain or refined, 0.0 if pose is None else diagnostics_of(pose).ratio
+
+
+def rank_image(estimate: Any) -> tuple[bool, bool, float]:  # noqa: ANN401
+    """Rank the answer of an image among those of other images of a room: how sure it is."""
+    share = estimate.best.probability if estimate.best else 0.0
+    return estimate.status is Status.OK, estimate.status is not Status.LOST, share
 
 
 def pose_estimate(estimate: Any) -> PoseEstimate | None:  # noqa: ANN401
@@ -196,12 +262,13 @@ def scene_name(places: Places, hints: Hints, estimate: Any) -> str | None:  # no
     return estimate.best.scene or None
 
 
-def notes(places: Places, hints: Hints, estimate: Any) -> list[str]:  # noqa: ANN401
-    """Return which parts of a request could not be used, and why."""
+def notes(places: Places, hints: Hints, estimate: Any, frames: list[Frame]) -> list[str]:  # noqa: ANN401
+    """Return which parts of a request could not be used or are missing, and why."""
     name = hints.map or places.only
+    guessed = [LENS] * any(frame.camera.focal_error > 0.0 for frame in frames)
     if name is None or places.entry(name).kind != "scene":
-        return list(getattr(estimate, "notes", ()))
-    return hints.notes(name, places.scene(name).anchors)
+        return [*getattr(estimate, "notes", ()), *guessed]
+    return [*hints.notes(name, places.scene(name).anchors), *guessed]
 
 
 def picture(

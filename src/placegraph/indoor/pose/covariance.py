@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.core.geometry import Floats, between
+from placegraph.core.geometry import Camera, Floats, between
 from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.local_fit import (
     MERGED,
     SPREAD,
@@ -41,6 +42,26 @@ def least_certain(covariance: Floats) -> tuple[float, Floats]:
     """Return the largest standard deviation [m] of a position and its direction, a unit vector (3,)."""
     variances, axes = np.linalg.eigh(covariance[:3, :3])
     return float(np.sqrt(variances[-1])), axes[:, -1]
+
+
+_PROBES = np.stack(np.meshgrid([0.1, 0.3, 0.5, 0.7, 0.9], [0.1, 0.3, 0.5, 0.7, 0.9]), axis=-1)
+"""Image points whose distance is measured [width, height]."""
+
+
+def lens_covariance(scene: Scene, camera: Camera, matrix: Floats) -> Floats:
+    """Return the covariance (3, 3) [m^2] of the position of a map_from_camera by its `focal_error`.
+
+    A camera whose focal length is off by a share seems to stand off by that share of the distance of what
+    it sees, along its optical axis.
+    """
+    if not camera.focal_error:
+        return np.zeros((3, 3))
+    rays = camera.directions(_PROBES.reshape(-1, 2) * (camera.width, camera.height))
+    rays = rays[np.isfinite(rays).all(axis=1)] @ matrix[:3, :3].T
+    distance = scene.caster.cast(np.broadcast_to(matrix[:3, 3], rays.shape), rays).distance
+    seen = distance[np.isfinite(distance)]
+    off = camera.focal_error * (float(np.median(seen)) if len(seen) else 0.0) * matrix[:3, 2]
+    return np.outer(off, off)
 
 
 FIRM = 0.03

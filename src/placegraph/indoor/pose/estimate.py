@@ -25,7 +25,7 @@ from placegraph.indoor.pose.agreement import (
     find_image_fault,
     searched_odds,
 )
-from placegraph.indoor.pose.covariance import pose_covariance
+from placegraph.indoor.pose.covariance import lens_covariance, pose_covariance
 from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, time_stage
@@ -174,11 +174,14 @@ def weigh_by_confidence(shares: Floats, odds: Floats) -> Floats:
 
 def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> PoseMode:
     scene, matrix = window.scene, pose_matrix(fit.pose, window.levels[-1])
-    row = scene.scene_at(fit.pose[:2])
+    row, newest = scene.scene_at(fit.pose[:2]), window.observations[-1]
+    covariance = pose_covariance(fit.covariance)
+    if newest.depth is None:
+        covariance[:3, :3] += lens_covariance(scene, newest.frame.camera, matrix)
     return PoseMode(
         map_from_camera=matrix,
         pose=fit.pose,
-        covariance=pose_covariance(fit.covariance),
+        covariance=covariance,
         probability=share,
         scene=scene.scenes[row],
         scene_from_camera=scene.scene_from_map[row] @ matrix,
@@ -227,20 +230,20 @@ def judge_refined(
     covariance: Floats,
     correlation: float | None,
 ) -> PoseEstimate:
-    """Decide an estimate again at refined poses (T, 4), if the map knows the agreement of its own frames.
+    """Decide an estimate again at refined poses (T, 4).
 
     `covariance`: (6, 6) of the last refined pose. `correlation`: of held-out parts of the images with the
     map; None: not compared.
     """
     before, own = diagnostics_of(estimate), _own_agreement(window.scene, poses[-1])
-    if own is None or np.isinf(before.searched):
-        return estimate
-    agreed = agreement_at(window, poses)
-    searched = searched_odds(agreed, own, np.nan if correlation is None else correlation)
-    modes = _scale_probabilities(estimate.modes, np.inf)
+    agreed, searched, modes = agreement_at(window, poses), np.inf, estimate.modes
+    if own is not None and np.isfinite(before.searched):
+        searched = searched_odds(agreed, own, np.nan if correlation is None else correlation)
+        modes = _scale_probabilities(modes, np.inf)
     refined = (replace(modes[0], covariance=covariance), *modes[1:])
     status, reason, found = decide_pose(
         replace(before, agreement=agreed, searched=searched), refined
     )
-    modes = _scale_probabilities(modes, searched)
+    if np.isfinite(searched):
+        modes = _scale_probabilities(modes, searched)
     return replace(estimate, status=status, reason=reason, modes=modes, diagnostics=found)

@@ -23,7 +23,7 @@ from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
-from placegraph.indoor.pose.covariance import FITTED
+from placegraph.indoor.pose.covariance import FITTED, lens_covariance
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at, judge_refined
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
@@ -385,11 +385,17 @@ def _evidence(
 
 
 def _widen_by_scale(refiner: Refiner, way: FitCheck) -> FitCheck:
-    """Measure the error of depth's scale, and widen the covariance for a large one.
+    """Widen the covariance for an uncertain focal length, or else for a large error of depth's scale.
 
-    The pose may then be off along the last frame's optical axis by that share of its median depth.
+    The pose may be off along the last frame's optical axis by that share of its median depth.
     """
     read, fit = refiner.readings()[-1], way.candidate
+    if not refiner.has_depth:
+        covariance = fit.covariance.copy()
+        covariance[:3, :3] += lens_covariance(
+            refiner.scene, refiner.frames[-1].camera, fit.poses[-1]
+        )
+        return replace(way, candidate=replace(fit, covariance=covariance))
     factor = measure_scale_error(refiner, fit)
     way = replace(way, diagnostics=replace(way.diagnostics, scale_error=factor))
     depths = np.zeros(0) if read is None else read.depth[read.depth > 0]

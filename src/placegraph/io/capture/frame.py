@@ -376,16 +376,10 @@ def rotate_camera(camera: Camera, turns: int) -> Camera:
         if camera.model == "opencv" and distortion:  # a fisheye's is rotationally symmetric
             k1, k2, p1, p2, *more = distortion
             distortion = (k1, k2, -p2, p1, *more)
-        camera = Camera(
-            width=camera.height,
-            height=camera.width,
-            fx=camera.fy,
-            fy=camera.fx,
-            cx=camera.cy,
-            cy=camera.width - camera.cx,
-            distortion=distortion,
-            model=camera.model,
-        )
+        camera = replace(
+            camera, width=camera.height, height=camera.width, fx=camera.fy, fy=camera.fx,
+            cx=camera.cy, cy=camera.width - camera.cx, distortion=distortion,
+        )  # fmt: skip
     return camera
 
 
