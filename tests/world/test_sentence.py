@@ -123,4 +123,4 @@ def test_a_floor_tells_twins_of_one_house_apart(world, films):
         "I am in the hotel on the fifth floor", films["parlour"]
     )
     assert wrong.status is Status.AMBIGUOUS
-    assert "level 0 is not the stated floor" in wrong.reason
+    assert "floor 0 is not the stated one" in wrong.reason

@@ -343,7 +343,7 @@ def _describe_weakness(agreed: Agreement) -> str:
     if _labels_only(agreed):
         return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
     if np.isnan(agreed.depth):
-        return "the colours hardly correlate with the map's"
+        return "the colours hardly agree with the map"
     if agreed.depth < _DEPTH_AGREES:
         return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
     if np.isnan(agreed.colour) or agreed.colour > SPEAK:

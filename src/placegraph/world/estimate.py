@@ -103,9 +103,9 @@ class WorldMode(LazyEvidence):
 
     @property
     def where(self) -> str:
-        """In words: room, scene, building and level, or the place."""
-        level = f"level {self.level}" if self.level else ""
-        named = [p for p in (self.room, self.scene, self.building, level) if p]
+        """In words: room, building (else the scene) and floor, or the place."""
+        floor = f"floor {self.level}" if self.level else ""
+        named = [p for p in (self.room, self.building or self.scene, floor) if p]
         if not self.scene and self.latitude is not None:
             named.append(f"{self.latitude:.5f}, {self.longitude:.5f}")
         return ", ".join(named)

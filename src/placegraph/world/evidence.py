@@ -198,6 +198,12 @@ class SceneEvidence:
         """Name of its building; empty where the name is not known."""
         return self.anchors[0].anchor.building if self.anchors else ""
 
+    @property
+    def where(self) -> str:
+        """Building, else the scene, and floor."""
+        level = self.anchors[0].anchor.level if self.anchors else ""
+        return (self.building or self.name) + (f", floor {level}" if level else "")
+
 
 @dataclass(frozen=True)
 class OutdoorSearch:

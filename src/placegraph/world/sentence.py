@@ -121,7 +121,7 @@ class FloorStatement:
         weight = self.ratio(level, storeys)
         verdict = "for" if weight > 0 else "against" if weight < 0 else "silent"
         note = (
-            "" if weight > 0 else f"this is level {level}" if weight else "its level is not known"
+            "" if weight > 0 else f"this is floor {level}" if weight else "its floor is not known"
         )
         return Evidence(self.text, verdict, weight, (), note)
 

@@ -61,7 +61,8 @@ def decide_by_text(
     ):
         return Status.OK, f"{where} fits {share}."
     if of_scene >= SURE_SCENE:
-        why = f"{best.scene} fits ({of_scene:.0%}), but the text does not identify the room."
+        where = evidence.scenes[best.scene].where
+        why = f"{where} fits ({of_scene:.0%}), but the text does not identify the room."
         return Status.AMBIGUOUS, why
     rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
     others = f"; so may {'; '.join(rivals)}" if rivals else ""
@@ -72,10 +73,13 @@ def decide_by_frames(
     best: PoseEstimate, mode: WorldMode, evidence: WorldEvidence, query: WorldQuery
 ) -> tuple[Status, str]:
     """Decide on the best pose: its own status, unless other evidence contradicts it."""
+    reason = best.reason
+    for name, scene in evidence.scenes.items():
+        reason = reason.replace(f" in {name}.", f" in {scene.where}.")
     alone = best.modes[0].probability
     share = f"{mode.probability:.0%}"
     told = "" if f"{alone:.0%}" == share else f" ({share} among all maps)"
-    where = f"In {mode.where}{told}: {best.reason}"
+    where = f"In {mode.where}{told}: {reason}"
     against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
     unmet = diagnostics_of(best).unmet
     if not against or (unmet and unmet in best.reason):
@@ -92,7 +96,7 @@ def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -
     if w.inside < 0 and not any(e.verdict == "for" for e in mode.evidence if not e.objects):
         out.append("the description of the room does not fit")
     if mode.level and compare_floors(w.floors, mode.level) < MIN_FLOOR_RATIO:
-        out.append(f"level {mode.level} is not the stated floor")
+        out.append(f"floor {mode.level} is not the stated one")
     if query.near is not None and w.anchors and w.near < MIN_FIX_FIT:
         out.append("it is far from the fix")
     if query.heading is not None and mode.earth is not None:

@@ -24,6 +24,7 @@ from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_serve.locate import describe_answer, on_earth, options_in, read_answer
 from placegraph_serve.options import ServeOptions
+from placegraph_serve.photon import name_places
 from placegraph_serve.requests import (
     LEVEL,
     TILTS,
@@ -333,7 +334,8 @@ def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     name, tracker = dispatcher.trackers[request["session"]]
     if isinstance(tracker, CityTracker):
         estimate: Any = _walked(tracker, request)
-        return describe_answer(name, estimate, estimate.next_question(tracker.city))
+        answer = describe_answer(name, estimate, estimate.next_question(tracker.city))
+        return name_places(dispatcher, answer)
     estimate = tracker.update(
         _frame(dispatcher, _session_camera(request) or tracker.camera, request)
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.core.estimate import CityEstimate
 from placegraph.core.options import in_radians
 from placegraph.errors import DescriptionError, GeoPoseError, OptionError, PlacegraphError
+from placegraph_serve.photon import name_places
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -40,11 +41,11 @@ def locate(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
         raise DescriptionError(f"text: {len(text)} characters; send at most {most}.")
     name = request.get("map") or places.only
     if name is not None and places.entry(name).kind == "city":
-        return in_city(places.city(name), name, request)
+        return name_places(dispatcher, in_city(places.city(name), name, request))
     if name is not None and places.entry(name).kind == "library":
         found = places.open(name).search(text, most=request.get("top") or 5)  # type: ignore[union-attr]
         return describe_answer(name, found, None)
-    return in_world(places, name, request)
+    return name_places(dispatcher, in_world(places, name, request))
 
 
 def in_city(city: CityMap, name: str, request: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -39,6 +41,14 @@ _PLACES = {"city": "city", "town": "city", "village": "city", "suburb": "distric
 """Photon's layers of a place; all else is a house."""
 _REACH = {"city": 20_000.0, "district": 3000.0}
 """Largest distance from the point that stands for a place, to lie in it [m]."""
+CORNER = 30.0
+"""Largest distance of a corner from both of its streets [m]."""
+_LANDMARKS = frozenset(("amenity", "building", "historic", "leisure", "office", "railway", "shop",
+                        "tourism"))  # fmt: skip
+"""Keys of what is near a place; people stand in a park or on a square."""
+_GROUNDS = frozenset(("place=square", "leisure=park", "leisure=garden"))
+LEAST = 0.01
+"""Smallest probability of a place that is given an address."""
 
 
 def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
@@ -86,6 +96,17 @@ class Gazetteer:
         return ways[objects.label_values[objects.label_starts[:-1]]] & (objects.kind != POINT)
 
     @cached_property
+    def spoken(self) -> NDArray[np.bool_]:
+        """(N,) whether an object has a name that tells people where they are."""
+        labels, firsts = self.city.objects.labels, self.city.objects.label_starts[:-1]
+        known = [
+            label in _GROUNDS or label.partition("=")[0] in _LANDMARKS | {"highway"}
+            for label in labels
+        ]
+        found: NDArray[np.bool_] = np.array(known)[self.city.objects.label_values[firsts]]
+        return found & self.named
+
+    @cached_property
     def towns(self) -> dict[str, NDArray[np.int64]]:
         """Objects with a name of each layer of `_REACH`."""
         labels = {
@@ -102,11 +123,11 @@ class Gazetteer:
 
         Only objects count whose box begins within `reach` [m].
         """
-        low, high = self.city.columns.box[:, :2], self.city.columns.box[:, 2:]
-        close = ((low <= at + reach) & (high >= at - reach)).all(axis=1)
-        return {
-            row: self._measure_distance(at, row) for row in np.flatnonzero(close & mask).tolist()
-        }
+        rows = np.flatnonzero(mask)
+        west, south, east, north = self.city.columns.box[rows].T
+        close = (west <= at[0] + reach) & (east >= at[0] - reach)
+        close &= (south <= at[1] + reach) & (north >= at[1] - reach)
+        return {row: self._measure_distance(at, row) for row in rows[close].tolist()}
 
     def _measure_distance(self, at: Floats, row: int) -> float:
         objects = self.city.objects
@@ -196,11 +217,35 @@ class Gazetteer:
             street = min(away, key=away.__getitem__, default=row)
             if away.get(street, STREET) < STREET:
                 address["street"] = objects.name(street)
+        return address | {k: objects.name(r) for k, r in self.find_towns(at).items() if r != row}
+
+    def find_towns(self, at: Floats) -> dict[str, int]:
+        """Return the district and the city of a point (2,), as far as the map knows them."""
+        found = {}
         for layer, rows in self.towns.items():
-            off = np.hypot(*(objects.center[rows] - at).T)
-            if len(rows) and off.min() < _REACH[layer] and rows[off.argmin()] != row:
-                address[layer] = objects.name(int(rows[off.argmin()]))
-        return address
+            off = np.hypot(*(self.city.objects.center[rows] - at).T)
+            if len(rows) and off.min() < _REACH[layer]:
+                found[layer] = int(rows[off.argmin()])
+        return found
+
+    def name_place(self, at: Floats) -> dict[str, str]:
+        """Return `address` (ground or street, and nearest landmark) and `town` of a point (2,)."""
+        objects, away = self.city.objects, self.measure_distances(at, STREET, self.spoken)
+        if not away:  # of another city
+            return {}
+        near = sorted((row for row in away if away[row] < STREET), key=away.__getitem__)
+        streets = {objects.name(r): away[r] for r in reversed(near) if self.streets[r]}
+        names = sorted(streets, key=streets.__getitem__)
+        where = " and ".join(names[: 1 + (len(names) > 1 and streets[names[1]] < CORNER)])
+        grounds = [r for r in near if objects.label(r) in _GROUNDS and away[r] == 0.0]
+        where = objects.name(grounds[0]) if grounds else where
+        others = (objects.name(r) for r in near
+                  if objects.label(r).partition("=")[0] in _LANDMARKS
+                  and not objects.name(r)[0].isdigit())  # fmt: skip  # a house number
+        beside = next((f"near {name}" for name in others if name not in {where, *names}), "")
+        town = self.find_towns(at).get("city")
+        address = ", ".join(filter(None, (where, beside)))
+        return {"address": address} | ({} if town is None else {"town": objects.name(town)})
 
 
 def _cities(dispatcher: Dispatcher) -> Iterator[Gazetteer]:
@@ -215,6 +260,19 @@ def _cities(dispatcher: Dispatcher) -> Iterator[Gazetteer]:
         if known is None or known.city is not city:
             known = dispatcher.gazetteers[name] = Gazetteer(city)
         yield known
+
+
+def name_places(dispatcher: Dispatcher, answer: dict[str, Any]) -> dict[str, Any]:
+    """Give the likely places outdoors of an answer their `address` and `town`."""
+    modes = [
+        m for m in answer["estimate"]["modes"]
+        if m.get("latitude") is not None and not m.get("scene") and m["probability"] >= LEAST
+    ]  # fmt: skip
+    with suppress(RequestError):  # a world in shards holds no city
+        for city, mode in itertools.product(_cities(dispatcher), modes):
+            at = city.city.plane.to_plane((mode["longitude"], mode["latitude"]))
+            mode.update(city.name_place(at))
+    return answer
 
 
 def rows_of(gazetteer: Gazetteer, request: Mapping[str, Any]) -> dict[int, float]:

@@ -381,9 +381,9 @@ def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
                 "colour",
                 "for" if agreed.colour > SPEAK else "silent",
                 float(agreed.colour),
-                note="edges correlate with the map's"
+                note="edges agree with the map"
                 if agreed.colour > SPEAK
-                else "edges hardly correlate with the map's",
+                else "edges hardly agree with the map",
             )
         )
     if agreed.covered < 0.75:

@@ -157,7 +157,7 @@ PHRASES = {
     Relation.DIRECTION: "is in a direction of",
     Relation.NEAR: "is near",
     Relation.INSIDE: "is in",
-    Relation.ALONG: "is along",
+    Relation.ALONG: "is on",
     Relation.ACROSS: "is across from",
     Relation.BETWEEN: "is between",
     Relation.VISIBLE: "is in sight of",

@@ -341,7 +341,8 @@ def write_page(
     `city`: the map the estimate was made on.
     `question`: the question that would tell the modes apart, as of `CityEstimate.next_question`.
     """
-    heading = f"Where am I? {city.source.partition('.')[0].replace('_', ' ')}"
+    name = city.source.partition(".")[0].replace("_", " ")
+    heading = f"Where am I? {name[:1].upper()}{name[1:]}"
     tiles = CityTiles(city)
     data = {
         "index": tiles.index(),

@@ -248,7 +248,7 @@ def _head(sheet: Sheet, estimate: CityEstimate, width: int) -> None:
 
 def _foot(sheet: Sheet, height: int) -> None:
     x, y = 14.0, height - FOOT / 2
-    x = sheet.key_disc((x, y), "mode", "place, with its 86 % confidence ellipse")
+    x = sheet.key_disc((x, y), "mode", "place and its uncertainty")
     x = sheet.key_heat((x, y), "how probable")
     x = sheet.key_line((x, y), "for", "speaks for it")
     x = sheet.key_line((x, y), "against", "speaks against it", dashed=True)

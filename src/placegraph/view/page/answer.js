@@ -1,6 +1,6 @@
 // An answer on map and panel: which place is chosen, what is lit.
 
-import { button, clamp, el, Plane } from "./base.js";
+import { button, clamp, commonName, el, Plane } from "./base.js";
 import { beside, Heat, located, looking, paintEvidence, paintLine, posed, standing, witnesses } from "./marks.js";
 import { MapView } from "./map.js";
 
@@ -61,6 +61,7 @@ export class AnswerMap {
     this.answer = answer;
     this.lit.clear();
     const modes = answer?.estimate.modes ?? [];
+    for (const mode of modes) mode.town ??= this.stage?.town(mode);
     this.selected = move ? 0 : clamp(this.selected, 0, Math.max(0, modes.length - 1));
     this.on(this.selected, Boolean(posed(modes[this.selected])), () => { if (move) this.home(); });
   }
@@ -235,7 +236,7 @@ export class AnswerMap {
     const { tip } = this.parts;
     tip.hidden = !shape?.osm;
     if (tip.hidden) return;
-    tip.replaceChildren(el("b", {}, el("bdi", {}, shape.name)), el("span", {}, shape.label), el("small", {}, shape.thing ? "" : shape.osm));
+    tip.replaceChildren(el("b", {}, el("bdi", {}, shape.name)), el("span", {}, [...new Set((shape.label ?? "").split(" · ").map(commonName))].join(", ")));
     const left = clamp(at.x + 14, 4, Math.max(4, this.map.width - tip.offsetWidth - 4));
     const below = at.y + 18 + tip.offsetHeight < this.map.height;
     tip.style.translate = `${left}px ${below ? at.y + 18 : Math.max(4, at.y - 10 - tip.offsetHeight)}px`;
@@ -250,7 +251,7 @@ function furnish(root) {
     el("div", { class: "pins", role: "group", "aria-label": "Places on the map" }),
     el("div", { class: "tools", role: "group", "aria-label": "Map tools" }),
     el("div", { class: "scale", "aria-hidden": "true" }, el("span")),
-    el("div", { class: "legend", "aria-hidden": "true" }, sign("dot", "place, with its 86 % confidence ellipse"),
+    el("div", { class: "legend", "aria-hidden": "true" }, sign("dot", "place and its uncertainty"),
       sign("ramp", "how probable"), sign("line", "for"), sign("line against", "against")),
     el("div", { class: "credit" }, "© ", el("a", { href: "https://www.openstreetmap.org/copyright", target: "_blank", rel: "noopener noreferrer" }, "OpenStreetMap contributors")),
     el("div", { class: "tip", role: "status", hidden: true }));

@@ -56,19 +56,17 @@ export function spread([[a, b], [, d]]) {
   return Math.sqrt((a + d) / 2 + Math.hypot((a - d) / 2, b));
 }
 
-/** Words for a log-likelihood ratio [nat]: "32 times likelier". */
-export function factor(weight) {
-  const times = Math.exp(Math.min(Math.abs(weight), 20));
-  if (times < 1.05) return "as likely";
-  const size = times < 10 ? times.toFixed(1) : times < 1000 ? times.toFixed(0) : "over 1000";
-  return `${size} times ${weight > 0 ? "likelier" : "less likely"}`;
-}
+const ROADS = /^(trunk|primary|secondary|tertiary|unclassified|residential)(_link)?$/;
 
 /** Words for a label of a map: amenity=post_box is a post box, building=yes a building. */
 export function commonName(label) {
   const [key, value = ""] = label.split("=");
+  if (key === "highway" && ROADS.test(value)) return "street";
   return (["yes", "*", ""].includes(value) ? key : value).replaceAll("_", " ");
 }
+
+/** Name of a map: hafen_stadt.city is of Hafen stadt. */
+export const title = (name) => tidy(name).replaceAll("_", " ").replace(/^./u, (first) => first.toUpperCase());
 
 /** A thing's place on OpenStreetMap, or null where it has no id of theirs. */
 export function osmLink(id) {

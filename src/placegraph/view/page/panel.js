@@ -1,11 +1,13 @@
 // What an estimate says, in words and bars.
 
-import { button, commonName, el, factor, osmLink, osmPlace, spread, tidy } from "./base.js";
+import { button, commonName, el, osmLink, osmPlace, spread, tidy, title } from "./base.js";
+import { posed } from "./marks.js";
 
 const FULL_BAR = 5, FAINTEST = 0.01;
 const WINDS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
 const VERDICTS = { for: ["✓", "speaks for it"], against: ["✕", "speaks against it"] };
-const RELATIONS = { visible: "in sight of", same: "at", across: "across from", direction: "in some direction from" };
+const STRENGTHS = [[3, "strongly"], [1, "clearly"], [0, "slightly"]];
+const RELATIONS = { visible: "in sight of", same: "at", inside: "in", along: "on", across: "across from", direction: "in some direction from" };
 export const STATUS = { OK: "Found", AMBIGUOUS: "Not sure yet", LOST: "Lost" };
 
 const link = (href, ...children) =>
@@ -40,38 +42,40 @@ export function places({ estimate, ranked }, selected, select) {
     button(null, { class: "mode", "data-mode": k, "aria-pressed": String(k === selected), onclick: () => select(k) },
       el("span", { class: "number", "aria-hidden": "true" }, String(k + 1)),
       ranked ? null : share(mode.probability),
-      named(mode) ? el("bdi", { class: "named" }, named(mode)) : null,
-      el("span", { class: "where" }, measured(mode))),
-    linked(mode, k)) : null));
+      el("bdi", { class: "named" }, named(mode)),
+      el("span", { class: "where" }, precision(mode))),
+    k === selected ? coordinates(mode, k) : null) : null));
   const left = rows.filter((row) => !row).length;
   return el("section", { "aria-label": "Places" }, el("h2", {}, "Places"), el("ol", { class: "modes" }, rows),
     left ? el("p", { class: "note" }, `and ${left} more below ${100 * FAINTEST} % each`) : null);
 }
 
-/** Room, building and floor of a mode, as far as they are known. */
+/** Room, building and floor, or street and what is near; and the town, as far as they are known. */
 export function named(mode) {
-  const on = (mode.pose ?? mode).earth?.[0] ?? {}, level = mode.level || on.level;
-  const rooms = mode.room || on.room, house = mode.building || on.building;
-  return [rooms, house, level && `floor ${level}`, house && rooms ? "" : mode.scene].filter(Boolean).join(", ");
+  const on = (mode.pose ?? mode).earth?.[0] ?? {}, level = mode.level || on.level, house = mode.building || on.building;
+  const outdoors = mode.address?.includes(house) ? mode.address : house || mode.address;
+  const parts = mode.scene ? [mode.room || on.room, house || title(mode.scene), level && `floor ${level}`] : [outdoors];
+  const known = [...parts, mode.town].filter(Boolean).join(", ");
+  return known || (Number.isFinite(mode.latitude) ? `${mode.latitude.toFixed(5)}, ${mode.longitude.toFixed(5)}` : "");
 }
 
-function measured(mode) {
-  const pose = mode.pose ?? (mode.map_from_camera ? mode : null);
-  const size = (metres) => (metres < 1 ? `± ${(100 * metres).toFixed(0)} cm` : `± ${metres.toFixed(metres < 10 ? 1 : 0)} m`);
-  if (pose) {
-    const yaw = `${pose.yaw_deg.toFixed(0)}°`.replace("-", "−");
-    return `x ${pose.x.toFixed(2)}, y ${pose.y.toFixed(2)}, z ${pose.z.toFixed(2)} m · ${yaw} · ${size(spread(pose.covariance)).replaceAll(" ", "\u00a0")}`;
-  }
-  if (!Number.isFinite(mode.longitude)) return "";
-  return `${mode.latitude.toFixed(5)}, ${mode.longitude.toFixed(5)} · ± ${spread(mode.covariance).toFixed(0)} m`;
+function precision(mode) {
+  const metres = spread((posed(mode) ?? mode).covariance ?? [[NaN], [, NaN]]);
+  if (!Number.isFinite(metres)) return "";
+  return metres < 1 ? `± ${(100 * metres).toFixed(0)} cm` : `± ${metres.toFixed(metres < 10 ? 1 : 0)} m`;
 }
 
-function linked(mode, k) {
-  const spot = (mode.pose ?? mode).earth?.[0] ?? mode;
-  if (!Number.isFinite(spot.longitude)) return null;
-  return link(osmPlace(spot.latitude, spot.longitude), el("span", { "aria-hidden": "true" }, "OSM ↗"),
-    el("span", { class: "hidden" }, `Place ${k + 1} on OpenStreetMap`));
+/** Coordinates of a mode, on Earth and in its room, behind a tap. */
+function coordinates(mode, k) {
+  const pose = posed(mode), { longitude, latitude } = (mode.pose ?? mode).earth?.[0] ?? mode, known = Number.isFinite(longitude);
+  const inside = pose && `x ${pose.x.toFixed(2)}, y ${pose.y.toFixed(2)}, z ${pose.z.toFixed(2)} m, ${pose.yaw_deg.toFixed(0)}°`.replaceAll("-", "−");
+  if (!known && !pose) return null;
+  return el("details", { class: "coordinates" }, el("summary", {}, "Coordinates"),
+    known ? el("p", {}, `${latitude.toFixed(5)}, ${longitude.toFixed(5)} `, onMap(osmPlace(latitude, longitude), `Place ${k + 1}`)) : null,
+    pose ? el("p", {}, inside) : null);
 }
+
+const onMap = (href, name) => link(href, el("span", { "aria-hidden": "true" }, "OSM ↗"), el("span", { class: "hidden" }, `${name} on OpenStreetMap`));
 
 export function share(probability) {
   const percent = probability >= 0.01 ? (100 * probability).toFixed(0) : "<1";
@@ -87,12 +91,13 @@ export function evidence(mode, k, { light, go, linked = true }) {
   const rows = mode.evidence.map((e) => {
     const [mark, words] = VERDICTS[e.verdict] ?? ["–", "says nothing about it"];
     const agrees = e.verdict !== "against" || e.weight <= 0; // a rare object may speak for a place and lie the other way
-    const title = agrees ? `${words}: ${factor(e.weight)} than anywhere` : words, ids = e.objects.map((object) => object.id);
+    const [, strength] = STRENGTHS.find(([least]) => Math.abs(e.weight) >= least);
+    const hint = agrees && VERDICTS[e.verdict] ? words.replace(" ", ` ${strength} `) : words, ids = e.objects.map((object) => object.id);
     const touch = ids.length ? { onpointerenter: () => light(ids), onpointerleave: () => light([]) } : {};
     return el("li", { class: VERDICTS[e.verdict] ? e.verdict : "silent", "data-ids": ids.join(" "), ...touch },
       el("span", { class: "verdict", role: "img", "aria-label": words }, mark),
       el("span", { class: "statement" }, e.statement),
-      el("span", { class: "weight", role: "img", "aria-label": title, title },
+      el("span", { class: "weight", role: "img", "aria-label": hint, title: hint },
         el("i", { style: { [e.weight >= 0 ? "left" : "right"]: "50%", width: `${agrees ? 50 * Math.min(1, Math.abs(e.weight) / FULL_BAR) : 0}%` } })),
       e.note ? el("p", { class: "note" }, e.note) : null,
       ids.length ? el("ul", {}, e.objects.map((object) => thing(object, { light, go, linked }))) : null);
@@ -103,11 +108,11 @@ export function evidence(mode, k, { light, go, linked = true }) {
 }
 
 function thing(object, { light, go, linked }) {
-  const name = object.name || commonName(object.label ?? "");
+  const kind = commonName(object.label ?? ""), name = object.name || kind;
   return el("li", {},
     button(null, { class: "object", onclick: () => { light([object.id]); go(object); }, onfocus: () => light([object.id]), onblur: () => light([]) },
-      el("bdi", {}, name), " ", el("small", {}, object.label)),
-    linked ? link(osmLink(object.id), el("span", { class: "hidden" }, "OpenStreetMap: "), object.id) : null);
+      el("bdi", {}, name), " ", el("small", {}, name.includes(kind) ? "" : kind)),
+    linked ? onMap(osmLink(object.id), name) : null);
 }
 
 /** How the text was read, and what was left. */
@@ -129,7 +134,7 @@ export function understanding(understood, open = false) {
 
 function mention({ words, name, senses }) {
   const shown = senses.slice(0, 6).map((sense) => el("span", { class: "sense" },
-    sense.label, sense.weight < 0.995 ? ` ${(100 * sense.weight).toFixed(0)} %` : ""));
+    commonName(sense.label), sense.weight < 0.995 ? ` ${(100 * sense.weight).toFixed(0)} %` : ""));
   return el("li", {}, el("q", {}, words), " ", name ? el("span", { class: "sense name" }, name) : null, shown,
     senses.length > 6 ? el("small", {}, `and ${senses.length - 6} more`) : null,
     name || senses.length ? null : el("small", {}, "unknown"));

@@ -7,7 +7,7 @@ import { Stage } from "./stage.js";
 import { You } from "./you.js";
 import { Walk } from "./walk.js";
 import { AnswerMap } from "./parts/answer.js";
-import { button, el } from "./parts/base.js";
+import { button, el, title } from "./parts/base.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -59,7 +59,7 @@ class App {
   async read() {
     const hash = new URLSearchParams(location.hash.slice(1)), { cities } = this.stage, select = $("city");
     const everywhere = this.maps.length > 1 ? [el("option", { value: "" }, "Everywhere")] : [];
-    select.replaceChildren(...everywhere, ...this.maps.filter(({ kind }) => kind === "city").map(({ name }) => el("option", { value: name }, name)));
+    select.replaceChildren(...everywhere, ...this.maps.filter(({ kind }) => kind === "city").map(({ name }) => el("option", { value: name }, title(name))));
     select.closest("label").hidden = select.options.length < 2;
     this.tabs.inside.use(this.maps.filter(({ kind }) => kind !== "city"), hash.get("scene"));
     $("tab-inside").hidden = !this.tabs.inside.scenes.length;
@@ -86,8 +86,8 @@ class App {
   }
 
   source() {
-    const { index } = this.stage, all = this.maps.length > 1 ? ` One of ${this.maps.length} maps.` : "";
-    $("source").textContent = index ? `${index.source}: ${index.objects.toLocaleString("en")} objects.${all}` : "";
+    const { index, cityName } = this.stage, all = this.maps.length > 1 ? `, one of ${this.maps.length} maps` : "";
+    $("source").textContent = index ? `Map of ${title(cityName)}: ${index.objects.toLocaleString("en")} objects${all}.` : "";
   }
 
   /** A building was entered: images that are taken now are of it. */

@@ -2,7 +2,7 @@
 
 import { call } from "./api.js";
 import { chipRow } from "./you.js";
-import { button, el } from "./parts/base.js";
+import { button, el, title } from "./parts/base.js";
 import { evidence, places, verdict } from "./parts/panel.js";
 
 const CAPTIONS = { overlay: "Map drawn over your image", animation: "Particles during the search" };
@@ -105,12 +105,12 @@ export class Inside {
   }
 
   list() {
-    const stands = ([anchor]) => [anchor.building, anchor.level && `floor ${anchor.level}`].filter(Boolean).join(", ") || "on the map";
+    const stands = ([anchor]) => [anchor.level && `floor ${anchor.level}`, this.app.stage.town(anchor)].filter(Boolean).join(", ");
     const facts = ({ kind, objects, anchors = [] }) => (anchors.length ? stands(anchors)
       : `${objects.toLocaleString("en")} ${kind === "library" ? "scenes" : "objects"}`);
     return el("section", { "aria-label": "Rooms" }, el("h2", {}, "Where"), el("div", { class: "scenes" },
       this.scenes.map((scene) => button(null, { "aria-pressed": String(scene === this.chosen), onclick: () => this.choose(scene) },
-        el("bdi", {}, scene.name || "Anywhere"), el("small", {}, el("bdi", {}, scene === ANYWHERE ? "all maps of rooms" : facts(scene)))))));
+        el("bdi", {}, scene.anchors?.[0]?.building || title(scene.name) || "Anywhere"), el("small", {}, el("bdi", {}, scene === ANYWHERE ? "all maps of rooms" : facts(scene)))))));
   }
 
   drop() {

@@ -1,7 +1,7 @@
 // Plans of rooms on the map: each laid over its building where it stands on Earth, floor by floor.
 
 import { mapPath } from "./api.js";
-import { clamp, tidy } from "./parts/base.js";
+import { clamp, tidy, title } from "./parts/base.js";
 import { covering, Taken, widthOf, write } from "./parts/letters.js";
 
 export const OPEN = 3; // plans are drawn from this scale on [px/m], and filled with names from the next
@@ -14,7 +14,7 @@ export const middle = ([w, s, e, n]) => [(w + e) / 2, (s + n) / 2];
 export class Plan {
   constructor(map, anchor) {
     Object.assign(this, { map, part: anchor?.scene ?? "", anchor, heading: 0, origin: [0, 0], index: null, image: null });
-    this.title = tidy(anchor?.building || map);
+    this.title = tidy(anchor?.building || title(map));
     this.level = tidy(anchor?.level ?? "");
     this.house = anchor ? anchor.osm || anchor.building || map : map;
   }

@@ -1,7 +1,7 @@
 // What lies on the map: a city with the plans of its buildings, or a scene that stands nowhere on Earth.
 
 import { call, mapPath, picture } from "./api.js";
-import { button, clamp, el } from "./parts/base.js";
+import { button, clamp, el, title } from "./parts/base.js";
 import { middle, OPEN, Plan } from "./rooms.js";
 
 const CLOSEST = 90, ENTERED = 0.35, DOORS = 0.35, NAMED = 1;
@@ -115,6 +115,12 @@ export class Stage {
     const city = anchors?.length && this.cityOf(anchors[0]);
     await (city ? this.city(city.name) : this.alone(name));
     return this.planOf(name);
+  }
+
+  /** The town of a mode, where there are several. */
+  town(mode) {
+    const city = this.cities.length > 1 && this.cityOf((mode.pose ?? mode).earth?.[0] ?? mode);
+    return city ? title(city.name) : undefined;
   }
 
   /** The city that a place lies in. */
@@ -240,12 +246,12 @@ export class Stage {
     bar.hidden = !inside;
     if (!inside) return;
     const floors = this.floors(this.plans.filter(({ house }) => house === inside.house));
-    const named = (plan) => (plan.level ? `Floor ${plan.level}` : plan.map);
+    const named = (plan) => (plan.level ? `Floor ${plan.level}` : title(plan.map));
     const twice = (plan) => floors.filter((other) => named(other) === named(plan)).length > 1;
     bar.replaceChildren(button(null, { class: "out", title: "Back to the city", onclick: () => this.leave() }, "← City"),
       el("b", {}, el("bdi", {}, inside.title)), ...floors.map((plan) =>
         button(null, { "aria-pressed": String(plan === inside), onclick: () => this.enter(plan) },
-          el("bdi", {}, twice(plan) ? `${named(plan)} (${plan.map})` : named(plan)))));
+          el("bdi", {}, twice(plan) ? `${named(plan)} (${title(plan.map)})` : named(plan)))));
   }
 }
 
