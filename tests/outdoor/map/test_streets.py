@@ -10,7 +10,7 @@ from placegraph.core.estimate import Status
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.locate import find_evidence
 from placegraph.outdoor.search.request import parse
-from placegraph.outdoor.search.status import AT_A_PLACE, find_uncertainty
+from placegraph.outdoor.search.status import AT_A_PLACE, Diagnostics, find_uncertainty
 from placegraph.view import write_page
 
 MAIN, BROADWAY, OAK, TENTH, ELEVENTH = (
@@ -146,19 +146,21 @@ def test_the_reason_counts_places_that_are_not_listed(city):
 
 
 @pytest.mark.parametrize(
-    ("width", "text", "reason"),
+    ("width", "near", "text", "reason"),
     [
-        (60.0, "I'm in Elm Park.", ""),
-        (60.0, "I'm in Elm Park. Quill and Page is north of me.", "“Quill and Page” does not fit"),
+        (60.0, 1.0, "I'm in Elm Park.", ""),
+        (60.0, 1.0, "I'm in Elm Park. Quill and Page is north of me.", "“Quill and Page” does not fit"),
+        (60.0, 1.0, "I'm in Elm Park. The Xyzal bookshop is here.", "“Xyzal” does not fit"),
+        (60.0, 1.0, "I'm in Elm Park. There is no park.", ""),
+        (60.0, 0.98, "I'm in Elm Park. There is no park.", "Only 1 of 2 statements fit"),
         (
-            60.0,
-            "I'm in Elm Park. There is no park. There is a silo and a quay.",
+            60.0, 1.0, "I'm in Elm Park. There is no park. There is a silo and a quay.",
             "Only 1 of 4 statements fit the best place, so it cannot be sure.",
         ),
-        (900.0, "I'm in Elm Park.", "“Elm Park” is more than .* m wide; say where in it."),
+        (900.0, 1.0, "I'm in Elm Park.", "“Elm Park” is more than .* m wide; say where in it."),
     ],
-)
-def test_unique_names_that_forbid_ok(build_world, width, text, reason):
+)  # fmt: skip
+def test_findings_that_forbid_ok(build_world, width, near, text, reason):
     park, shop = (
         {"leisure": "park", "name": "Elm Park"},
         {"shop": "books", "name": "Quill and Page"},
@@ -169,7 +171,8 @@ def test_unique_names_that_forbid_ok(build_world, width, text, reason):
     query = compile_query(parse(city, text), city)
     at = city.plane.to_plane((best.longitude, best.latitude))
     best = replace(best, explain=partial(find_evidence, at, city, query))
-    assert re.match(reason or "$", find_uncertainty(best, query, city, AT_A_PLACE))
+    found = Diagnostics(best=1.0, near_best=near, claim=AT_A_PLACE)
+    assert re.match(reason or "$", find_uncertainty(best, query, city, found))
 
 
 @pytest.mark.parametrize(("width", "radius"), [(60.0, 250.0), (900.0, 900.0)])

@@ -77,18 +77,16 @@ def test_each_finding_decides(findings, status, reason):
 @given(st.floats(0.0, 1.0), st.sampled_from([IN_SIGHT, AT_A_PLACE]), st.booleans())
 def test_calibration_takes_and_never_gives(share, claim, unknown):
     for trust in (claim.of_radius, claim.of_place):
-        assert 0.0 <= trust.apply(share, unknown_name=unknown) <= share
-        assert trust.apply(share, unknown_name=True) <= trust.apply(share, unknown_name=False)
-        assert trust.apply(0.5 * share, unknown_name=unknown) <= trust.apply(
-            share, unknown_name=unknown
-        )
+        assert 0.0 <= trust.apply(share, doubtful=unknown) <= share
+        assert trust.apply(share, doubtful=True) <= trust.apply(share, doubtful=False)
+        assert trust.apply(0.5 * share, doubtful=unknown) <= trust.apply(share, doubtful=unknown)
 
 
 def test_what_is_not_believed_lies_elsewhere():
     found = make_posterior((0, 0.7), (FAR, 0.2), elsewhere=0.1)
     peaks = find_modes(found, 5, SPACING)
     posterior, shrunk = shrink(found, peaks, diagnose(found, peaks, AT_A_PLACE, None))
-    assert shrunk[0].probability == AT_A_PLACE.of_place.apply(0.7, unknown_name=False) < 0.7
+    assert shrunk[0].probability == AT_A_PLACE.of_place.apply(0.7, doubtful=False) < 0.7
     assert shrunk[1].probability / shrunk[0].probability == pytest.approx(2 / 7)
     assert posterior.probabilities.sum() + posterior.elsewhere == pytest.approx(1.0)
     nothing = make_posterior(elsewhere=1.0)

@@ -127,8 +127,8 @@ def decide_estimate(
         )
     best = places[0] if places else None
     contradiction = find_contradiction(best, query)
-    probable, claim = diagnostics.is_probable, diagnostics.claim
-    uncertainty = find_uncertainty(best, query, city, claim) if probable else ""
+    probable = diagnostics.is_probable
+    uncertainty = find_uncertainty(best, query, city, diagnostics) if probable else ""
     status, reason = decide(
         replace(diagnostics, contradiction=contradiction, uncertainty=uncertainty)
     )
@@ -138,7 +138,13 @@ def decide_estimate(
     support = np.column_stack([lonlat, posterior.probabilities[heaviest]])
     reason = translate(reason, understood.language if understood else "en")
     return CityEstimate(
-        status, tuple(places), reason, understood, support, radius=claim.radius, map=city
+        status,
+        tuple(places),
+        reason,
+        understood,
+        support,
+        radius=diagnostics.claim.radius,
+        map=city,
     )
 
 

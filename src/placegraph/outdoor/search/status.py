@@ -35,8 +35,8 @@ MIN_CONFIDENCE = 0.85
 """Smallest calibrated probability of the claim of an `OK` estimate."""
 MAX_SHARE = 1.0 - 1e-4
 """Largest share of a posterior that is calibrated."""
-UNKNOWN_NAME = -2.0
-"""Change of the log odds where the text names something that the map should know and does not."""
+DOUBT = -2.0
+"""Change of the log odds where the map should know a name and does not, or much of a text does not fit."""
 SERIOUS = 0.1
 """Share of the best place's probability from which another place counts."""
 TELLING = 1.0
@@ -61,12 +61,12 @@ class Calibration:
     level: float
     slope: float
 
-    def apply(self, share: float, *, unknown_name: bool) -> float:
+    def apply(self, share: float, *, doubtful: bool) -> float:
         """Calibrate a share of the posterior; the result is at most the share itself."""
         share = min(share, MAX_SHARE)
         if share <= 0.0:
             return 0.0
-        odds = self.level + self.slope * np.log(share / (1.0 - share)) + UNKNOWN_NAME * unknown_name
+        odds = self.level + self.slope * np.log(share / (1.0 - share)) + DOUBT * doubtful
         return float(min(share, 1.0 / (1.0 + np.exp(-odds))))
 
 
@@ -128,7 +128,7 @@ class Diagnostics:
         """Whether the best place is as probable as an `OK` estimate claims."""
         if self.best is None or self.best < self.claim.min_best or self.unknown_names:
             return False
-        return self.claim.of_radius.apply(self.near_best, unknown_name=False) >= MIN_CONFIDENCE
+        return self.claim.of_radius.apply(self.near_best, doubtful=False) >= MIN_CONFIDENCE
 
 
 def decide(diagnostics: Diagnostics) -> tuple[Status, str]:
@@ -156,12 +156,12 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
             "No place on the map is within sight of all objects of any statement.",
         )
     names, claim = diagnostics.unknown_names, diagnostics.claim
-    sure = claim.of_radius.apply(diagnostics.near_best, unknown_name=bool(names))
+    sure = claim.of_radius.apply(diagnostics.near_best, doubtful=bool(names))
     if diagnostics.is_probable:
         if diagnostics.cell_matcher or diagnostics.uncertainty:
             return Status.AMBIGUOUS, diagnostics.uncertainty or ranked
         return Status.OK, _confirm(sure, claim.radius, diagnostics.others)
-    best = claim.of_place.apply(diagnostics.best, unknown_name=bool(names))
+    best = claim.of_place.apply(diagnostics.best, doubtful=bool(names))
     if names:
         are = "are" if len(names) > 1 else "is"
         why = f"{_quote(names)} {are} not on this map, so the place cannot be sure."
@@ -243,7 +243,7 @@ def shrink(
     if best is None or best <= 0.0:
         return posterior, modes
     unknown = bool(diagnostics.unknown_names)
-    factor = diagnostics.claim.of_place.apply(best, unknown_name=unknown) / best
+    factor = diagnostics.claim.of_place.apply(best, doubtful=unknown) / best
     shares = factor * posterior.probabilities
     lost = float(posterior.probabilities.sum() - shares.sum())
     return (
@@ -342,19 +342,26 @@ def find_contradiction(best: Place | None, query: Query | None) -> str:
     return query.description.conflicts[0] if 2 * len(opposed) > len(query.used) else ""
 
 
-def find_uncertainty(best: Place | None, query: Query | None, city: City, claim: Claim) -> str:
+def find_uncertainty(
+    best: Place | None, query: Query | None, city: City, diagnostics: Diagnostics
+) -> str:
     """Return why the best place cannot be sure; empty where nothing speaks against it.
 
-    A unique name that does not fit the place forbids certainty, and so do more statements that do not
-    fit, or are about what the map lacks, than statements that do. A named area tells no more than its
-    extent, unless the claim is as wide or another unique name tells where in it.
+    A unique name that does not fit the place forbids certainty, and so does an unknown name where
+    nothing of its kind fits. So do more statements that do not fit, or are about what the map lacks,
+    than statements that do. One in three that does not fit makes a probability doubtful (`DOUBT`).
+    A named area tells no more than its extent, unless the claim is as wide or another unique name
+    tells where in it.
     """
     if best is None or query is None:
         return ""
     fits = sum(e.verdict == "for" for e in best.evidence)
-    fails = sum(e.verdict == "against" or e.note.endswith(NOT_MAPPED) for e in best.evidence)
-    if fails > fits:
-        return f"Only {fits} of {fits + fails} statements fit the best place, so it cannot be sure."
+    fails = sum(e.verdict == "against" for e in best.evidence)
+    told = fits + fails + sum(e.note.endswith(NOT_MAPPED) for e in best.evidence)
+    claim = diagnostics.claim
+    sure = claim.of_radius.apply(diagnostics.near_best, doubtful=2 * fails >= max(fits, 1))
+    if told > 2 * fits or sure < MIN_CONFIDENCE:
+        return f"Only {fits} of {told} statements fit the best place, so it cannot be sure."
     mentions, here = query.description.mentions, find_speaker_nodes(query.used)
     position = city.plane.to_plane((best.longitude, best.latitude))
     wide: dict[int, float] = {}
@@ -363,8 +370,11 @@ def find_uncertainty(best: Place | None, query: Query | None, city: City, claim:
         if s.negated or s.far:
             continue
         unique = query.unique.intersection(ends(s))
-        if unique and evidence.verdict == "against" and not here.isdisjoint(ends(s)):
-            name = mentions[min(unique)].name
+        failing = unique if evidence.verdict == "against" else frozenset[int]()
+        if evidence.verdict != "for":
+            failing |= query.by_kind.intersection(ends(s))
+        if failing and not here.isdisjoint(ends(s)):
+            name = mentions[min(failing)].name
             return f"“{name}” does not fit the best place, so the place cannot be sure."
         extents = {
             node: query.find_extent(node, position, city)
