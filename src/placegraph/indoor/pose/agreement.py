@@ -297,8 +297,7 @@ _UNEVEN = 0.2, 0.1
 """Deviation of a map's own agreement, as a share of its mean, of maps that do not repeat themselves and
 of those that do: light and viewpoints change."""
 _SEARCHED = 1.0
-"""Log odds of a pose against all places that were not searched; by images of a map that repeats itself
-alone: 0."""
+"""Log odds of a pose against all places that were not searched; 0 in a map that repeats itself."""
 _COLOURS = np.array([[1.5, 0.5, 0.0], [1.5, 0.5, 1.0]])
 """Weights of textures, tones and correlation of images, of both kinds of maps: of any two images of a
 room tones agree."""
@@ -326,7 +325,7 @@ def searched_odds(agreed: Agreement, own: Floats | None, correlation: float = np
         return np.inf
     gains = np.log(np.maximum(means / (deviations * np.sqrt(2.0 * np.pi)), 1.0)) - 0.5 * short**2
     odds = float(_COLOURS[repeating][known[1:]] @ gains[1:][known[1:]]) - log_odds(repeats, 0.0)
-    odds += _SEARCHED if known[0] or not repeating else 0.0
+    odds += 0.0 if repeating else _SEARCHED
     return odds - 0.5 * repeats * float(short[0] ** 2) if known[0] else odds
 
 
