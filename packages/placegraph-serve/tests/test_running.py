@@ -86,6 +86,50 @@ def test_a_websocket_may_be_silent_for_longer_than_a_head(small):
         assert json.loads(live.recv(timeout=30))["id"] == 7
 
 
+class CountedSocket(socket.socket):
+    received = 0
+
+    def recv(self, *args):
+        data = super().recv(*args)
+        self.received += len(data)
+        return data
+
+
+def merged(before, changes):
+    if not isinstance(changes, dict):
+        return changes
+    before = before if isinstance(before, dict) else {}
+    return before | {key: merged(before.get(key), value) for key, value in changes.items()}
+
+
+@pytest.mark.parametrize("scope", ["hafenstadt", None])
+def test_a_sentence_typed_key_by_key_costs_below_150_kb(running, scope):
+    """Bytes on the wire, of a town and of all maps; the changes add up to the answer of /v1/locate."""
+    from websockets.sync.client import connect
+
+    wire, answer, asked = CountedSocket(), {}, {"map": scope, "changes": True}
+    wire.connect(("127.0.0.1", running.port))
+    with connect(f"ws://127.0.0.1:{running.port}/v1/live", sock=wire) as live:
+        for end in range(1, len(SENTENCE) + 1):
+            live.send(json.dumps(asked | {"id": end, "text": SENTENCE[:end]}))
+            told = json.loads(live.recv(timeout=60))
+            assert told["id"] == end
+            answer = merged(answer, told["changes"])
+        assert wire.received < 150_000
+        live.send(json.dumps({"text": SENTENCE, "map": scope}))
+        whole = json.loads(live.recv(timeout=60))["result"]
+    for told in (answer, whole):
+        assert told.pop("seconds") > 0
+    assert {key: value for key, value in answer.items() if value is not None} == {
+        key: value for key, value in whole.items() if value is not None
+    }
+    posted = {"text": SENTENCE, "map": scope}
+    plain = httpx.post(f"{running.url}/v1/locate", json=posted, timeout=60).json()
+    assert whole["estimate"] == plain["estimate"]
+    assert plain["geojson"]["features"]
+    assert "geojson" not in whole
+
+
 @pytest.mark.parametrize(
     ("length", "body", "status", "code"),
     [

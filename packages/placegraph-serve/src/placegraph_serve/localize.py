@@ -335,6 +335,7 @@ def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     if isinstance(tracker, CityTracker):
         estimate: Any = _walked(tracker, request)
         answer = describe_answer(name, estimate, estimate.next_question(tracker.city))
+        answer["geojson"] = on_earth(estimate.geojson)
         return name_places(dispatcher, answer)
     estimate = tracker.update(
         _frame(dispatcher, _session_camera(request) or tracker.camera, request)

@@ -12,10 +12,9 @@ from placegraph.errors import DescriptionError, GeoPoseError, OptionError, Place
 from placegraph_serve.photon import name_places
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.world.estimate import WorldEstimate
-    from placegraph_serve.places import Dispatcher, Places
+    from placegraph_serve.places import Dispatcher
 
 
 def warm(dispatcher: Dispatcher, _request: None) -> dict[str, Any]:
@@ -35,32 +34,37 @@ def warm(dispatcher: Dispatcher, _request: None) -> dict[str, Any]:
 
 def locate(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """Locate a sentence; `request` has the fields of `requests.Locate`."""
+    name, estimate, question = find(dispatcher, request)
+    answer = describe_answer(name, estimate, question) | {"geojson": on_earth(estimate.geojson)}
+    return name_places(dispatcher, answer)
+
+
+def live(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
+    """Locate a sentence while it is typed: as `locate`, without GeoJSON, and with a coarser posterior."""
+    answer = name_places(dispatcher, describe_answer(*find(dispatcher, request)))
+    if "support" in answer:
+        answer["support"] = [
+            [round(x, 5), round(y, 5), float(f"{p:.2g}")] for x, y, p in answer["support"]
+        ]
+    return answer
+
+
+def find(
+    dispatcher: Dispatcher, request: dict[str, Any]
+) -> tuple[str | None, Any, Question | None]:
+    """Return the name of the map that was asked (None: all), the estimate, and the question to ask back."""
     text = request["text"]
     most, places = dispatcher.options.text, dispatcher.places
     if len(text) > most:
         raise DescriptionError(f"text: {len(text)} characters; send at most {most}.")
     name = request.get("map") or places.only
-    if name is not None and places.entry(name).kind == "city":
-        return name_places(dispatcher, in_city(places.city(name), name, request))
-    if name is not None and places.entry(name).kind == "library":
-        found = places.open(name).search(text, most=request.get("top") or 5)  # type: ignore[union-attr]
-        return describe_answer(name, found, None)
-    return name_places(dispatcher, in_world(places, name, request))
-
-
-def in_city(city: CityMap, name: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Locate a sentence in a city, and return the question to ask back."""
-    estimate: CityEstimate = city.locate(
-        request["text"], answers=answers_in(request), **options_in(request)
-    )
-    return describe_answer(name, estimate, estimate.next_question(city))
-
-
-def in_world(places: Places, name: str | None, request: dict[str, Any]) -> dict[str, Any]:
-    """Locate a sentence in all maps, or in one scene alone."""
-    world = places.world(name)
-    estimate = world.locate(request["text"], answers=answers_in(request), **options_in(request))
-    return describe_answer(name, estimate, estimate.next_question(world))
+    kind = "world" if name is None else places.entry(name).kind
+    if kind == "library" and name is not None:
+        found_in: Any = places.open(name)
+        return name, found_in.search(text, most=request.get("top") or 5), None
+    asked: Any = places.city(name) if kind == "city" and name is not None else places.world(name)
+    estimate = asked.locate(text, answers=answers_in(request), **options_in(request))
+    return name, estimate, estimate.next_question(asked)
 
 
 def options_in(request: dict[str, Any]) -> dict[str, Any]:
@@ -71,7 +75,6 @@ def options_in(request: dict[str, Any]) -> dict[str, Any]:
 
 def describe_answer(name: str | None, estimate: Any, question: Question | None) -> dict[str, Any]:  # noqa: ANN401
     """The body of an answer."""
-    from placegraph.core.estimate import CityEstimate
     from placegraph.view.city.page import page_estimate as as_drawn
     from placegraph.world.estimate import WorldEstimate
 
@@ -81,7 +84,6 @@ def describe_answer(name: str | None, estimate: Any, question: Question | None) 
         **(as_drawn(estimate) if of_city else {"estimate": estimate.to_dict()}),
         **({"support": support_points(estimate)} if isinstance(estimate, WorldEstimate) else {}),
         "question": None if question is None else describe_question(question),
-        "geojson": on_earth(estimate.geojson),
     }
 
 

@@ -188,6 +188,7 @@ class Live(Locate):
     """The same while one types; `id` comes back with the answer."""
 
     id: int | str = 0
+    changes: bool = Field(False, description="Send only what differs from the answer before.")
 
 
 Layer = Literal[

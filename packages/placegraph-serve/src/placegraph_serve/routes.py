@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
+import orjson
 from fastapi import FastAPI, Query, Request, Response, WebSocket
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.concurrency import run_in_threadpool
@@ -134,7 +135,10 @@ def _add_questions(app: FastAPI, server: Server) -> None:
 
     @app.websocket("/v1/live")
     async def while_typing(socket: WebSocket) -> None:
-        """The posterior while one types: messages as bodies of /v1/locate, each with an `id`."""
+        """The posterior while one types: messages as bodies of /v1/locate, each with an `id`.
+
+        With `changes` an answer has `changes` in place of `result`: a JSON merge patch of the answer before.
+        """
         await live(socket, server.sentences)
 
 
@@ -242,12 +246,13 @@ async def live(socket: WebSocket, queue: WorkerQueue) -> None:
     """Answer what is typed until the socket is closed."""
     await socket.accept()
     running: asyncio.Task[None] | None = None
+    before: dict[str, Any] = {}
     try:
         while True:
             text = await socket.receive_text()
             if running is not None:
                 running.cancel()
-            running = asyncio.create_task(_answer(socket, queue, text))
+            running = asyncio.create_task(_answer(socket, queue, text, before))
     except WebSocketDisconnect:
         pass
     except KeyError:  # bytes, which have no text
@@ -257,18 +262,38 @@ async def live(socket: WebSocket, queue: WorkerQueue) -> None:
             running.cancel()
 
 
-async def _answer(socket: WebSocket, queue: WorkerQueue, text: str) -> None:
+async def _answer(socket: WebSocket, queue: WorkerQueue, text: str, before: dict[str, Any]) -> None:
+    """Answer one text; `before`: the answer that was sent last with `changes`, which is replaced."""
     number: int | str | None = None
     try:
         message = _read_message(text)
         number = message.id
-        body, trouble = await queue.ask("locate", message.model_dump(exclude={"id"}))
+        body, trouble = await queue.ask("live", message.model_dump(exclude={"id", "changes"}))
     except PlacegraphError as error:
         body, trouble = None, problem(error)
     head = json.dumps(number)
     reply = f'"result":{body.decode()}' if body else f'"problem":{to_json(trouble).decode()}'
-    if socket.client_state is WebSocketState.CONNECTED:
-        await socket.send_text(f'{{"id":{head},{reply}}}')
+    if body and message.changes:
+        now = orjson.loads(body)
+        reply = f'"changes":{to_json(find_changes(before, now)).decode()}'
+        before.clear()
+        before.update(now)
+    if (
+        socket.client_state is WebSocketState.CONNECTED
+    ):  # whole, or the next changes are of another answer
+        await asyncio.shield(socket.send_text(f'{{"id":{head},{reply}}}'))
+
+
+def find_changes(before: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON merge patch (RFC 7396) that makes one object of another."""
+    changed = {
+        key: find_changes(old, new)
+        if isinstance(old := before.get(key), dict) and isinstance(new, dict)
+        else new
+        for key, new in now.items()
+        if key not in before or before[key] != new
+    }
+    return changed | {key: None for key in before if key not in now}
 
 
 def _read_message(text: str) -> Live:

@@ -33,6 +33,7 @@ VERBS = {
     "look": "localize:warm",
     "plan": "localize:plan",
     "locate": "locate:locate",
+    "live": "locate:live",
     "search": "photon:search",
     "reverse": "photon:reverse",
     "localize": "localize:localize",

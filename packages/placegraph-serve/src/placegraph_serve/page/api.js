@@ -43,15 +43,23 @@ export async function picture(path) {
 
 export const mapPath = (name, rest) => `v1/maps/${encodeURIComponent(name)}/${rest}`;
 
+/** An answer with the changes (a JSON merge patch) that the server sends; the answer before stays as it was. */
+function merge(before, changes) {
+  if (changes === null || typeof changes !== "object" || Array.isArray(changes)) return changes;
+  const now = before !== null && typeof before === "object" && !Array.isArray(before) ? { ...before } : {};
+  for (const [key, value] of Object.entries(changes)) now[key] = merge(now[key], value);
+  return now;
+}
+
 /** The posterior while one types: the newest question cancels the ones before. */
 export class Live {
   constructor(answered, failed) {
-    Object.assign(this, { answered, failed, id: 0, socket: null, dead: 0, pause: 0 });
+    Object.assign(this, { answered, failed, id: 0, socket: null, dead: 0, pause: 0, last: {} });
   }
 
   ask(question) {
     this.id += 1;
-    this.newest = { id: this.id, ...question };
+    this.newest = { id: this.id, changes: true, ...question };
     if (this.dead > 2) { this.post(220); return; }
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(this.newest));
     else this.connect();
@@ -66,12 +74,14 @@ export class Live {
     url.hash = "";
     url.search = key ? `?key=${encodeURIComponent(key)}` : "";
     const socket = this.socket = new WebSocket(url);
+    this.last = {};
     socket.onopen = () => { this.dead = 0; if (this.newest) socket.send(JSON.stringify(this.newest)); };
     socket.onmessage = ({ data }) => {
-      const { id, result, problem } = JSON.parse(data);
+      const { id, changes, problem } = JSON.parse(data);
+      if (changes) this.last = merge(this.last, changes);
       if (id !== this.id || !this.newest) return;
       this.newest = null;
-      if (result) this.answered(result);
+      if (changes) this.answered(this.last);
       else this.failed(new Problem(problem));
     };
     socket.onclose = () => {
@@ -83,7 +93,7 @@ export class Live {
   post(wait) {
     clearTimeout(this.pause);
     this.request?.abort();
-    const { id, ...question } = this.newest;
+    const { id, changes, ...question } = this.newest;
     this.pause = setTimeout(async () => {
       this.request = new AbortController();
       try {
