@@ -104,7 +104,7 @@ class LocalQueue:
 def serving(*paths, processes=(), **options):
     """Client of an application; a thread works in place of kinds of processes that are not named."""
     # Starlette calls itself testserver
-    options = ServeOptions(names=("testserver",), sentence_workers=1, **options)
+    options = ServeOptions(**{"names": ("testserver",), "sentence_workers": 1} | options)
     app = create_app(places := Places(paths), options)
     server, pool = app.state.server, ThreadPoolExecutor(1)
     dispatcher = Dispatcher(places, options)

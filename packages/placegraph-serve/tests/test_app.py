@@ -230,6 +230,22 @@ def walker(client):
     client.delete(f"/v1/sessions/{session}")
 
 
+def test_one_client_holds_a_few_sessions(client):
+    most = client.app.state.server.options.client_sessions
+    begun = [client.post("/v1/sessions", json={}).json()["session"] for _ in range(most)]
+    try:
+        more = client.post("/v1/sessions", json={})
+        assert (more.status_code, more.json()["code"]) == (429, "sessions")
+        assert more.headers["retry-after"]
+        client.delete(f"/v1/sessions/{begun.pop()}")
+        answer = client.post("/v1/sessions", json={})
+        begun.append(answer.json()["session"])
+        assert answer.status_code == 201
+    finally:
+        for session in begun:
+            assert client.delete(f"/v1/sessions/{session}").status_code == 204
+
+
 def test_words_and_ways(walker, town):
     client, at = walker
     tracker = pg.open_map(town).track()

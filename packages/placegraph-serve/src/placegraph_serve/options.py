@@ -51,6 +51,9 @@ class ServeOptions:
     unpacked_bytes: int = option(1 << 30, "Maximum size of an unpacked capture.", minimum=1)
     depth: int = option(32, "Maximum nesting of JSON.", minimum=1)
     sessions: int = option(64, "Maximum open sessions; more get 503 with `Retry-After`.", minimum=1)
+    client_sessions: int = option(
+        4, "Maximum open sessions of one client (address); more get 429.", minimum=1
+    )
     session_seconds: float = option(
         600.0, "Time after which an unused session ends.", unit="s", above=0
     )

@@ -146,9 +146,10 @@ def _add_sessions(app: FastAPI, server: Server) -> None:
     sessions = server.sessions
 
     @app.post("/v1/sessions", status_code=201)
-    async def begin_session(body: BeginSession) -> Response:
+    async def begin_session(body: BeginSession, request: Request) -> Response:
         """Begin to follow somebody who walks and speaks, or a camera."""
-        reply, trouble = await sessions.open(body)
+        client = request.client.host if request.client else ""
+        reply, trouble = await sessions.open(body, client)
         return JSONResponse(reply, 201) if trouble is None else response_of(None, trouble)
 
     @app.post("/v1/sessions/{session}")

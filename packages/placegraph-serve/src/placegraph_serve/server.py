@@ -70,21 +70,29 @@ class Sessions:
         self._queue, self._options = queue, options
         self._ends: dict[str, asyncio.TimerHandle] = {}
         self._steps: dict[str, int] = {}
+        self._clients: dict[str, str] = {}
         self._ending: set[asyncio.Task[Answer]] = set()
 
     def __len__(self) -> int:
         return len(self._ends)
 
     async def open(
-        self, request: BeginSession
+        self, request: BeginSession, client: str = ""
     ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-        """Begin a session: its id and seconds to live, or a problem."""
+        """Begin a session of a client (its address): its id and seconds to live, or a problem."""
+        most = self._options.client_sessions
+        if sum(holder == client for holder in self._clients.values()) >= most:
+            raise RequestError(
+                f"You have {most} open sessions, and no client may have more; end one of them.",
+                status=429, code="sessions", retry_after=30,
+            )  # fmt: skip
         if len(self) >= self._options.sessions:
             raise RequestError(
                 "Too many sessions are open; end one, or try again later.",
                 status=503, code="busy", retry_after=30,
             )  # fmt: skip
         session = secrets.token_urlsafe(16)
+        self._clients[session] = client
         self._alive(session)
         body, trouble = await self._queue.ask("begin", request.model_dump() | {"session": session})
         if trouble is not None:
@@ -150,5 +158,6 @@ class Sessions:
 
     def _forget(self, session: str) -> None:
         self._steps.pop(session, None)
+        self._clients.pop(session, None)
         if (timer := self._ends.pop(session, None)) is not None:
             timer.cancel()

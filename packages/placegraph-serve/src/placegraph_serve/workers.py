@@ -14,7 +14,7 @@ from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import orjson
 
@@ -128,6 +128,7 @@ class Worker:
             target=run, args=(other_end, setting), name=f"placegraph {name}", daemon=True
         )
         self.process.start()
+        self.state: Literal["starting", "idle", "busy"] = "starting"
         other_end.close()
 
     async def ask(self, request: tuple[str, Any], seconds: float) -> Answer:
@@ -184,7 +185,7 @@ class WorkerQueue:
     @property
     def ready(self) -> bool:
         """Whether a process has opened its maps."""
-        return self.running > 0 or not self._idle.empty()
+        return any(worker.state != "starting" for worker in self._workers)
 
     def start(self) -> None:
         """Start all processes; they become ready one by one."""
@@ -208,6 +209,8 @@ class WorkerQueue:
         try:
             async with asyncio.timeout(self.seconds):
                 worker = await self._idle.get()
+                while worker not in self._workers:  # it died while it was idle
+                    worker = await self._idle.get()
         except TimeoutError:
             return None, self._problem or self._busy()
         finally:
@@ -237,6 +240,7 @@ class WorkerQueue:
 
     async def _run(self, worker: Worker, verb: str, request: Any) -> Answer:  # noqa: ANN401
         self.running += 1
+        worker.state = "busy"
         try:
             reply = await worker.ask((verb, request), self.seconds)
         except TimeoutError:
@@ -253,9 +257,19 @@ class WorkerQueue:
             )  # fmt: skip
         finally:
             self.running -= 1
-        self._idle.put_nowait(worker)
+        self._offer(worker)
         self.answered += 1
         return reply
+
+    def _offer(self, worker: Worker) -> None:
+        worker.state = "idle"
+        self._idle.put_nowait(worker)
+
+    def _notice_death(self, worker: Worker) -> None:
+        """Replace a process that died while nobody waited for it; else `_run` does."""
+        asyncio.get_running_loop().remove_reader(worker.process.sentinel)
+        if worker.state == "idle":
+            self._replace(worker, "The process died.", 500, "worker_died")
 
     def _replace(self, worker: Worker, why: str, status: int, code: str) -> Answer:
         self._drop(worker)
@@ -266,6 +280,7 @@ class WorkerQueue:
 
     def _drop(self, worker: Worker) -> None:
         self._workers.discard(worker)
+        asyncio.get_running_loop().remove_reader(worker.process.sentinel)
         worker.end()
 
     async def _start(self) -> None:
@@ -276,7 +291,9 @@ class WorkerQueue:
             with suppress(EOFError, OSError, TimeoutError):
                 _, self._problem = await worker.receive(STARTING)
                 if self._problem is None:
-                    self._idle.put_nowait(worker)
+                    death = worker.process.sentinel
+                    asyncio.get_running_loop().add_reader(death, self._notice_death, worker)
+                    self._offer(worker)
                     return
             self._drop(worker)
             await asyncio.sleep(_PAUSE)
