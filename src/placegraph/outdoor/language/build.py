@@ -123,8 +123,8 @@ def describe(
     for sentence, spoken in sentences:
         if grammar and spoken.grammar:
             _read_sentence(sentence, spoken, builder)
-        if spoken.code != "en" or not grammar:
-            builder.note(sentence, grammar=grammar and spoken.grammar)
+        else:
+            builder.note(sentence)
     for part in parts:
         if names and (part.language.code != "en" or not part.certain):
             builder.complete(cleaned[part.start : part.end], part.language, names)
@@ -188,8 +188,6 @@ class GraphBuilder:
         self.places.reason = NO_PLACE
         if clause.condition and clause.verb != "meets":  # "when you see the bank"
             self.walk.go(clause.after or clause.before, clause.travel or "REACH", context)
-        elif clause.condition:
-            self._meets(clause, context, False)
         elif clause.verb:
             getattr(self, f"_{clause.verb}")(clause, context, opens)
             if clause.verb != "goes":
@@ -201,14 +199,10 @@ class GraphBuilder:
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._choose_topic()
 
-    def note(self, sentence: list[Chunk], *, grammar: bool) -> None:
-        """Let the place be near names of the map that no statement speaks of.
-
-        Without grammar these are all names, and kinds of things are in sight.
-        """
+    def note(self, sentence: list[Chunk]) -> None:
+        """Let the place be near all names, and let kinds of things be in sight: there is no grammar."""
         for chunk in sentence:
-            named = chunk.type == "NAME" and chunk.value.exact
-            if not named and (grammar or chunk.type not in ("NAME", "NOUN")):
+            if chunk.type not in ("NAME", "NOUN"):
                 continue
             noun = NounPhrase(
                 "thing", chunk.start, chunk.end, "DET", senses=chunk.value.senses,
@@ -353,9 +347,6 @@ class GraphBuilder:
 
     def _show(self, items: Items, context: ClauseContext, *, always: bool = False) -> None:
         """Relate things that are there, in sight of the speaker unless more is said."""
-        if not items or not isinstance(items[0], NounPhrase):
-            self._relate_chain(items, [SPEAKER], context)
-            return
         first = len(self.places.statements)
         heads = self._relate_chain(items, [], context, collect=True)
         placed = {

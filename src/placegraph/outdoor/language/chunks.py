@@ -194,8 +194,6 @@ class InflectedChunker(Chunker):
         """Tell whether something is a word: of the grammar, of things, or a name of the map."""
         if word in self.lexicon.words or word in self.lexicon.counts:
             return True
-        if len(word) == 1 and "\u3041" <= word <= "\u30ff":
-            return False  # a letter of Japanese, not a word
         if self.dictionary.contains(word):
             return True
         for article in self.lists["articles"].intersection(self.lexicon.prefixes):
@@ -212,9 +210,7 @@ class InflectedChunker(Chunker):
         Returns the end of each by its start; the longest name counts. Words of things or of the
         grammar are no names. A word for a street that stands before a name belongs to it.
         """
-        names, prefixes = self.proper.names, self.lexicon.prefixes
-        if names is None:
-            return {}
+        prefixes = self.lexicon.prefixes
         words = [
             word
             for word in _RAW_WORD.finditer(self.text, *span)

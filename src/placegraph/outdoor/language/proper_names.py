@@ -175,11 +175,10 @@ class ProperNames:
             return 0
         end = self._span(i)
         after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
-        if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
-            return 0  # "Find the", "Disregard the"
+        # "Find the", "Bakery north of me", "the Cathedral"
         alone = word.lower in self.lexicon.counts or (i == 0 and not self._opens_sentence(i))
         if end == i + 1 and (alone or (n_noun == 1 and after_article)):
-            return 0  # "Bakery north of me", "the Cathedral"
+            return 0
         return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
 
     def _is_counted_street(self, i: int, entry: Known | None) -> bool:

@@ -159,7 +159,7 @@ def find_stretches(
     found: list[Stretch] = []
     for start, end in spans:
         evidence = _evidence(text[start:end], signs, nouns, folder)
-        best = _best(evidence, english=False, likely=whole) or whole
+        best = _best(evidence, english=False) or whole
         tongue = english() if best == NO_CODE else language(best, folder)
         part = Stretch(start, end, tongue, best != NO_CODE)
         if found and found[-1][2:] == part[2:]:
@@ -250,18 +250,15 @@ def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> N
         scores[code] += weight * sum(tongue.has_thing(word) for word in words)
 
 
-def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
+def _best(evidence: _Evidence, *, english: bool) -> str:
     """Return the language for which most speaks; unknown where that is too little.
 
-    `english`: whether one known English word is enough, as it always was. `likely`: which it is if
-    several are as good.
+    `english`: whether one known English word is enough, as it always was.
     """
     scores, count, known = evidence
     if not scores:
         return NO_CODE
     code = max(scores, key=lambda code: (scores[code], code == "en"))
-    if likely in scores and scores[likely] > scores[code] - 0.5 * _ALIKE:
-        code = likely
     if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
         return "en"
     enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW
@@ -443,18 +440,12 @@ def _cut(written: str, is_known: Callable[[str], bool]) -> list[str]:
     lower = written.lower()
     n = len(lower)
     whole = {m.start(): m.end() for m in _KATAKANA.finditer(lower)}
-    inside = {i for a, b in whole.items() for i in range(a + 1, b)}
     price = [0.0] + [float("inf")] * n
     came: list[tuple[int, bool]] = [(0, False)] * (n + 1)
     for i in range(n):
-        if price[i] == float("inf"):
-            continue
         ends = [i + 1, whole[i]] if i in whole else [i + 1]
         for j in {*range(i + 1, min(n, i + LONGEST) + 1), *ends}:
-            if i in inside and came[i][1] is False:
-                is_word = False  # part of an unknown word of katakana
-            else:
-                is_word = not lower[i:j].isdecimal() and is_known(lower[i:j])
+            is_word = not lower[i:j].isdecimal() and is_known(lower[i:j])
             if not is_word and j not in ends:
                 continue
             cost = price[i] + (1.0 if is_word else _UNKNOWN if j == i + 1 else 2.0 * _UNKNOWN)

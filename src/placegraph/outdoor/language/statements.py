@@ -116,8 +116,6 @@ class References:
         if noun.exact:
             return None
         if head in self.lists["roads"]:
-            if self.street is not None and self.street not in skipped:
-                return self.street
             return next((n for n in nodes if self.is_road(n)), None)
         labels = {sense.label for sense in senses[:2]}
         for n in nodes:
@@ -168,8 +166,6 @@ class References:
 
     def is_line(self, node: int) -> bool:
         """Tell whether a mention is a road, a river or another line, on which one is along it."""
-        if node <= LISTENER:
-            return False
         key, value = self._first_label(node)
         lists = self.lists
         return self.is_road(node) or (key in lists["line_keys"] and value not in lists["no_lines"])
@@ -417,9 +413,7 @@ class PlaceReader:
                 self._add_direction(context, source, whole, wide, distance=beside, certainty=0.6)
             return
         target = self._resolve(place.targets[0], source)
-        if place.direction.facing and self.heading is None:
-            self.reason = NEEDS_HEADING
-        elif target is not None:
+        if target is not None:
             wide = place.direction._replace(sigma=max(place.direction.sigma, SIDE_SIGMA))
             beside = BESIDE if target > LISTENER else None
             self._add_direction(context, source, target, wide, distance=beside, certainty=0.9)
