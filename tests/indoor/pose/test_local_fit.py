@@ -152,7 +152,7 @@ def test_probabilities_by_hand():
 def test_what_is_badly_known_has_a_large_variance(rng):
     spread = np.array([0.01, 0.1, 0.02, 0.005])  # along a corridor, say
     (fit,) = fit_modes(Hills((PEAK, 100.0, spread)), PEAK[None] + 0.02, [level(), level()], rng)
-    covariance = pose_covariance(fit.covariance) / WIDENED
+    covariance = pose_covariance(fit.covariance, 0.0) / WIDENED
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
     sd = np.sqrt(np.diag(covariance))[[0, 1, 2, 5]]
@@ -198,5 +198,5 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     fits = fit_modes(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
     assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
     assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
-    sd = np.sqrt(np.diag(pose_covariance(fits[0].covariance) / WIDENED))[[0, 1, 2, 5]]
+    sd = np.sqrt(np.diag(pose_covariance(fits[0].covariance, 0.0) / WIDENED))[[0, 1, 2, 5]]
     assert (sd < [0.15, 0.15, 0.15, 0.1]).all()

@@ -12,11 +12,11 @@ from numpy.random import Generator
 
 from placegraph.core.geometry import Camera, Floats, between
 from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.map.free_space import find_nearest_scene
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.local_fit import (
     MERGED,
     SPREAD,
-    WIDENED,
     Fit,
     fit_level,
     fit_pose,
@@ -29,12 +29,39 @@ TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
 FITTED = [0, 1, 2, 5]
 """Rows of a pose's covariance that are fitted: x, y, z, and the turn about the vertical."""
+LEAST = 0.003
+"""No map is truer than this [m]."""
+DRIFT = 0.018
+"""Error of a map where no camera made it: a random walk from the nearest one [m per root of a metre]."""
+UPRIGHT = 0.5
+"""Share of the error that goes into height: floors and table tops agree better than walls."""
+_LEVER = 2.0  # distance over which the map's error turns a pose [m]
 
 
-def pose_covariance(fit_covariance: Floats) -> Floats:
-    """Return the covariance (6, 6) of x, y, z and a turn about the map's axes from that of a fit (4, 4)."""
-    whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
-    whole[np.ix_(FITTED, FITTED)] = fit_covariance
+def map_error(scene: Scene, position: Floats) -> float:
+    """Return the standard deviation [m] of a map as seen from a position (3,), common to all frames.
+
+    The poses by which a map was made drift, so that it is truest near its own cameras. Scenes of meshes
+    have none and do not drift.
+    """
+    of, _ = find_nearest_scene(scene, scene.viewpoints[:, :2])
+    own = scene.viewpoints[of == scene.scene_at(position[:2])]
+    away = np.linalg.norm(own - position, axis=1).min(initial=np.inf)
+    return float(np.hypot(LEAST, DRIFT * np.sqrt(away))) if np.isfinite(away) else LEAST
+
+
+def common_covariance(shift: float, turn: float, tilt: float = 0.0) -> Floats:
+    """Return the covariance (6, 6) of an error of all frames: deviations [m], [rad], [rad]."""
+    return np.diag(np.square([shift, shift, UPRIGHT * shift, tilt, tilt, turn]))
+
+
+def pose_covariance(fit_covariance: Floats, error: float = LEAST) -> Floats:
+    """Return the covariance (6, 6) of x, y, z and a turn about the map's axes.
+
+    `fit_covariance`: (4, 4) of the fit; `error`: of the map, as of `map_error`.
+    """
+    whole = common_covariance(error, error / _LEVER, TILT)
+    whole[np.ix_(FITTED, FITTED)] += fit_covariance
     return whole
 
 

@@ -25,7 +25,7 @@ from placegraph.indoor.pose.agreement import (
     find_image_fault,
     searched_odds,
 )
-from placegraph.indoor.pose.covariance import lens_covariance, pose_covariance
+from placegraph.indoor.pose.covariance import lens_covariance, map_error, pose_covariance
 from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, time_stage
@@ -175,7 +175,7 @@ def weigh_by_confidence(shares: Floats, odds: Floats) -> Floats:
 def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> PoseMode:
     scene, matrix = window.scene, pose_matrix(fit.pose, window.levels[-1])
     row, newest = scene.scene_at(fit.pose[:2]), window.observations[-1]
-    covariance = pose_covariance(fit.covariance)
+    covariance = pose_covariance(fit.covariance, map_error(scene, fit.pose[:3]))
     if newest.depth is None:
         covariance[:3, :3] += lens_covariance(scene, newest.frame.camera, matrix)
     return PoseMode(

@@ -25,6 +25,7 @@ from placegraph.core.geometry import (
 )
 from placegraph.errors import InputError
 from placegraph.indoor.options import RefineOptions
+from placegraph.indoor.pose.covariance import UPRIGHT, common_covariance
 from placegraph.indoor.refine.correspondences import Kernel, PointMatches, Readings, Surfaces
 from placegraph.indoor.refine.refine_kernels import depth_system, pixel_system
 
@@ -418,39 +419,28 @@ def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Flo
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))
 
 
-PULL = 7.0
-"""Error common to all frames, in units of how far they part from their way (benchmark)."""
 MISS = 0.65
 """Error common to all frames, in units of what matches miss by (benchmark)."""
-UNEXPLAINED = 0.02
-"""Error common to all frames if no reading of depth were explained [m] (benchmark)."""
-LEAST = 0.003
-"""No map is truer than this [m]."""
-ALONE = 0.015
-"""Error of a single frame that no other can tell [m]."""
-UPRIGHT = 0.5
-"""Share of the error that goes into height: floors and table tops agree better than walls."""
 _MEDIAN = 1.4826  # standard deviations in a median absolute deviation
 
 
-def covariance(problem: Problem, solution: Solution) -> Floats:
-    """Return (6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
-    shift, away = common_error(problem, solution)
+def covariance(problem: Problem, solution: Solution, error: float) -> Floats:
+    """Return (6, 6) of the last frame of a solution: the fit's own, and what is common to all frames.
+
+    `error`: of the map, as of `map_error` [m].
+    """
+    shift, away = common_error(problem, solution, error)
     turn = shift / away
-    tilt = min(turn, problem.options.tilt)
-    common = np.square([shift, shift, UPRIGHT * shift, tilt, tilt, turn])
-    return solution.covariance() + np.diag(common)
+    tilt = min(UPRIGHT * turn, problem.options.tilt)
+    return solution.covariance() + common_covariance(shift, turn, tilt)
 
 
-def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
+def common_error(problem: Problem, solution: Solution, error: float) -> tuple[float, float]:
     """Return the standard deviation of a trajectory's common error [m], and the mean viewing distance [m].
 
-    The distance makes turns of shifts.
+    It is the map's, or what matches miss by if that is more. The distance makes turns of shifts.
     """
-    errors, _ = odometry_errors(problem, solution.poses)
-    pulled = PULL * float(np.sqrt(np.mean(errors[:, :3] ** 2))) if len(errors) else ALONE
-    unexplained = UNEXPLAINED * float(np.nan_to_num(solution.cost))
-    found, away = [LEAST, float(np.hypot(pulled, unexplained))], []
+    found, away = [error], []
     depths = [r.depth[r.depth > 0] for r in problem.readings if r is not None]
     if any(map(len, depths)):
         away.append(float(np.median(np.concatenate(depths))))

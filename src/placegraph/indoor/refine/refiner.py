@@ -17,6 +17,7 @@ from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import RefineOptions
+from placegraph.indoor.pose.covariance import map_error
 from placegraph.indoor.pose.window import Progress, Window, time_stage
 from placegraph.indoor.refine.correspondences import (
     FARTHEST,
@@ -341,8 +342,9 @@ class Refiner:
         lags = solution.lags
         agreed = self._inliers(matches, poses if lags is None else lags.image_poses(poses))
         self.stats["lag"] = {} if lags is None else lags.find_clear()
+        error = map_error(self.scene, poses[-1, :3, 3])
         return FittedTrajectory(
-            poses, solution, agreed, covariance(self.problem(matches), solution)
+            poses, solution, agreed, covariance(self.problem(matches), solution, error)
         )
 
 

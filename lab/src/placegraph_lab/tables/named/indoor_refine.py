@@ -48,7 +48,10 @@ from placegraph_lab.tables.named.indoor_few import SETS, Maps
 from placegraph_lab.tables.runner import Column as Col
 
 ask = rows_of.ask
-PLACES = rows_of.PLACES | {name: f"{name}, even frames mapped" for name in SETS}
+HALVES = {f"{name}, other half": name for name in ("freiburg1_rpy", "patio")}
+"""Windows of the second half of a recording, in a map of the first; `office b in a` is another."""
+RECORDED = {**{name: f"{name}, even frames mapped" for name in SETS}, **{n: n for n in HALVES}}
+PLACES = rows_of.PLACES | RECORDED
 NEAREST = LIMITS.index((0.10, 5.0))
 RECALLS = " / ".join(f"{100 * m:.0f} cm {d:.0f}°" for m, d in LIMITS)
 SCORES = (
@@ -141,12 +144,20 @@ class Recordings(Bench):
     few: Maps
 
     def scene(self, name: str) -> SceneMap:
+        if name in HALVES:
+            count = len(self.few.source(HALVES[name]).capture)
+            made = self.few.scene(HALVES[name], 0, count // 2, max(1, count // 240))
+            return replace(made, landmarks=None)
         if name not in SETS:
             return super().scene(name)
         return replace(self.few.scene(name, 0, None, 2), landmarks=None)
 
     def windows(self, place: str, length: int) -> list[Window]:
         """Return windows as `Bench` does, and of a recording every second one, at most 24."""
+        if place in HALVES:
+            source = self.few.source(HALVES[place])
+            asked = slice(len(source.capture) // 2 + 1, None)
+            return source.windows(asked, length, 48)[::2]
         if place not in SETS:
             return super().windows(place, length)
         return self.few.source(place).windows(slice(1, None, 2), length, 48)[::2]
@@ -157,7 +168,7 @@ def recording_jobs() -> list[RefineJob]:
     options, row = PoseSearchOptions().only(**BARE["depth + colour"]), "depth + colour"
     return [
         RefineJob(name, "found", row, "auto", Job("none", row, options, name, "none"))
-        for name in SETS
+        for name in RECORDED
     ]
 
 

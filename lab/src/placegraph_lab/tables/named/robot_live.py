@@ -19,6 +19,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.request import Request, urlopen
+from zlib import crc32
 
 import numpy as np
 from numpy.random import Generator
@@ -31,9 +32,11 @@ from placegraph.indoor.track.belief import LivePose, Odometry
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables import runner as lab
-from placegraph_lab.tables.indoor.metrics import NEAR, near
+from placegraph_lab.tables.indoor.metrics import NEAR, near, normalised_error, position_error
 from placegraph_lab.tables.indoor.perturb import Clip, Recording, drift
+from placegraph_lab.tables.indoor.refine import free_sigma
 from placegraph_lab.tables.indoor.robustness import Places
+from placegraph_lab.tables.named.indoor_few import REAL, Maps
 from placegraph_lab.tables.named.serve_load import RunningServer, run_server
 from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.statistics import run_apart
@@ -241,6 +244,52 @@ def longest(results: Sequence[FrameResult], which: Callable[[FrameResult], bool]
     return most
 
 
+MAPPED = {"even frames": "between mapped frames", "first half": "in the other half"}
+
+
+@dataclass(frozen=True)
+class FollowedRow:
+    """Errors of `OK` poses of a recording that is followed as a bag is, over their covariance."""
+
+    name: str
+    mapped: str  # one of `MAPPED`
+    frames: int  # frames that are followed
+    errors: list[float]  # of `OK` poses [m]
+    six: float  # mean squared error whitened by the covariance, 6 if honest
+    axis: float  # mean squared error along the least certain direction over its variance, 1
+
+
+def follow_recording(maps: Maps, name: str, mapped: str) -> FollowedRow:
+    """Follow the frames of a recording that its map was not made of; odd rows were for tuning."""
+    source, step = maps.source(name), 2
+    count = len(source.capture)
+    made, asked = slice(0, None, step), slice(1, None, step)
+    if mapped == "first half":
+        step = max(1, count // 240)
+        made, asked = slice(0, count // 2, step), slice(count // 2 + 1, None, step)
+    scene = replace(maps.scene(name, made.start, made.stop, made.step), landmarks=None)
+    rows = list(range(*asked.indices(count)))
+    part = replace(source.capture, frames=tuple(source.capture.frames[i] for i in rows))
+    truth = source.truth[rows]
+    if source.odometry is not None:
+        rng = np.random.default_rng(crc32(name.encode()))
+        part, truth = source.odometry.apply(name, part, truth, rng)
+    live = scene.live(seed=0, background=False, options=SENSES)
+    told = [(live.step(frame), pose) for frame, pose in zip(part, truth, strict=True)]
+    found = [
+        (t.estimate.best, pose)
+        for t, pose in told[::2]
+        if t.status is Status.OK and t.estimate is not None and t.estimate.best is not None
+    ]
+    white = [normalised_error(m.covariance, m.map_from_camera, pose) for m, pose in found]
+    return FollowedRow(
+        name, mapped, len(told[::2]),
+        [position_error(m.map_from_camera, pose) for m, pose in found],
+        float(np.mean([w @ w for w in white])) if white else float("nan"),
+        float(np.mean([free_sigma(m, pose) ** 2 for m, pose in found])) if white else float("nan"),
+    )  # fmt: skip
+
+
 ODOMETRY = 100.0  # samples a second
 
 
@@ -393,7 +442,7 @@ def figures(wall: list[float], cpu: list[float], sure: int) -> dict[str, Any]:
     return told | {"cpu_ms": quantiles(cpu), "in_time": sum(s <= 0.1 for s in wall) / len(wall)}
 
 
-PARTS = ("walks", "paced", "ways")
+PARTS = ("walks", "paced", "ways", "covariances")
 DRIFTS = (0.2, 0.5, 1.0)  # degrees a frame
 RATES = (10.0, 30.0)  # images a second
 SECONDS = 20.0  # of each
@@ -411,6 +460,12 @@ PACED = (
     Col("odometry", lambda p: p["moves"] / p["seconds"], 0, "Hz"),
     Col("ms a call", "move_ms.p50", 2), Col("99 %", "move_ms.p99", 1), Col("most", "move_ms.most", 1),
     Col("age of poses, ms", "age_ms.p50", 0), Col("95 %", "age_ms.p95", 0), Col("cores", "cores", 2),
+)  # fmt: skip
+FOLLOWED = (
+    Col("", "name"), Col("asked", lambda r: MAPPED[r.mapped]), Col("frames", "frames"),
+    Col("`OK`", lambda r: len(r.errors)),
+    Col("median", lambda r: 100 * float(np.median(r.errors)) if r.errors else None, 1, "cm"),
+    Col("six", "six", 1), Col("axis", "axis", 2),
 )  # fmt: skip
 WAYS = (
     Col("frames by", "way"), Col("ms, median", "wall_ms.p50", 0), Col("95 %", "wall_ms.p95", 0),
@@ -462,6 +517,11 @@ def robot_live(
             }
             lab.show("", WAYS, [{"way": name} | way for name, way in found.items()])
             record["ways"] = found
+    if "covariances" in wanted:
+        maps = Maps(run, fresh=False)
+        followed = [follow_recording(maps, name, mapped) for name in REAL for mapped in MAPPED]
+        lab.show("", FOLLOWED, followed)
+        record["covariances"] = followed
     run.save(record, complete=not only)
 
 
