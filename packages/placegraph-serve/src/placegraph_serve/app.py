@@ -19,6 +19,7 @@ from starlette.routing import Match
 
 from placegraph import __version__
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError, RequestError
+from placegraph_serve.answers import describe_api
 from placegraph_serve.drawing import drawing_router, page_files
 from placegraph_serve.limits import Guard, Keys
 from placegraph_serve.options import ServeOptions
@@ -58,6 +59,7 @@ def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:
     app.routes.extend(drawing_router(places).routes)  # an included router hides their methods
     for path, files in page_files().items():
         app.mount(path, files)
+    app.openapi = partial(describe_api, app)  # type: ignore[method-assign]  # FastAPI's way
     return app
 
 

@@ -21,6 +21,7 @@ from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from placegraph.errors import InputError, PlacegraphError, RequestError
+from placegraph_serve.answers import describe_api
 from placegraph_serve.geopose import version_of
 from placegraph_serve.limits import MEDIA_TYPE_METRICS, check_depth
 from placegraph_serve.options import ServeOptions
@@ -42,7 +43,7 @@ _FORM = {
                     }
                     | {
                         "capture": {"type": "string", "format": "binary"},
-                        "request": Localize.model_json_schema(),
+                        "request": {"$ref": "#/components/schemas/Localize"},
                     },
                 }
             }
@@ -53,8 +54,14 @@ _OSCP = {
     "requestBody": {
         "required": True,
         "content": {
-            f"application/vnd.oscp+json; version={v}": {"schema": {"type": "object"}}
-            for v in ("1.0", "2.0")
+            f"application/vnd.oscp+json; version={v}": {
+                "schema": {
+                    "type": "object",
+                    "required": ["sensorReadings"],
+                    "properties": {"sensorReadings": {"type": kind, "description": "Readings."}},
+                }
+            }
+            for v, kind in (("1.0", "array"), ("2.0", "object"))
         },
     }
 }
@@ -188,7 +195,7 @@ _HEADERS = {
 
 def listing(app: FastAPI) -> HTMLResponse:
     """The page, of the routes that the application has."""
-    reply = app.openapi()
+    reply = describe_api(app)
     schemas = reply.get("components", {}).get("schemas", {})
     parts = [_HEAD]
     for path, methods in reply["paths"].items():
@@ -213,7 +220,7 @@ def _fields(what: dict[str, Any], schemas: dict[str, Any]) -> list[str]:
     for kind, content in what.get("requestBody", {}).get("content", {}).items():
         schema = _resolved(content["schema"], schemas)
         out.append(_table(f"body, {kind}", schema.get("properties", {})))
-        form = schema.get("properties", {}).get("request", {}).get("properties")
+        form = _resolved(schema.get("properties", {}).get("request", {}), schemas).get("properties")
         out += [_table("its field `request`, as JSON", form)] if form else []
     return out
 
