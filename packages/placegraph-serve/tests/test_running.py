@@ -225,6 +225,14 @@ def test_docs_load_nothing_from_elsewhere(running):
         assert word in page.text
 
 
+def test_the_first_line_names_all_maps(maps, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("placegraph_serve.app.serve", lambda *given: given[-1]("http://there"))
+    names = [f"home{i}" for i in range(1, 11)]
+    for name in names:
+        shutil.copy(maps / "home1.scene", tmp_path / f"{name}.scene")
+    assert f"Serving {', '.join(sorted(names))} at http://there " in run("serve", tmp_path).out
+
+
 def test_two_servers_on_one_port(running, town, run):
     again = run("serve", town, "--port", running.port)
     assert again.code == OptionError.exit_code

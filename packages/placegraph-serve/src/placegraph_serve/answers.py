@@ -26,7 +26,7 @@ class ProblemAnswer(_Answer):
     title: str
     status: int
     detail: str = Field(description="What is wrong, and how to mend it.")
-    mend: str
+    advice: str = Field(alias="mend")
     code: str = Field(description="Word for programs.")
     retry_after: int | None = Field(None, description="Seconds to wait.")
 

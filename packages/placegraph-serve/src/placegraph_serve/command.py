@@ -33,7 +33,7 @@ def serve(
     found = Places(places, options.get("scheduler"))
 
     def ready(url: str) -> None:
-        names = ", ".join(entry.name for entry in found.entries()[:8])
+        names = ", ".join(entry.name for entry in found.entries())
         click.echo(f"Serving {names} at {url} (press Ctrl-C to stop; routes: {url}/docs).")
         if open_:
             click.launch(url)
