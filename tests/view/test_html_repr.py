@@ -11,6 +11,7 @@ from PIL import Image
 
 import placegraph as pg
 from placegraph.core.estimate import Estimate, SceneMode, Status
+from placegraph.world import open_world
 
 
 def picture(html):
@@ -31,7 +32,26 @@ def test_maps(harbour, flat, demo_world):
         assert shown.source in html
     library = pg.SceneLibrary("labels")
     library.add("home1", demo_world / "home1.scene")
-    assert "home1" in library._repr_html_()
+    html = library._repr_html_()
+    assert "home1" in html
+    assert picture(html).width == 640
+    assert picture(library.search("a kitchen")._repr_html_()).width == 640
+    assert picture(pg.open_capture(demo_world / "walk")._repr_html_()).width == 640
+
+
+def test_worlds(harbour_file, demo_world):
+    world = open_world([harbour_file, demo_world / "altbau.scene"])
+    assert picture(world._repr_html_()).size == (640, 440)
+    for text, height in (("A bakery is north of me.", 480), ("I am in the kitchen.", None)):
+        estimate = world.locate(text)
+        assert height in {None, picture(estimate._repr_html_()).height}
+
+
+def test_no_number_is_raw():
+    mode = SceneMode("attic", 1.06381e-29, 12.5)
+    shown = Estimate(Status.OK, (mode,), "")
+    for text in (repr(mode), repr(shown), shown._repr_html_()):
+        assert "e-29" not in text
 
 
 def test_estimates(harbour, flat, demo_world):

@@ -82,6 +82,11 @@ class LazyEvidence:
         """Return plain numbers and strings; subclasses add their fields."""
         return {"evidence": [e.to_dict() for e in self.evidence]}
 
+    def __repr__(self) -> str:
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
+        shown = (f"{k}={round(v, 7) if isinstance(v, float) else v!r}" for k, v in values.items())
+        return f"{type(self).__name__}({', '.join(shown)})"
+
     def __getstate__(self) -> dict[str, Any]:
         evidence = self.evidence
         return self.__dict__ | {"evidence": evidence, "explain": partial(tuple, evidence)}
@@ -98,7 +103,7 @@ class Status(StrEnum):
     """No place on the map fits better than a place elsewhere, or the query was not understood."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Place(LazyEvidence):
     """Mode of an outdoor estimate: a position with its probability, covariance and evidence."""
 
@@ -130,7 +135,7 @@ class Place(LazyEvidence):
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PoseMode(LazyEvidence):
     """Mode of an indoor estimate: a pose of the last frame with covariance, probability and evidence."""
 
@@ -163,7 +168,7 @@ class PoseMode(LazyEvidence):
         }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SceneMode(LazyEvidence):
     """Mode over the scenes of a library: a scene with its probability and evidence."""
 

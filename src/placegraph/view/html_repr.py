@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from html import escape
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
-from placegraph.core.estimate import CityEstimate, Estimate, PoseEstimate
+from placegraph.core.estimate import CityEstimate, Estimate, PoseEstimate, SceneEstimate
+from placegraph.errors import PlacegraphError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.frame import Capture
 from placegraph.outdoor.map.city import City
 from placegraph.view.city.picture import draw_city, write_picture
 from placegraph.view.scene.plan import draw_scene, write_plan
+from placegraph.world.estimate import WorldEstimate
+from placegraph.world.world import World
 
 WIDTH = 640
 """Width of a picture [px]."""
@@ -25,32 +31,81 @@ COLOURS = 96
 """Number of colours of a picture, which a notebook stores as text."""
 MAX_ROWS = 12
 """Rows of a table."""
+MAX_FRAMES = 4
+"""Frames of a capture in its picture."""
 
 
 def html(content: object) -> str:
-    """Return a map or an estimate as self-contained HTML."""
+    """Return a map, a capture or an estimate as self-contained HTML."""
     if isinstance(content, Estimate):
-        return _estimate(content)
+        said = f"<p><b>{escape(content.status.name)}</b>: {escape(content.reason)}</p>"
+        return _draw_estimate(content) + said + _modes(content.modes) + _evidence(content)
+    return _draw(content) + _line(content) + _list_scenes(content)
+
+
+def _draw(content: Any) -> str:  # noqa: ANN401  # a map or a capture
+    """Draw a map, the first map of several, or the first frames of a capture; empty if there is none."""
     if isinstance(content, City):
-        return _picture(lambda path: draw_city(content, path, size=(WIDTH, 440))) + _line(content)  # type: ignore[arg-type]
+        return _picture(lambda path: draw_city(content, path, size=(WIDTH, 440)))  # type: ignore[arg-type]
     if isinstance(content, Scene):
-        return _picture(lambda path: draw_scene(content, path, width=WIDTH)) + _line(content)  # type: ignore[arg-type]
-    if isinstance(content, SceneLibrary):
-        graphs = {name: content.entry(name).signature.graph for name in content.names[:MAX_ROWS]}
-        rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
-        return _line(content) + _table(("scene", "objects", "among them"), rows, len(content))
-    return _line(content)
+        return _picture(lambda path: draw_scene(content, path, width=WIDTH))  # type: ignore[arg-type]
+    if isinstance(content, Capture):
+        return _picture(lambda path: _draw_frames(content, path))
+    if isinstance(content, World):
+        return next(
+            (_draw(m) for maps in (content.cities, content.scenes) for m in maps.values()), ""
+        )
+    if isinstance(content, SceneLibrary) and len(content):
+        return _draw_scene_of(content, content.names[0])
+    return ""
 
 
-def _estimate(estimate: Estimate[Any]) -> str:
-    drawn = ""
+def _draw_frames(capture: Capture, path: Path) -> None:
+    """Draw `MAX_FRAMES` colour images, evenly spaced in time, side by side."""
+    rows = np.linspace(0, len(capture) - 1, min(MAX_FRAMES, len(capture))).round().astype(int)
+    images = [Image.fromarray(capture[i].rgb()) for i in rows.tolist()]
+    width = WIDTH // len(images)
+    sheet = Image.new("RGB", (WIDTH, width * images[0].height // images[0].width), "white")
+    for k, image in enumerate(images):
+        sheet.paste(image.resize((width - 4, sheet.height)), (k * width, 0))
+    sheet.save(path)
+
+
+def _draw_scene_of(library: SceneLibrary, name: str) -> str:
+    """Draw a scene of a library; empty if its map file is not there."""
+    with suppress(PlacegraphError):
+        return _draw(library.scene(name))
+    return ""
+
+
+def _draw_estimate(estimate: Estimate[Any]) -> str:
+    """Draw the best mode on its map; empty without a mode or a map."""
     held: Any = estimate.map
-    if isinstance(estimate, CityEstimate) and isinstance(held, City) and estimate.modes:
-        drawn = _picture(lambda path: write_picture(held, estimate, path, size=(WIDTH, 480)))  # type: ignore[arg-type]
-    elif isinstance(estimate, PoseEstimate) and isinstance(held, Scene) and estimate.modes:
-        drawn = _picture(lambda path: write_plan(held, estimate, path, width=WIDTH))  # type: ignore[arg-type]
-    said = f"<p><b>{escape(estimate.status.name)}</b>: {escape(estimate.reason)}</p>"
-    return drawn + said + _modes(estimate.modes) + _evidence(estimate)
+    if not estimate.modes:
+        return ""
+    best = estimate.modes[0]
+    if isinstance(estimate, CityEstimate) and isinstance(held, City):
+        return _picture(lambda path: write_picture(held, estimate, path, size=(WIDTH, 480)))  # type: ignore[arg-type]
+    if isinstance(estimate, PoseEstimate) and isinstance(held, Scene):
+        return _picture(lambda path: write_plan(held, estimate, path, width=WIDTH))  # type: ignore[arg-type]
+    if isinstance(estimate, SceneEstimate) and isinstance(held, SceneLibrary):
+        return _draw_scene_of(held, best.scene)
+    if isinstance(estimate, WorldEstimate):
+        parts: list[Estimate[Any]] = [*estimate.cities.values(), *estimate.poses.values()]
+        own = (e for e in parts if {best.place, best.pose} & set(e.modes))
+        there = isinstance(held, World) and best.scene in held.scenes
+        scene = held.scenes[best.scene] if there else None
+        return next(filter(None, map(_draw_estimate, own)), "") or _draw(scene)
+    return ""
+
+
+def _list_scenes(content: object) -> str:
+    """Return a table of the scenes of a library; empty for other maps."""
+    if not isinstance(content, SceneLibrary):
+        return ""
+    graphs = {name: content.entry(name).signature.graph for name in content.names[:MAX_ROWS]}
+    rows = [(name, len(graph), _words(graph.labels)) for name, graph in graphs.items()]
+    return _table(("scene", "objects", "among them"), rows, len(content))
 
 
 def _modes(modes: Sequence[Any]) -> str:
@@ -90,11 +145,11 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[object]], count: int) -
 
 
 def _text(cell: object) -> str:
-    return (
-        f"{cell:.6g}"
-        if isinstance(cell, float) and abs(cell) < 1.0
-        else (f"{cell:.5f}".rstrip("0").rstrip(".") if isinstance(cell, float) else str(cell))
-    )
+    """Return a cell as text; numbers have five decimals and no exponent."""
+    if not isinstance(cell, float):
+        return str(cell)
+    tiny = 0.0 < abs(cell) < 5e-6
+    return "< 0.00001" if tiny else f"{cell:.5f}".rstrip("0").rstrip(".")
 
 
 def _words(labels: Sequence[str]) -> str:

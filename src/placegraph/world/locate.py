@@ -72,7 +72,7 @@ def locate(world: World, given: WorldQuery) -> WorldEstimate:
     status, reason = limit_status(found, world, query, text.towns)
     notes += tuple(note for town in text.towns.values() for note in town.notes)
     answered = tuple(answer.question.text for answer in given.answers)
-    return replace(found, status=status, reason=reason, notes=notes, answered=answered)
+    return replace(found, status=status, reason=reason, notes=notes, answered=answered, map=world)
 
 
 def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:

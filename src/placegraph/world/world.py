@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from placegraph.core.files import resolve_path
 from placegraph.core.options import reject_unknown
+from placegraph.core.pickling import HtmlRepr
 from placegraph.core.plugins import load_module
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
@@ -81,7 +82,7 @@ class SceneCandidates(Protocol):
         """Select the scenes that a query may be about; return a world of these."""
 
 
-class World:
+class World(HtmlRepr):
     """Maps by name, opened on first use; locating never changes them.
 
     Made by `open_world`, or of maps in memory.

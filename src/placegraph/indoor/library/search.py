@@ -495,7 +495,7 @@ class ScenePosterior:
             reason += f" {library.missing:,} scenes were not searched: {' '.join(library.notes)}"
         seconds = {k: round(v, 5) for k, v in self.seconds.items()}
         stats = {"seconds": seconds, "rows": rows} | self.stats
-        return SceneEstimate(status, modes, reason, self.elsewhere, stats)
+        return SceneEstimate(status, modes, reason, self.elsewhere, stats, map=library)
 
 
 def infer_from_frames(

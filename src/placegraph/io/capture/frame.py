@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.core.pickling import PickleFields
+from placegraph.core.pickling import HtmlRepr, PickleFields
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.images import INTEGER_MODES, read_integers, read_rgb
 
@@ -487,7 +487,7 @@ def check_shape(image: NDArray[Any], camera: Camera, name: object) -> None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Capture:
+class Capture(HtmlRepr):
     """Frames in order of time. `capture[i]` is a `Frame`, `capture[5:10]` a `Capture`.
 
     Made by `open_capture`, or from frames in memory by `Capture.from_frames`.
