@@ -36,17 +36,19 @@ from placegraph_lab.worlds.town.town import Town
 BOUNDS = (0.0, 0.0, 1000.0, 1000.0)
 
 
-def objects(*lines, labels=("natural=coastline",)):
+def objects(*lines, labels=("natural=coastline", "building=yes"), built=()):
     """Just what `find_sea` reads of a city's objects: coastlines, and a city that fills the bounds."""
-    corners = np.array([(0.0, 0.0), (1000.0, 1000.0)])
-    lines = [np.array(line, np.float32) for line in lines]
+    center = np.repeat([(0.0, 0.0), (1000.0, 1000.0)], 500, axis=0)
+    center[len(lines) : len(lines) + len(built)] = np.reshape(built, (-1, 2))
+    coast = len(lines)
+    lines = [np.array(line, np.float32) for line in [*lines, *([at, at] for at in built)]]
     return SimpleNamespace(
         labels=labels,
         kind=np.array([2 if (line[0] == line[-1]).all() else 1 for line in lines]),
         label_starts=np.arange(len(lines) + 1),
-        label_values=np.zeros(len(lines), np.int64),
+        label_values=(np.arange(len(lines)) >= coast).astype(np.int64),
         parts=lambda row: [lines[row]],
-        center=np.repeat(corners, 500, axis=0),
+        center=center,
     )
 
 
@@ -89,6 +91,13 @@ def test_the_sea_lies_right_of_the_coast(lines, points, wet):
 def test_without_a_coast_or_with_one_that_contradicts_itself_there_is_no_sea():
     assert find_sea(objects([(0, 0), (1, 1)], labels=("natural=tree",)), BOUNDS) == []
     assert find_sea(objects([(500, -50), (500, 1050)], [(700, -50), (700, 1050)]), BOUNDS) == []
+
+
+def test_no_sea_covers_buildings_where_a_coast_ends_on_the_map():
+    coast = [(300, -50), (300, 400), (350, 420)]
+    assert find_sea(objects(coast), BOUNDS)
+    assert find_sea(objects(coast, built=[(100, 100), (700, 800)]), BOUNDS) == []
+    assert find_sea(objects(coast, built=[(100, 100), (200, 300)]), BOUNDS)
 
 
 def test_ellipse_holds_the_stated_deviations(city, sure):

@@ -52,7 +52,7 @@ def find_sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
     for window in (bounds, known):  # beyond what an extract holds, chains may tangle
         if window[0] < window[2] and window[1] < window[3]:
             rings = _trace_sea(chains, window)
-            if _matches_coast(rings, chains, window):
+            if _matches_coast(rings, chains, window) and not _covers_land(rings, objects):
                 return rings
     return []
 
@@ -84,6 +84,14 @@ def _matches_coast(rings: list[Floats], chains: list[Floats], bounds: Bounds) ->
     wrong = ~contains_points(middle[seen] + right, rings)
     wrong |= contains_points(middle[seen] - right, rings)
     return bool(wrong.mean() < 0.05)
+
+
+def _covers_land(rings: list[Floats], objects: CityObjects) -> bool:
+    """Return whether buildings stand inside the rings: a coast that ends on the map was closed wrongly."""
+    built = np.array([label.startswith("building=") for label in objects.labels])
+    rows = np.flatnonzero(built[objects.label_values[objects.label_starts[:-1]]])
+    at = objects.center[rows[:: 1 + len(rows) // 2000]].astype(np.float64)
+    return bool(len(at) and contains_points(at, rings).mean() > 0.02)
 
 
 def _join_coastlines(objects: CityObjects) -> list[Floats]:
@@ -118,14 +126,16 @@ def _join_coastlines(objects: CityObjects) -> list[Floats]:
 
 
 def _prolong(chain: Floats, bounds: Bounds) -> Floats:
-    """Return a chain that reaches out of the rectangle at both ends."""
+    """Return a chain whose ends inside the rectangle are led out of it over its nearest side."""
     low, high = np.array(bounds[:2]), np.array(bounds[2:])
-    outward = chain[-1] - chain[0]
-    far = 2.0 * np.hypot(*(high - low)) / max(float(np.hypot(*outward)), 1e-9)
-    before, after = ((end >= low) & (end <= high) for end in (chain[0], chain[-1]))
-    head = [chain[:1] - far * outward] if before.all() else []
-    tail = [chain[-1:] + far * outward] if after.all() else []
-    return np.concatenate([*head, chain, *tail])
+
+    def lead_out(end: Floats) -> list[Floats]:
+        gaps = np.concatenate([end - low, high - end])
+        side, out = int(gaps.argmin()), end.copy()
+        out[side % 2] += (-1.0 if side < 2 else 1.0) * (gaps[side] + 1.0)
+        return [out[None]] if gaps[side] >= 0.0 else []
+
+    return np.concatenate([*lead_out(chain[0]), chain, *lead_out(chain[-1])])
 
 
 def _box_corners(bounds: Bounds) -> Floats:
