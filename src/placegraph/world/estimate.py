@@ -14,6 +14,8 @@ from placegraph.core.estimate import Estimate, LazyEvidence, Status
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
+from placegraph.outdoor.language.languages import translate
+from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.search.ask import MIN_GAIN, NO, YES, Answer, Question, Subject
 from placegraph.outdoor.search.request import is_count, to_number
 
@@ -152,7 +154,12 @@ class WorldEstimate(Estimate[WorldMode]):
         if self.status is not Status.AMBIGUOUS or best is None:
             return None
         if best.place is None:
-            return choose_question(self.modes, self.answered)
+            read = self.understood
+            inside = read.inside.mentions if read and read.inside else ()
+            words = " ".join([read.text if read else "", *(m.words for m in inside)])
+            return choose_question(
+                self.modes, self.answered, words, read.language if read else "en"
+            )
         for part, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.towns[part.partition("//")[0]].ask(part, estimate)
@@ -167,8 +174,14 @@ class WorldEstimate(Estimate[WorldMode]):
         }
 
 
-def choose_question(modes: Sequence[WorldMode], excluded: Sequence[str]) -> Question | None:
-    """Choose the yes-or-no question with most information about the building, else about the room."""
+def choose_question(
+    modes: Sequence[WorldMode], excluded: Sequence[str], text: str = "", code: str = "en"
+) -> Question | None:
+    """Choose the yes-or-no question with most information about the building, else about the room.
+
+    It repeats no name of the `text`, and asks for no other if the best is in the text; `code`: a language.
+    """
+    known = f" {' '.join(tokens(text))} "
     buildings: dict[str, float] = defaultdict(float)
     rooms: dict[str, float] = defaultdict(float)
     for m in modes:
@@ -179,9 +192,12 @@ def choose_question(modes: Sequence[WorldMode], excluded: Sequence[str]) -> Ques
         for name, share in shares.items():  # of everything: where no mode is, one is elsewhere
             p = np.clip([share, 1.0 - share], 1e-12, 1.0)
             entropy = float(-(p * np.log(p)).sum())
-            if name and entropy > MIN_GAIN:
-                text = f"Are you in {words.format(name)}?"
-                asked.append(Question(text, (YES, NO), (Subject(name, label),), entropy))
+            is_said = f" {' '.join(tokens(name))} " in known
+            if is_said and name == next(iter(shares)):  # the best fits what was said
+                break
+            if name and not is_said and entropy > MIN_GAIN:
+                question = translate(f"Are you in {words.format(name)}?", code)
+                asked.append(Question(question, (YES, NO), (Subject(name, label),), entropy, code))
         left = [q for q in asked if q.text not in excluded]
         if left:
             return max(left, key=lambda q: q.gain)

@@ -190,6 +190,8 @@ class ParsedSentence:
     ignored: tuple[IgnoredText, ...] = ()
     """Parts that neither wing could use."""
     floors: tuple[FloorStatement, ...] = ()
+    language: str = "en"
+    """Code of the language, as far as the outdoor parser tells it."""
 
     @property
     def indoors(self) -> bool:
@@ -250,8 +252,8 @@ def parse_sentence(
         for word in _split_words(d.mentions[i].words)
     }
     inside = None
+    foreign = next((d for d in full.values() if d.language != "en"), None)
     if left and objects:
-        foreign = next((d for d in full.values() if d.language != "en"), None)
         inside = read_inside(left) if foreign is None else convert_to_indoor(foreign)
     parts = {word for name in own for word in name.split()}
     sentence = None if inside is None else _keep_inside(inside, spoken | _WINDS | parts)
@@ -267,7 +269,8 @@ def parse_sentence(
     ignored = tuple(
         i for i in ignored if not any(f" {n} " in f" {_normalize(i.text)} " for n in own)
     )
-    return ParsedSentence(text, outside, sentence, ignored, floors)
+    language = foreign.language if foreign else "en"
+    return ParsedSentence(text, outside, sentence, ignored, floors, language)
 
 
 def resolve_addresses(description: Description, town: Town) -> Description:

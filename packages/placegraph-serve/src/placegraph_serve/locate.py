@@ -127,12 +127,15 @@ def answers_in(request: dict[str, Any]) -> list[Answer]:
 
 def read_answer(answer: dict[str, Any]) -> Answer:
     """An answer ``{"question": ..., "option": ...}`` that a client sends back."""
+    from placegraph.outdoor.language.languages import read_options
     from placegraph.outdoor.search.ask import COMPASS, NONE, Question, Subject
 
     request = answer["question"]
     things = tuple(Subject(t["words"], t["label"], t["wind"]) for t in request["things"])
-    options = tuple(request["options"])
+    options = tuple(read_options().get(option, option) for option in request["options"])
     known = len(things) == 1 or options == (*(t.words for t in things), NONE)
     if not things or not known or any(t.wind and t.wind not in COMPASS for t in things):
         raise OptionError("answers: a question was changed; send it back as it was asked.")
-    return Question(request["text"], options, things, 0.0).answer(answer["option"])
+    return Question(request["text"], options, things, 0.0).answer(
+        read_options().get(answer["option"], answer["option"])
+    )

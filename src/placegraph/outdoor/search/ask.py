@@ -157,8 +157,11 @@ def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
     if not weights.sum() > 0.0:
         return iter(())
     weights = weights / weights.sum()
-    around = _Surroundings.of_positions(city, city.plane.to_plane(estimate.support[heaviest, :2]))
     understood = estimate.understood or Description("")
+    text = f" {' '.join(tokens(understood.text))} "
+    around = _Surroundings.of_positions(
+        city, city.plane.to_plane(estimate.support[heaviest, :2])
+    ).without_names(text)
     code = understood.language if understood.language in read_answers() else "en"
     asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
     ranked = heapq.merge(
@@ -166,7 +169,23 @@ def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
         key=lambda q: -q.gain,
     )  # fmt: skip
     spoken = (replace(q, text=translate(q.text, code), language=code) for q in ranked)
-    return (q for q in spoken if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"})
+    said = _find_said(understood)
+    return (
+        q for q in spoken
+        if not asked & {q.text, f"{q.text} {YES}", f"{q.text} {NO}"}
+        and said.isdisjoint((s.label, s.wind) for s in q.subjects)
+    )  # fmt: skip
+
+
+def _find_said(understood: Description) -> set[tuple[str, str]]:
+    """Find the labels, and labels in a direction, that a text mentions."""
+    labels = [{s.label for s in m.senses if s.weight >= 0.5} for m in understood.mentions]
+    said = {(label, "") for known in labels for label in known}
+    for s in understood.statements:
+        if s.bearing is not None and s.source < len(labels):
+            winds = [w for w, angle in COMPASS.items() if np.cos(s.bearing - angle) > 0.9]
+            said |= {(label, wind) for label in labels[s.source] for wind in winds}
+    return said
 
 
 @dataclass(frozen=True)
@@ -214,6 +233,11 @@ class _Surroundings:
             [objects.names[i] for i in names],
             named.reshape(len(names), k),
         )
+
+    def without_names(self, text: str) -> _Surroundings:
+        """Leave out the names whose words, one space between two and around all, stand in a text."""
+        kept = [i for i, name in enumerate(self.names) if f" {' '.join(tokens(name))} " not in text]
+        return replace(self, names=[self.names[i] for i in kept], named=self.named[kept])
 
 
 def _renumber(keys: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -501,6 +501,13 @@ def translate_option(option: str, code: str) -> str:
 
 
 @cache
+def read_options() -> dict[str, str]:
+    """Read options of questions in English, by what they are in every language."""
+    tables = read_answers().values()
+    return {said: known for t in tables for known, said in t.items() if known[-1].isalpha()}
+
+
+@cache
 def read_answers() -> dict[str, dict[str, str]]:
     """Read sentences and options of every language of the table, by what they are in English."""
     return tomllib.loads((files("placegraph.outdoor.language") / "answers.toml").read_text("utf-8"))
