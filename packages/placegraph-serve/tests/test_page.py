@@ -84,6 +84,54 @@ def test_people_read_names_and_words(browser, url, walk):
     assert found[4].endswith("Hotel Hansa, floor 2, Hafenstadt")
 
 
+BUSY = """text => {
+  const field = document.getElementById("text");
+  field.value = text;
+  field.dispatchEvent(new Event("input"));
+  return document.body.hasAttribute("data-busy");
+}"""
+COVERED = """() => {
+  const box = (e) => e.getBoundingClientRect();
+  const pins = [...document.querySelectorAll(".pin:not([hidden])")].map(box);
+  const others = [...document.querySelectorAll(".legend, .door:not([hidden]), .tools button")].map(box);
+  return pins.filter((p) => others.some((o) => o.width && p.left < o.right && o.left < p.right
+    && p.top < o.bottom && o.top < p.bottom)).length;
+}"""
+
+
+def test_a_new_text_selects_its_best_place_and_something_moves_at_once(browser, url):
+    with opened(browser, "about:blank") as page:
+        page.route("**/v1/maps", lambda route: page.wait_for_timeout(300) or route.continue_())
+        page.goto(f"{url}#map=hafenstadt", wait_until="commit")
+        page.wait_for_selector("#tab-here", state="attached")
+        page.wait_for_load_state()
+        assert page.evaluate(BUSY, SENTENCE)  # before the maps are known
+        page.wait_for_selector(".mode >> nth=1")
+        assert page.get_attribute("body", "data-busy") is None
+        page.click(".mode >> nth=1")
+        page.wait_for_selector('.mode[data-mode="1"][aria-pressed=true]')
+        assert page.evaluate(BUSY, SENTENCE + " A library is behind me.")
+        page.wait_for_selector('.mode[data-mode="0"][aria-pressed=true]')
+        page.wait_for_selector("body:not([data-busy])")
+        assert not page.evaluate(BUSY, "")
+
+
+def test_nothing_covers_a_pin(browser, url):
+    for link in (
+        f"#q={KITCHEN}",
+        f"#q={SENTENCE}",
+        "#q=A bakery is to my west.",
+        "#q=I am at Hotel Hansa.",
+    ):
+        for size in ((1280, 800), (390, 800)):
+            with opened(
+                browser, url + link, viewport=dict(zip(("width", "height"), size, strict=True))
+            ) as page:
+                page.wait_for_selector(".status")
+                still(page)
+                assert page.evaluate(COVERED) == 0, (link, size)
+
+
 def test_a_way_is_told_and_asked_about(browser, url):
     with opened(browser, url + "#map=hafenstadt&tab=walk") as page:
         page.fill("#text", SENTENCE)
@@ -212,11 +260,10 @@ def inside(page):
 
 def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
     with opened(browser, f"{url}#q={KITCHEN}") as page:
-        page.get_by_role("button", name="yes").click()  # in Hotel Hansa
-        page.wait_for_selector(".chip:has-text('Hotel Hansa')")
-        assert (
-            page.inner_text(".mode .named >> nth=0") == "kitchen, Hotel Hansa, floor 2, Hafenstadt"
-        )
+        page.wait_for_selector(".modes .mode")
+        assert page.locator(".ask").count() == 0  # whether one is where one said that one is
+        named = page.inner_text(".mode .named >> nth=0")
+        assert named == "kitchen, Hotel Hansa, floor 2, Hafenstadt"
         still(page)
         assert page.evaluate(SCALE) == "50 m"
         page.click(".modes .mode >> nth=0")
@@ -226,7 +273,7 @@ def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
         floor = page.get_by_role("button", name="Floor 2", exact=True)
         assert floor.get_attribute("aria-pressed") == "true"
         box = page.locator(".pin.on").bounding_box()  # it stands in the kitchen
-        page.mouse.move(box["x"] + 60, box["y"] + 60)
+        page.mouse.move(box["x"] + 40, box["y"] + 50)
         page.wait_for_selector(".tip:has-text('kitchen')")
         page.click(".floor .out")
         page.wait_for_selector(".floor", state="hidden")
@@ -236,6 +283,27 @@ def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
         page.click("#tab-inside")  # images that are taken now are of this flat
         page.wait_for_selector(".scenes [aria-pressed=true]:has-text('Hotel Hansa')")
         assert {a.split("/")[2] for a in page.asked} == {url.split("/")[2]}
+
+
+OTHER = "text => document.querySelector('.ask p')?.innerText !== text"
+
+
+def test_a_room_that_is_found_opens(browser, url):
+    with opened(browser, f"{url}#q=I am in the kitchen.") as page:
+        page.get_by_role("button", name="no", exact=True).click()  # in home1
+        page.wait_for_selector(".ask p:has-text('onerror')")
+        page.get_by_role("button", name="yes", exact=True).click()
+        page.wait_for_selector(".status.OK")
+        inside(page)
+        assert "onerror" in page.inner_text(".floor b")
+
+
+def test_a_question_in_german_is_answered_in_german(browser, url):
+    with opened(browser, f"{url}#q=Ich bin in der Küche.") as page:
+        assert page.inner_text(".ask p") == "Sind Sie hier: home1?"
+        page.get_by_role("button", name="nein", exact=True).click()
+        page.wait_for_function(OTHER, arg="Sind Sie hier: home1?")
+        assert "Home1" not in page.inner_text(".mode .named >> nth=0")
 
 
 def test_places_of_other_towns_and_of_none_are_shown_where_they_are(browser, url):
@@ -290,6 +358,17 @@ def test_a_home_of_no_town_has_a_plan_of_its_own(browser, url):
         page.fill("#text", KITCHEN)
         page.wait_for_selector('.map[data-stage="city"]')
         page.wait_for_selector(".pin.on")
+
+
+@pytest.mark.parametrize("tab", ["constructor", "__proto__", "toString", "%00", "<b>"])
+def test_a_tab_that_is_none_is_the_first(browser, url, tab):
+    with opened(
+        browser, f"{url}#tab={tab}&map={tab}&scene={tab}&answers=7&near=x&heading=x"
+    ) as page:
+        page.wait_for_selector(".examples button")
+        assert page.get_attribute("#tab-here", "aria-selected") == "true"
+        page.click("#tab-inside")
+        page.wait_for_selector(".scenes")
 
 
 def test_hostile_buildings_are_only_names(browser, url):

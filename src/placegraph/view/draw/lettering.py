@@ -88,7 +88,7 @@ def place_names(
     items = list(items)
     wanted = _wanted(objects, items, scale, face, skip)
     for item in items:
-        if isinstance(item, Dot) and PAINTS[item.paint].rank < 9:
+        if isinstance(item, Dot) and PAINTS[item.paint].rank < 9 and item.paint != "transit":
             occupied.claim([(item.at[0] * scale, -item.at[1] * scale, 4.0)], force=True)
     placed: list[Text] = []
     streets: dict[str, list[Points]] = {}

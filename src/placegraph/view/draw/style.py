@@ -121,7 +121,7 @@ PAINTS: dict[str, Paint] = {
     "minor": Paint("disc", "minor", "", 4.0, since=1.2),
     "furniture": Paint("square", "minor", "paper", 6.0, since=0.9),
     "leisure": Paint("disc", "leisure", "paper", 8.0, rank=6, since=0.8),
-    "transit": Paint("square", "transit", "paper", 9.0, rank=5, since=0.6),
+    "transit": Paint("square", "transit", "paper", 9.0, rank=5, since=1.0),
     "shop": Paint("disc", "shop", "paper", 8.0, rank=6, since=0.8),
     "health": Paint("cross", "health", "paper", 8.0, rank=5, since=0.8),
     "civic": Paint("disc", "civic", "paper", 8.0, rank=5, since=0.8),

@@ -56,14 +56,15 @@ export class AnswerMap {
     this.place();
   }
 
-  /** Show an answer; null shows none. `move` says whether the map goes there. */
-  show(answer, { move = true } = {}) {
+  /** Show an answer; null shows none. `move`: the map goes there; `stay`: the place that was chosen stays so. */
+  show(answer, { move = true, stay = false } = {}) {
     this.answer = answer;
     this.lit.clear();
     const modes = answer?.estimate.modes ?? [];
     for (const mode of modes) mode.town ??= this.stage?.town(mode);
-    this.selected = move ? 0 : clamp(this.selected, 0, Math.max(0, modes.length - 1));
-    this.on(this.selected, Boolean(posed(modes[this.selected])), () => { if (move) this.home(); });
+    this.selected = stay ? clamp(this.selected, 0, Math.max(0, modes.length - 1)) : 0;
+    const found = answer?.estimate.status === "OK" && modes[0]?.scene; // a room that is found opens
+    this.on(this.selected, Boolean(found || posed(modes[this.selected])), () => { if (move) this.home(); });
   }
 
   select(k) {
@@ -126,7 +127,9 @@ export class AnswerMap {
     }
     const least = 0.1 * standing[0].mode.probability;
     const shown = answer.estimate.status === "AMBIGUOUS" ? standing.filter((p) => p.mode.probability >= least) : [standing[0]];
-    const seen = shown.every(({ within, heading }) => heading !== undefined && within?.house === shown[0].within?.house), boxes = shown.map((place) => this.around(place, seen));
+    const sure = answer.estimate.status === "OK", [{ within: first }] = shown;
+    const seen = shown.every(({ within, heading }) => (heading !== undefined || (sure && within)) && within?.house === first?.house);
+    const boxes = shown.map((place) => this.around(place, seen));
     for (const [x, y] of this.way) boxes.push([x - 40, y - 40, x + 40, y + 40]);
     map.fly(map.fitting([0, 1].map((k) => Math.min(...boxes.map((b) => b[k])))
       .concat([2, 3].map((k) => Math.max(...boxes.map((b) => b[k])))), seen ? map.largest : undefined));

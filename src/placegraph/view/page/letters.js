@@ -76,7 +76,7 @@ export function* lettered(tiles, [west, south, east, north], scale, taken, skip)
         const before = seen.get(item.osm);
         if (before && before.extent >= item.extent) continue;
         seen.set(item.osm, item);
-        if (paint.form !== "area") {
+        if (paint.form !== "area" && paint.form !== "square") { // stops give way
           taken.claim([[w * scale, -s * scale, 4]], true);
         }
       }

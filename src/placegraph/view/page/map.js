@@ -104,9 +104,9 @@ export class MapView {
 
   /** The view that shows a rectangle [m], beside what stands on the map. */
   fitting([w, s, e, n], largest = 2.4) {
-    const tools = this.width < NARROW ? 46 : 0, height = Math.max(80, this.height - 1.4 * tools);
+    const tools = this.width < NARROW ? 46 : 0, legend = tools ? 18 : 44, height = Math.max(80, this.height - tools - legend);
     const scale = Math.min(this.width / Math.max(e - w, 1), height / Math.max(n - s, 1), largest);
-    return this.limited({ x: (w + e) / 2, y: (s + n) / 2 + (0.3 * tools) / scale, scale });
+    return this.limited({ x: (w + e) / 2, y: (s + n) / 2 + (0.5 * (tools - legend)) / scale, scale });
   }
 
   /** The view that shows all there is. */

@@ -28,7 +28,10 @@ class App {
     $("theme").addEventListener("click", () => this.theme());
     $("share").addEventListener("click", () => this.shared());
     $("say").addEventListener("submit", (event) => { event.preventDefault(); this.tell(); });
-    $("text").addEventListener("input", () => this.tab?.typed?.());
+    $("text").addEventListener("input", () => {
+      this.wait(this.name !== "walk" && Boolean(this.text.trim()));
+      this.tab?.typed?.();
+    });
     $("text").addEventListener("keydown", (event) => {
       if (event.key === "Enter" && !event.shiftKey && !event.isComposing) { event.preventDefault(); this.tell(); }
     });
@@ -67,7 +70,7 @@ class App {
     const city = cities.find(({ name }) => name === hash.get("map"));
     await this.choose(city?.name ?? (everywhere.length ? "" : this.maps[0]?.name), { told: hash });
     const wanted = hash.get("tab");
-    this.open(wanted in this.tabs && !$(`tab-${wanted}`).hidden ? wanted : "here");
+    this.open(Object.hasOwn(this.tabs, wanted) && !$(`tab-${wanted}`).hidden ? wanted : "here");
     this.write();
   }
 
@@ -161,6 +164,12 @@ class App {
     sessionStorage.setItem("theme", theme);
     this.view.map.recolour();
     this.stage.recolour();
+  }
+
+  /** Show at once that an answer is on its way. */
+  wait(on) {
+    document.body.toggleAttribute("data-busy", on);
+    $("panel").setAttribute("aria-busy", String(on));
   }
 
   note(text) { $("note").textContent = text; }

@@ -41,6 +41,7 @@ export class Here {
 
   leave() {
     this.live.forget();
+    this.app.wait(false);
     this.app.view.show(null, { move: false });
   }
 
@@ -66,6 +67,7 @@ export class Here {
     this.text = this.app.text = "";
     this.answers = [];
     this.result = this.error = null;
+    this.app.wait(false);
     this.app.view.show(null, { move: false });
     this.app.write();
     this.render();
@@ -73,6 +75,7 @@ export class Here {
 
   ask(now) {
     this.going = now;
+    this.app.wait(true);
     this.live.ask({
       text: this.text, ...(this.app.scope ? { map: this.app.scope } : {}), ...this.app.you.known,
       ...(this.answers.length ? { answers: this.answers } : {}),
@@ -87,17 +90,19 @@ export class Here {
 
   answered(result) {
     if (this.app.tab !== this) return;
-    this.result = result;
-    this.error = null;
-    this.app.view.show(result, { move: this.going });
+    const told = JSON.stringify([this.text, this.answers]);
+    this.app.view.show(result, { move: this.going, stay: Boolean(this.result) && told === this.told });
+    Object.assign(this, { result, told, error: null });
     this.going = false;
     this.render();
+    this.app.wait(false);
     const { status, modes, reason } = result.estimate, n = modes.length;
     this.app.announce(`${STATUS[status]}. ${reason} ${n} place${n === 1 ? "" : "s"}.`
       + (result.question ? ` ${result.question.text}` : ""));
   }
 
   failed(error) {
+    this.app.wait(false);
     if (error.status === 401) { this.app.trouble(error); return; }
     this.error = error;
     this.result = null; // it was the answer to something else

@@ -218,14 +218,16 @@ export class Stage {
 
   /** Doors and floors stand where they belong. */
   follow() {
-    const { map } = this.view, { scale, x, y } = map.view, taken = [];
+    const { map } = this.view, { scale, x, y } = map.view, taken = [], pins = this.view.pinned().map(({ at }) => map.px(...at));
     for (const door of this.doors.children) {
       const plan = this.shown.get(door.dataset.house), [left, top] = map.px(...plan.middle);
       const off = left < 0 || top < 20 || left > map.width || top > map.height + 20;
       const near = taken.some(([a, b]) => Math.abs(a - left) < 90 && Math.abs(b - top) < 30);
-      door.classList.toggle("small", scale < NAMED || near);
-      door.hidden = off || scale < DOORS || scale > 2 * OPEN;
-      door.style.translate = `${left.toFixed(1)}px ${top.toFixed(1)}px`;
+      const pinned = (before, after) => pins.some(([a, b]) => a > left - before && a < left + after && Math.abs(b - top + 22) < 30);
+      door.classList.toggle("small", scale < NAMED || near || pinned(34, 178));
+      const aside = [0, 46, -46, 92, -92].find((dx) => !pinned(28 - dx, 28 + dx)); // beside the pins
+      door.hidden = off || aside === undefined || scale < DOORS || scale > 2 * OPEN;
+      door.style.translate = `${(left + (aside ?? 0)).toFixed(1)}px ${top.toFixed(1)}px`;
       if (!door.hidden) taken.push([left, top]);
     }
     const least = ENTERED * Math.min(map.width, map.height);
