@@ -48,6 +48,11 @@ def decide_by_text(
         rooms = " No mapped room fits." if evidence.is_indoors and evidence.scenes else ""
         why = town.reason
         if (
+            town.status is Status.OK
+            and f"{best.place.probability:.0%}" != f"{best.probability:.0%}"
+        ):
+            why += f" Among all maps, the best place holds {best.probability:.0%}."
+        if (
             held < SURE_SCENE and town.status is not Status.LOST
         ):  # its reason speaks of the town alone
             why = f"The best place holds only {best.probability:.0%} of the probability."

@@ -160,7 +160,7 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     if diagnostics.is_probable:
         if diagnostics.cell_matcher or diagnostics.uncertainty:
             return Status.AMBIGUOUS, diagnostics.uncertainty or ranked
-        return Status.OK, _confirm(sure, claim.radius, diagnostics.others)
+        return Status.OK, _confirm(diagnostics, sure)
     best = claim.of_place.apply(diagnostics.best, doubtful=bool(names))
     if names:
         are = "are" if len(names) > 1 else "is"
@@ -175,13 +175,19 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     return Status.AMBIGUOUS, why + unread
 
 
-def _confirm(sure: float, radius: float, others: int) -> str:
-    """Say how much of the probability lies within a radius [m], in which further places may fit."""
+def _confirm(diagnostics: Diagnostics, sure: float) -> str:
+    """Say how much of the probability (`sure`) lies within the radius of a claim, and at its best place."""
+    claim, others = diagnostics.claim, diagnostics.others
+    best = claim.of_place.apply(diagnostics.best or 0.0, doubtful=False)
+    of_this = f" Of this, {best:.0%} lies within {MODE_RADIUS:.0f} m."
+    of_this = "" if f"{best:.0%}" == f"{sure:.0%}" else of_this
     if not others:
-        return f"One place holds {sure:.0%} of the probability within {radius:.0f} m."
+        return (
+            f"One place holds {sure:.0%} of the probability within {claim.radius:.0f} m.{of_this}"
+        )
     return (
-        f"The best place holds {sure:.0%} of the probability within {radius:.0f} m, where "
-        f"{others + 1} places fit: it may be any of them."
+        f"The best place holds {sure:.0%} of the probability within {claim.radius:.0f} m, where "
+        f"{others + 1} places fit: it may be any of them.{of_this}"
     )
 
 
