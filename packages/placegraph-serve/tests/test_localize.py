@@ -11,7 +11,7 @@ from PIL import Image
 import placegraph as pg
 from placegraph.indoor.pose.prior import Prior
 from placegraph.io.capture.tum import read_tum
-from placegraph_serve.localize import in_radians
+from placegraph_serve.localize import MOST_ALONE, in_radians
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Dispatcher, Places
 from placegraph_serve.requests import PriorPose
@@ -115,6 +115,15 @@ def test_three_images_without_odometry_are_as_sure_and_right_as_the_best_one(
     least = 3 * np.linalg.eigvalsh(np.array(estimate["modes"][0]["covariance"])[:3, :3])[-1] ** 0.5
     assert off(estimate["modes"][0], truth[rows[estimate["frames"][-1]]]) < max(least, 0.1)
     assert f"{share:.0%}" in estimate["reason"] or "places" not in estimate["reason"]
+
+
+def test_page_and_server_take_the_same_number_of_images(client, frame):
+    page = client.get("/inside.js").text
+    assert f"[...files].slice(0, {MOST_ALONE})" in page
+    pictures = [("images", ("i.png", encoded(frame.rgb())))] * (MOST_ALONE + 1)
+    refused = asked(client, pictures)
+    assert (refused.status_code, refused.json()["code"]) == (422, "option")
+    assert f"the limit without it is {MOST_ALONE}" in refused.json()["detail"]
 
 
 def test_images_of_a_way_with_depth(client, walk, truth):

@@ -65,7 +65,7 @@ export class Inside {
 
   take(files) {
     this.images.forEach(({ url }) => URL.revokeObjectURL(url));
-    this.images = [...files].slice(0, 12).map((file) => ({ file, url: URL.createObjectURL(file), zip: /\.zip$/i.test(file.name) }));
+    this.images = [...files].slice(0, 8).map((file) => ({ file, url: URL.createObjectURL(file), zip: /\.zip$/i.test(file.name) }));
     if (this.images.length) this.localize();
   }
 
