@@ -209,15 +209,7 @@ class GraphBuilder:
                 head=chunk.words, name=chunk.value.name,
             )  # fmt: skip
             node = self.references.resolve(noun)
-            known = self.places.statements
-            linked = {
-                n
-                for s in known
-                if s.relation is not Relation.BETWEEN
-                if SPEAKER in (s.source, s.target)
-                for n in (s.source, s.target, s.target2)
-            }
-            if node is None or node in linked:
+            if node is None or self._is_linked(node):
                 continue
             context = ClauseContext(self.references.text[chunk.start : chunk.end])
             if noun.name:
@@ -228,7 +220,7 @@ class GraphBuilder:
     def complete(self, text: str, language: Language, names: NameFinder) -> None:
         """Give mentions the names of the map that their words begin with: "Kauppatoria".
 
-        The place is near what no mention speaks of: "Marktplatzbrunnen", names in an unknown language.
+        The place is near them where nothing else is said: "Marktplatzbrunnen", an unknown language.
         """
         known, mentions = self.references.vocabulary, self.references.mentions
         if isinstance(known, Vocabulary) and language.code != "en":
@@ -259,8 +251,16 @@ class GraphBuilder:
             exact = bool(words) and names.longest_name(words, 0) == len(words)
             if not (words and (exact or {*words} - {*name.split()} <= prefixes)):
                 mentions[node] = replace(mentions[node], name=name)
-            if not any(node in (s.source, s.target, s.target2) for s in self.places.statements):
+            if not self._is_linked(node):
                 self.places.add(ClauseContext(name), Relation.NEAR, SPEAKER, node, certainty=LED)
+
+    def _is_linked(self, node: int) -> bool:
+        """Tell whether a statement says where the speaker is from a mention."""
+        return any(
+            SPEAKER in (s.source, s.target) and node in (s.source, s.target, s.target2)
+            for s in self.places.statements
+            if s.relation is not Relation.BETWEEN
+        )
 
     def _count(self) -> tuple[int, int, int]:
         """Count what has been said, understood or not; every telling clause raises it."""

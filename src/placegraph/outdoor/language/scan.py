@@ -159,7 +159,7 @@ def find_stretches(
     found: list[Stretch] = []
     for start, end in spans:
         evidence = _evidence(text[start:end], signs, nouns, folder)
-        best = _best(evidence, english=False) or whole
+        best = _best(evidence, english=False, likely=whole) or whole
         tongue = english() if best == NO_CODE else language(best, folder)
         part = Stretch(start, end, tongue, best != NO_CODE)
         if found and found[-1][2:] == part[2:]:
@@ -250,15 +250,18 @@ def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> N
         scores[code] += weight * sum(tongue.has_thing(word) for word in words)
 
 
-def _best(evidence: _Evidence, *, english: bool) -> str:
+def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
     """Return the language for which most speaks; unknown where that is too little.
 
-    `english`: whether one known English word is enough, as it always was.
+    `english`: whether one known English word is enough, as it always was. `likely`: which it is if
+    several are as good.
     """
     scores, count, known = evidence
     if not scores:
         return NO_CODE
     code = max(scores, key=lambda code: (scores[code], code == "en"))
+    if likely in scores and scores[likely] > scores[code] - 0.5 * _ALIKE:
+        code = likely
     if english and scores.get("en", 0.0) >= 0.5 and scores["en"] >= scores[code] - 0.5:
         return "en"
     enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW
