@@ -123,8 +123,8 @@ def describe(
     for sentence, spoken in sentences:
         if grammar and spoken.grammar:
             _read_sentence(sentence, spoken, builder)
-        else:
-            builder.note(sentence)
+        if spoken.code != "en" or not grammar:
+            builder.note(sentence, grammar=grammar and spoken.grammar)
     for part in parts:
         if names and (part.language.code != "en" or not part.certain):
             builder.complete(cleaned[part.start : part.end], part.language, names)
@@ -199,17 +199,29 @@ class GraphBuilder:
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._choose_topic()
 
-    def note(self, sentence: list[Chunk]) -> None:
-        """Let the place be near all names, and let kinds of things be in sight: there is no grammar."""
+    def note(self, sentence: list[Chunk], *, grammar: bool) -> None:
+        """Let the place be near names of the map that no statement speaks of.
+
+        Without grammar these are all names, and kinds of things are in sight.
+        """
         for chunk in sentence:
-            if chunk.type not in ("NAME", "NOUN"):
+            named = chunk.type == "NAME" and chunk.value.exact
+            if not named and (grammar or chunk.type not in ("NAME", "NOUN")):
                 continue
             noun = NounPhrase(
                 "thing", chunk.start, chunk.end, "DET", senses=chunk.value.senses,
                 head=chunk.words, name=chunk.value.name,
             )  # fmt: skip
             node = self.references.resolve(noun)
-            if node is None or self._is_linked(node):
+            known = self.places.statements
+            linked = {
+                n
+                for s in known
+                if s.relation is not Relation.BETWEEN
+                if SPEAKER in (s.source, s.target)
+                for n in (s.source, s.target, s.target2)
+            }
+            if node is None or node in linked:
                 continue
             context = ClauseContext(self.references.text[chunk.start : chunk.end])
             if noun.name:
@@ -220,7 +232,7 @@ class GraphBuilder:
     def complete(self, text: str, language: Language, names: NameFinder) -> None:
         """Give mentions the names of the map that their words begin with: "Kauppatoria".
 
-        The place is near them where nothing else is said: "Marktplatzbrunnen", an unknown language.
+        The place is near what no mention speaks of: "Marktplatzbrunnen", names in an unknown language.
         """
         known, mentions = self.references.vocabulary, self.references.mentions
         if isinstance(known, Vocabulary) and language.code != "en":
@@ -251,16 +263,8 @@ class GraphBuilder:
             exact = bool(words) and names.longest_name(words, 0) == len(words)
             if not (words and (exact or {*words} - {*name.split()} <= prefixes)):
                 mentions[node] = replace(mentions[node], name=name)
-            if not self._is_linked(node):
+            if not any(node in (s.source, s.target, s.target2) for s in self.places.statements):
                 self.places.add(ClauseContext(name), Relation.NEAR, SPEAKER, node, certainty=LED)
-
-    def _is_linked(self, node: int) -> bool:
-        """Tell whether a statement says where the speaker is from a mention."""
-        return any(
-            SPEAKER in (s.source, s.target) and node in (s.source, s.target, s.target2)
-            for s in self.places.statements
-            if s.relation is not Relation.BETWEEN
-        )
 
     def _count(self) -> tuple[int, int, int]:
         """Count what has been said, understood or not; every telling clause raises it."""
