@@ -145,6 +145,19 @@ def test_a_way_is_told_and_asked_about(browser, url):
         page.wait_for_selector(".log li >> nth=2")
 
 
+def test_a_way_is_looked_for_in_all_towns(browser, url):
+    with opened(browser, url + "#tab=walk") as page:
+        page.fill("#text", "A bakery is to my west. A fountain is to my east.")
+        page.click("#go")
+        page.wait_for_selector(".mode >> nth=1")
+        towns = page.locator(".mode .named").all_inner_texts()
+        assert {town.split(", ")[-1] for town in towns} == {"Hafenstadt", "Hostile"}
+        page.fill("#text", "The museum is south of me.")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".log li >> nth=1")
+        assert "Hostile" in page.inner_text(".modes")  # the museum is there
+
+
 def test_evidence_lights_up_both_ways(browser, url):
     with opened(browser, url + "#map=hafenstadt&q=" + SENTENCE) as page:
         page.wait_for_selector(".evidence .object")

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.estimate import CityEstimate, PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Camera
 from placegraph.core.options import in_radians
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.status import decide_joined, diagnostics_of
+from placegraph.indoor.status import SURE_SCENE, decide_joined, diagnostics_of
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_serve.locate import describe_answer, on_earth, options_in, read_answer
@@ -43,6 +43,7 @@ from placegraph_serve.requests import (
 )
 
 if TYPE_CHECKING:
+    from placegraph.outdoor.search.ask import Question
     from placegraph_serve.places import Dispatcher, Places
 
 MOST_ALONE = 8
@@ -301,11 +302,14 @@ def picture(
 def begin_session(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """Make the tracker of a session; `request`: `session`, and what `schema.Begin` has."""
     name = request["map"] or dispatcher.places.only
-    if name is None:
+    cities = [e.name for e in dispatcher.places.entries() if e.kind == "city"]
+    if name is None and (request["camera"] or not cities):
         raise OptionError("map: the server has several maps; name one.")
-    kind = dispatcher.places.entry(name).kind
-    if kind == "city":
-        tracker: Any = dispatcher.places.city(name).track(**options_in(request))
+    if name is None:
+        places, options = dispatcher.places, options_in(request)
+        tracker: Any = {n: places.city(n).track(**options) for n in cities}
+    elif dispatcher.places.entry(name).kind == "city":
+        tracker = dispatcher.places.city(name).track(**options_in(request))
     else:
         camera = _session_camera(request)
         if camera is None:
@@ -332,9 +336,11 @@ def step(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
             "The session has ended; start a new one.", status=410, code="session_over"
         )
     name, tracker = dispatcher.trackers[request["session"]]
-    if isinstance(tracker, CityTracker):
-        estimate: Any = _walked(tracker, request)
-        answer = describe_answer(name, estimate, estimate.next_question(tracker.city))
+    estimate: Any
+    if isinstance(tracker, CityTracker | dict):
+        trackers = tracker if isinstance(tracker, dict) else {name: tracker}
+        estimate, question = _walk_anywhere(trackers, request)
+        answer = describe_answer(name, estimate, question)
         answer["geojson"] = on_earth(estimate.geojson)
         return name_places(dispatcher, answer)
     estimate = tracker.update(
@@ -352,6 +358,36 @@ def end(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     """Forget a session."""
     dispatcher.trackers.pop(request["session"], None)
     return {}
+
+
+def _walk_anywhere(
+    trackers: dict[str, CityTracker], request: dict[str, Any]
+) -> tuple[CityEstimate, Question | None]:
+    """Take a step in all cities, and join their posteriors; return estimate and question.
+
+    A city's share is its odds against elsewhere, over the number of cities.
+    """
+    found = [(t, _walked(t, request)) for t in trackers.values()]
+    if len(found) == 1:
+        return found[0][1], found[0][1].next_question(found[0][0].city)
+    off = np.clip([t.elsewhere for t, _ in found], 1e-9, 1.0 - 1e-9)
+    odds = (1.0 - off) / off / len(found)
+    shares = odds / (1.0 + odds.sum())
+    scales = (shares / (1.0 - off)).tolist()
+    modes = [
+        replace(m, probability=m.probability * scale, explain=m.explain)
+        for (_, e), scale in zip(found, scales, strict=True) for m in e.modes
+    ]  # fmt: skip
+    modes.sort(key=lambda m: -m.probability)
+    support = [e.support * (1.0, 1.0, s) for (_, e), s in zip(found, scales, strict=True)]
+    tracker, best = found[int(shares.argmax())]
+    status, reason = best.status, best.reason
+    if status is not Status.LOST and shares.max() < SURE_SCENE:
+        status, reason = Status.AMBIGUOUS, "Places in several towns fit."
+    joint = replace(
+        best, status=status, reason=reason, modes=tuple(modes[:5]), support=np.concatenate(support)
+    )
+    return joint, best.next_question(tracker.city)
 
 
 def _walked(tracker: CityTracker, request: dict[str, Any]) -> Any:  # noqa: ANN401  # an estimate

@@ -23,7 +23,7 @@ export class Walk {
 
   leave() {
     this.app.view.show(null, { move: false });
-    if (this.session && this.app.stage.cityName !== this.city) this.end();
+    if (this.session && this.app.scope !== this.scope) this.end();
   }
 
   end() {
@@ -54,10 +54,11 @@ export class Walk {
     this.error = null;
     this.render();
     try {
-      if (!this.session || this.city !== this.app.stage.cityName) {
+      if (!this.session || this.scope !== this.app.scope) {
         this.forget();
-        this.city = this.app.stage.cityName;
-        this.session = (await call("v1/sessions", { json: { map: this.city, ...this.app.you.known } })).session;
+        this.scope = this.app.scope;
+        const map = this.scope ? { map: this.scope } : {}; // without one, all are asked
+        this.session = (await call("v1/sessions", { json: { ...map, ...this.app.you.known } })).session;
       }
       this.result = await call(`v1/sessions/${this.session}`, { json: step });
       this.log.push(words);
