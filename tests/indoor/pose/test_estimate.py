@@ -32,7 +32,7 @@ def test_a_map_is_less_true_where_no_camera_made_it(room):
     here = np.array([1.0, 1.0, 1.5])
     made = replace(room, viewpoints=here[None])
     near, far = (map_error(made, np.add(here, [way, 0, 0])) for way in (0.0, 1.0))
-    assert near == LEAST == map_error(room, here), "a mesh does not drift"
+    assert near == LEAST == map_error(room, here), "a mesh has no cameras"
     assert far == pytest.approx(np.hypot(LEAST, DRIFT))
     more = np.diag(pose_covariance(np.eye(4), far) - pose_covariance(np.eye(4), near))
     assert more[0] == more[1] == pytest.approx(DRIFT**2)

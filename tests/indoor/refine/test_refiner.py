@@ -1,5 +1,7 @@
 """Which senses and which frames take part in a refinement."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,13 @@ from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.refinement import held_back
-from placegraph.indoor.refine.refiner import FEW, MANY, FittedTrajectory, matching_stages
+from placegraph.indoor.refine.refiner import (
+    FEW,
+    MANY,
+    UNEXPLAINED,
+    FittedTrajectory,
+    matching_stages,
+)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -83,6 +91,15 @@ def test_images_are_matched_where_depth_leaves_doubts(refiner, exact, options, v
     one = refiner(matcher=nowhere, **options)
     one.fit_trajectory(exact.poses[: len(one.frames)])
     assert nowhere.views == views
+
+
+def test_a_scan_that_leaves_depth_unexplained_is_less_true(refiner, exact):
+    one = refiner(images=False)
+    fitted, variances = one.fit_trajectory(exact.poses), []
+    for cost in (0.3, 0.9):  # the halves of an office, as meshes, were off by 3 cm
+        found = one._conclude(fitted.poses, replace(fitted.solution, cost=cost), fitted.matches)
+        variances.append(found.covariance[0, 0])
+    assert variances[1] - variances[0] == pytest.approx(UNEXPLAINED**2 * (0.9**2 - 0.3**2))
 
 
 def test_where_nothing_matches_depth_decides(refiner, exact, kit):

@@ -41,8 +41,8 @@ _LEVER = 2.0  # distance over which the map's error turns a pose [m]
 def map_error(scene: Scene, position: Floats) -> float:
     """Return the standard deviation [m] of a map as seen from a position (3,), common to all frames.
 
-    The poses by which a map was made drift, so that it is truest near its own cameras. Scenes of meshes
-    have none and do not drift.
+    The poses by which a map was made drift, so that it is truest near its own cameras. Meshes do not say
+    where these were: `LEAST`.
     """
     of, _ = find_nearest_scene(scene, scene.viewpoints[:, :2])
     own = scene.viewpoints[of == scene.scene_at(position[:2])]
