@@ -132,6 +132,18 @@ def test_nothing_covers_a_pin(browser, url):
                 assert page.evaluate(COVERED) == 0, (link, size)
 
 
+def test_an_answer_that_comes_late_is_shown(browser, url):
+    with opened(browser, url) as page:
+        page.wait_for_selector(".examples button")
+        still(page)
+        page.evaluate("WebSocket.prototype.send = function () { this.close(); }")
+        page.route("**/v1/locate", lambda route: page.wait_for_timeout(1200) or route.continue_())
+        page.evaluate(BUSY, "A bakery is to my west. A fountain is to my east.")
+        page.wait_for_selector(".pin.on")
+        still(page)
+        assert page.evaluate(SCALE) in {"20 m", "50 m"}
+
+
 def test_a_way_is_told_and_asked_about(browser, url):
     with opened(browser, url + "#map=hafenstadt&tab=walk") as page:
         page.fill("#text", SENTENCE)

@@ -63,8 +63,10 @@ export class AnswerMap {
     const modes = answer?.estimate.modes ?? [];
     for (const mode of modes) mode.town ??= this.stage?.town(mode);
     this.selected = stay ? clamp(this.selected, 0, Math.max(0, modes.length - 1)) : 0;
-    const found = answer?.estimate.status === "OK" && modes[0]?.scene; // a room that is found opens
-    this.on(this.selected, Boolean(found || posed(modes[this.selected])), () => { if (move) this.home(); });
+    const before = this.stage?.name, found = answer?.estimate.status === "OK" && modes[0]?.scene; // a room that is found opens
+    this.on(this.selected, Boolean(found || posed(modes[this.selected])), () => {
+      if (move || before !== this.stage?.name) this.home(); // another city comes late
+    });
   }
 
   select(k) {

@@ -81,8 +81,9 @@ export class Here {
       ...(this.answers.length ? { answers: this.answers } : {}),
     });
     clearTimeout(this.rest);
-    this.app.view.map.byHand = false;
+    this.app.view.map.byHand = this.rested = false;
     this.rest = setTimeout(() => {
+      this.rested = true;
       if (this.result && this.app.tab === this && !this.app.view.map.byHand) this.app.view.home();
       this.app.write();
     }, REST);
@@ -91,7 +92,8 @@ export class Here {
   answered(result) {
     if (this.app.tab !== this) return;
     const told = JSON.stringify([this.text, this.answers]);
-    this.app.view.show(result, { move: this.going, stay: Boolean(this.result) && told === this.told });
+    const move = this.going || (this.rested && !this.app.view.map.byHand); // it comes late
+    this.app.view.show(result, { move, stay: Boolean(this.result) && told === this.told });
     Object.assign(this, { result, told, error: null });
     this.going = false;
     this.render();
