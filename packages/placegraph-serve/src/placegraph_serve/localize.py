@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 MOST_ALONE = 8
 """Images at most that no odometry joins."""
 LENS = (
-    "The image does not tell its focal length, so a usual one was assumed; send `intrinsics`, or the "
-    "original image of the camera."
+    "The image does not tell its focal length, so a usual one was assumed; use the camera's "
+    "original image, or give its intrinsics."
 )
 ROOM, TOGETHER = 6.0, 0.95
 """Distance [m] within which images without odometry were taken, and the probability that they were."""
