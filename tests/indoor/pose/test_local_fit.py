@@ -10,7 +10,7 @@ from placegraph.core.geometry import compose, split_pose, wrap_angle
 from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
-from placegraph.indoor.pose.covariance import pose_covariance
+from placegraph.indoor.pose.covariance import bound_covariance, pose_covariance
 from placegraph.indoor.pose.local_fit import (
     NARROWEST,
     SPREAD,
@@ -200,3 +200,16 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
     sd = np.sqrt(np.diag(pose_covariance(fits[0].covariance, 0.0) / WIDENED))[[0, 1, 2, 5]]
     assert (sd < [0.15, 0.15, 0.15, 0.1]).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_refined_pose_is_nowhere_known_less_than_the_coarse_one(seed):
+    rng = np.random.default_rng(seed)
+    refined, coarse = ((a := rng.normal(size=(6, 6))) @ a.T + 0.01 * np.eye(6) for _ in range(2))
+    shift = rng.normal(size=3)
+    bound = bound_covariance(refined, coarse, shift)
+    coarse[:3, :3] += np.outer(shift, shift)
+    for looser in (refined, coarse):
+        assert np.linalg.eigvalsh(looser - bound).min() > -1e-9
+    np.testing.assert_allclose(bound_covariance(bound, coarse, 0.0 * shift), bound, atol=1e-9)
+    np.testing.assert_allclose(bound_covariance(9.0 * coarse, coarse, 0.0 * shift), coarse)

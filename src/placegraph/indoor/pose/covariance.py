@@ -71,6 +71,20 @@ def least_certain(covariance: Floats) -> tuple[float, Floats]:
     return float(np.sqrt(variances[-1])), axes[:, -1]
 
 
+def bound_covariance(covariance: Floats, coarse: Floats, shift: Floats) -> Floats:
+    """Return a covariance (6, 6) that is in no direction looser than that of the coarse pose.
+
+    `shift`: way (3,) from the coarse pose [m]. Labels may hold a coarse pose where depth leaves it free.
+    """
+    known = coarse.copy()
+    known[:3, :3] += np.outer(shift, shift)
+    root = np.linalg.cholesky(known)
+    white = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    ratios, axes = np.linalg.eigh(white)
+    axes = root @ axes
+    return np.asarray((axes * np.minimum(ratios, 1.0)) @ axes.T)
+
+
 _PROBES = np.stack(np.meshgrid([0.1, 0.3, 0.5, 0.7, 0.9], [0.1, 0.3, 0.5, 0.7, 0.9]), axis=-1)
 """Image points whose distance is measured [width, height]."""
 

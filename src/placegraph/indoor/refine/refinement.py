@@ -23,7 +23,7 @@ from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
-from placegraph.indoor.pose.covariance import FITTED, lens_covariance
+from placegraph.indoor.pose.covariance import FITTED, bound_covariance, lens_covariance
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at, judge_refined
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, time_stage
 from placegraph.indoor.rays.trace_kernels import LANES
@@ -500,8 +500,12 @@ def refine_from(
             found = RefinementDiagnostics(has_depth=False, landmarks=refiner.landmark_matches)
             check = FitCheck(found, f"Not refined: {error}", nothing, {})
     if check.accepted:
-        refined = split_pose(check.candidate.poses)[0]
-        covariance = check.candidate.covariance
+        candidate, coarse = check.candidate, estimate.modes[0]
+        refined, covariance = split_pose(candidate.poses)[0], candidate.covariance
+        if diagnostics_of(estimate).semantic is not None:
+            shift = candidate.poses[-1, :3, 3] - coarse.map_from_camera[:3, 3]
+            covariance = bound_covariance(covariance, coarse.covariance, shift)
+            check = replace(check, candidate=replace(candidate, covariance=covariance))
         estimate = judge_refined(window, estimate, refined, covariance, check.correlation)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best

@@ -353,48 +353,61 @@ def find_uncertainty(
 ) -> str:
     """Return why the best place cannot be sure; empty where nothing speaks against it.
 
+    Statements may not fit (`find_misfit`). A named area tells no more than its extent, unless the claim is
+    as wide or another unique name tells where in it.
+    """
+    misfit = find_misfit(best, query, diagnostics)
+    if best is None or query is None or misfit:
+        return misfit
+    position = city.plane.to_plane((best.longitude, best.latitude))
+    names = [mention.name for mention in query.description.mentions]
+    wide: dict[int, float] = {}
+    narrow = False
+    for s, evidence in zip(query.used, best.evidence, strict=False):
+        if s.negated or s.far:
+            continue
+        extents = {
+            node: query.find_extent(node, position, city)
+            for node in query.unique.intersection(ends(s)) - query.sites
+            if is_binding(s) or s.relation is Relation.NEAR
+        }
+        if max(extents.values(), default=0.0) > max(MAX_EXTENT, diagnostics.claim.radius):
+            wide |= extents
+        elif not any(names[node][:1].isdecimal() for node in ends(s)):
+            narrow |= evidence.weight > TELLING
+    if not wide or narrow:
+        return ""
+    node = min(wide, key=wide.__getitem__)
+    return f"“{names[node]}” is more than {wide[node]:.0f} m wide; say where in it."
+
+
+def find_misfit(best: Place | None, query: Query | None, diagnostics: Diagnostics) -> str:
+    """Return which statements forbid that the best place is sure; empty where they do not.
+
     A unique name that does not fit the place forbids certainty, and so does an unknown name where
     nothing of its kind fits. So do more statements that do not fit, or are about what the map lacks,
     than statements that do. One in three that does not fit makes a probability doubtful (`DOUBT`).
-    A named area tells no more than its extent, unless the claim is as wide or another unique name
-    tells where in it.
     """
     if best is None or query is None:
         return ""
     fits = sum(e.verdict == "for" for e in best.evidence)
     fails = sum(e.verdict == "against" for e in best.evidence)
     told = fits + fails + sum(e.note.endswith(NOT_MAPPED) for e in best.evidence)
-    claim = diagnostics.claim
-    sure = claim.of_radius.apply(diagnostics.near_best, doubtful=2 * fails >= max(fits, 1))
+    doubtful = 2 * fails >= max(fits, 1)
+    sure = diagnostics.claim.of_radius.apply(diagnostics.near_best, doubtful=doubtful)
     if told > 2 * fits or sure < MIN_CONFIDENCE:
         return f"Only {fits} of {told} statements fit the best place, so it cannot be sure."
-    mentions, here = query.description.mentions, find_speaker_nodes(query.used)
-    position = city.plane.to_plane((best.longitude, best.latitude))
-    wide: dict[int, float] = {}
-    narrow = False
+    here = find_speaker_nodes(query.used)
     for s, evidence in zip(query.used, best.evidence, strict=False):
-        if s.negated or s.far:
+        if s.negated or s.far or here.isdisjoint(ends(s)):
             continue
-        unique = query.unique.intersection(ends(s))
-        failing = unique if evidence.verdict == "against" else frozenset[int]()
+        failing = query.unique if evidence.verdict == "against" else frozenset[int]()
         if evidence.verdict != "for":
-            failing |= query.by_kind.intersection(ends(s))
-        if failing and not here.isdisjoint(ends(s)):
-            name = mentions[min(failing)].name
+            failing |= query.by_kind
+        if failing := failing.intersection(ends(s)):
+            name = query.description.mentions[min(failing)].name
             return f"“{name}” does not fit the best place, so the place cannot be sure."
-        extents = {
-            node: query.find_extent(node, position, city)
-            for node in unique - query.sites
-            if is_binding(s) or s.relation is Relation.NEAR
-        }
-        if max(extents.values(), default=0.0) > max(MAX_EXTENT, claim.radius):
-            wide |= extents
-        elif not any(mentions[node].name[:1].isdecimal() for node in ends(s)):
-            narrow |= evidence.weight > TELLING
-    if not wide or narrow:
-        return ""
-    node = min(wide, key=wide.__getitem__)
-    return f"“{mentions[node].name}” is more than {wide[node]:.0f} m wide; say where in it."
+    return ""
 
 
 def _are_opposed(a: Statement, b: Statement) -> bool:

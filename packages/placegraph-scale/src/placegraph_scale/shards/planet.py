@@ -32,6 +32,7 @@ from placegraph.outdoor.search.status import (
     decide,
     diagnose,
     find_contradiction,
+    find_misfit,
     find_obstacle,
     infer_claim,
     shrink,
@@ -206,8 +207,12 @@ def make_estimate(
     post, peaks = shrink(posterior.posterior, peaks, diagnostics)
     posterior = replace(posterior, posterior=post)
     places = _make_places(search, shard_query, posterior, peaks)
-    contradiction = find_contradiction(places[0][1] if places else None, query)
-    status, reason = decide(replace(diagnostics, contradiction=contradiction))
+    best = places[0][1] if places else None
+    contradiction = find_contradiction(best, query)
+    uncertainty = find_misfit(best, query, diagnostics) if diagnostics.is_probable else ""
+    status, reason = decide(
+        replace(diagnostics, contradiction=contradiction, uncertainty=uncertainty)
+    )
     parts = {}
     for row in dict.fromkeys(row for row, _ in places):
         mine = tuple(place for r, place in places if r == row)
