@@ -500,12 +500,12 @@ def refine_from(
             found = RefinementDiagnostics(has_depth=False, landmarks=refiner.landmark_matches)
             check = FitCheck(found, f"Not refined: {error}", nothing, {})
     if check.accepted:
-        candidate, coarse = check.candidate, estimate.modes[0]
-        refined, covariance = split_pose(candidate.poses)[0], candidate.covariance
+        fitted, coarse = check.candidate, estimate.modes[0]
+        refined, covariance = split_pose(fitted.poses)[0], fitted.covariance
         if diagnostics_of(estimate).semantic is not None:
-            shift = candidate.poses[-1, :3, 3] - coarse.map_from_camera[:3, 3]
+            shift = fitted.poses[-1, :3, 3] - coarse.map_from_camera[:3, 3]
             covariance = bound_covariance(covariance, coarse.covariance, shift)
-            check = replace(check, candidate=replace(candidate, covariance=covariance))
+            check = replace(check, candidate=replace(fitted, covariance=covariance))
         estimate = judge_refined(window, estimate, refined, covariance, check.correlation)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best
