@@ -500,12 +500,12 @@ def refine_from(
             found = RefinementDiagnostics(has_depth=False, landmarks=refiner.landmark_matches)
             check = FitCheck(found, f"Not refined: {error}", nothing, {})
     if check.accepted:
-        fitted, coarse = check.candidate, estimate.modes[0]
-        refined, covariance = split_pose(fitted.poses)[0], fitted.covariance
+        trajectory, mode = check.candidate, estimate.modes[0]
+        refined, covariance = split_pose(trajectory.poses)[0], trajectory.covariance
         if diagnostics_of(estimate).semantic is not None:
-            shift = fitted.poses[-1, :3, 3] - coarse.map_from_camera[:3, 3]
-            covariance = bound_covariance(covariance, coarse.covariance, shift)
-            check = replace(check, candidate=replace(fitted, covariance=covariance))
+            shift = trajectory.poses[-1, :3, 3] - mode.map_from_camera[:3, 3]
+            covariance = bound_covariance(covariance, mode.covariance, shift)
+            check = replace(check, candidate=replace(trajectory, covariance=covariance))
         estimate = judge_refined(window, estimate, refined, covariance, check.correlation)
     checked = _apply_check(estimate, refiner, check)
     best = checked.best
