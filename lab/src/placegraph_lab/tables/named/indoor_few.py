@@ -194,8 +194,8 @@ COLUMNS = (
 class Maps:
     """Recordings by name, and maps of them."""
 
-    def __init__(self, run: lab.Run, *, fresh: bool) -> None:
-        self.run, self.fresh = run, fresh
+    def __init__(self, run: lab.Run, *, fresh: bool, seed: int = 0) -> None:
+        self.run, self.fresh, self.seed = run, fresh, seed
         self.source = cache(self._source)
         self.scene = cache(self._scene)
         self.peer = cache(self._peer)
@@ -203,16 +203,17 @@ class Maps:
     def _source(self, name: str) -> Source:
         if name in REAL:
             return Source.open(name, self.run.data / name)
-        folder = self.run.cache / f"few_{name}_{lab.code_key(lab.WORLDS)}"
+        folder = self.run.cache / f"few_{name}{self.seed or ''}_{lab.code_key(lab.WORLDS)}"
         if not (folder / "gravity.txt").exists():
             self.run.log(f"drawing {name}")
-            record_world(name, folder)
+            record_world(name, folder, seed=self.seed)
         return Source.open(name, folder)
 
     def _scene(self, name: str, start: int, stop: int | None, step: int) -> SceneMap:
         """Open the map of some frames of a recording, with landmarks."""
         code = lab.code_key(_MAPPING if name in REAL else (*_MAPPING, *lab.WORLDS))
-        path = self.run.cache / f"few_{name}_{start}_{stop}_{step}_{code}.scene"
+        drawn = "" if name in REAL else self.seed or ""
+        path = self.run.cache / f"few_{name}{drawn}_{start}_{stop}_{step}_{code}.scene"
         if self.fresh or not path.exists():
             self.run.log(f"map of {name}, frames {start}:{stop}:{step}")
             self.run.cache.mkdir(parents=True, exist_ok=True)
@@ -348,6 +349,7 @@ def indoor_few(
     parts: Annotated[str, lab.option(f"With commas: {', '.join(PARTS)}.")] = "",
     windows: Annotated[int, lab.option("Most windows of a length of each recording.")] = 24,
     *,
+    seed: Annotated[int, lab.option("Seed of the drawn recordings.")] = 0,
     quick: lab.Quick = False,
     fresh: Annotated[bool, lab.option("Make all maps anew.")] = False,
 ) -> None:
@@ -357,7 +359,7 @@ def indoor_few(
     kinds = lab.check_names(lab.parts(senses), (*SENSES, COLMAP), "sense")
     half = lab.check_names([half], HALVES, "half")[0]
     lengths = [1, 5] if quick else [int(n) for n in lab.parts(frames)]
-    maps = Maps(run, fresh=fresh)
+    maps = Maps(run, fresh=fresh, seed=seed)
     rows: list[Row] = []
     for case in make_cases(names, wanted, 8 if quick else windows):
         for kind in kinds:
@@ -369,4 +371,4 @@ def indoor_few(
         title = f"{part.title()}, {'/'.join(map(str, lengths))} frames, {half} windows"
         columns = [c for c in COLUMNS if part == "present" or c.title != "right"]
         lab.show(title, columns, [*mine, *pool_rows(rows, part)])
-    run.save({"rows": rows}, complete=not (sets or parts) and half == "even")
+    run.save({"rows": rows}, complete=not (sets or parts or seed) and half == "even")
