@@ -39,7 +39,7 @@ def _short(monkeypatch, walk):
     coarse = partial(build_scene, detail=Detail(error=0.03, baked=0.04))
     monkeypatch.setattr(script, "build_scene", coarse)
     monkeypatch.setattr(script, "FromCapture", partial(FromCapture, voxel=0.05))
-    monkeypatch.setattr(script, "record_world", lambda _, folder, *, seed: copy(folder))
+    monkeypatch.setattr(script, "record_world", lambda _, folder, **_seed: copy(folder))
     monkeypatch.setattr(script, "LEFT_OUT", {"doors": ((slice(0, 4, 1), slice(SHORT - 2, SHORT)),)})
 
 
