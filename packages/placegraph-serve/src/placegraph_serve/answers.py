@@ -112,7 +112,7 @@ class LocalizeAnswer(_Answer):
 class StepAnswer(_Answer):
     """Answer to a step."""
 
-    map: str
+    map: str | None = Field(description="None: all cities.")
     estimate: EstimateAnswer
     geojson: GeoJson | None
     seconds: float
@@ -123,7 +123,7 @@ class SessionAnswer(_Answer):
 
     session: str
     expires_s: float
-    map: str
+    map: str | None = Field(description="None: all cities.")
 
 
 class FeaturesAnswer(_Answer):
