@@ -307,12 +307,11 @@ def collect_evidence(world: World, query: WorldQuery, text: OutdoorSearch) -> Wo
     floors = parsed.floors if parsed else ()
     above = {n: len(find_storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
     spoken = f" {' '.join(tokens(query.text or ''))} "
-    names = {n for s, all_ in scenes.items() for n in (s, *(a.anchor.building for a in all_))}
     denied = [f" {' '.join(tokens(name))} " for name in _find_denied(parsed)]
-    answered = {
-        f" {' '.join(tokens(name))} " for name in names if name
-    }  # no grammar knows them all
-    denied += sorted(name for name in answered if f" not in{name}" in spoken and name not in denied)
+    if " not in " in spoken:  # answers name maps that no grammar knows
+        names = {n for s, all_ in scenes.items() for n in (s, *(a.anchor.building for a in all_))}
+        named = {f" {' '.join(tokens(name))} " for name in names if name}
+        denied += sorted(n for n in named if f" not in{n}" in spoken and n not in denied)
     for name in denied:
         spoken = spoken.replace(name, " | ")
     every = [s for anchors in scenes.values() for s in anchors]
