@@ -197,18 +197,18 @@ def reach_accuracy(poses: Sequence[EarthPose]) -> dict[str, float | None]:
 
 
 def _mode_features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
-    for rank, mode in enumerate(modes, 1):
-        poses = earth_poses(mode)
-        for candidate, pose in enumerate(poses, 1):
+    poses = [(rank, mode, earth_poses(mode)) for rank, mode in enumerate(modes, 1)]
+    rings = iter(_ellipses([pose for *_, found in poses for pose in found]))
+    for rank, mode, found in poses:
+        for candidate, pose in enumerate(found, 1):
             known = {"mode": rank, "candidate": candidate} | _properties(mode, pose)
             place = [pose.longitude, pose.latitude]
             where = [*place, pose.height] if isfinite(pose.height) else place
             yield make_feature({"type": "Point", "coordinates": where}, {"kind": "mode"} | known)
-            ring = _ellipse(pose)
-            if ring:
+            if ring := next(rings):
                 held = {"kind": "ellipse", "share": ELLIPSE_PROBABILITY} | known
                 yield make_feature({"type": "Polygon", "coordinates": [ring]}, held)
-        if poses:
+        if found:
             yield from _evidence_features(rank, mode.evidence)
 
 
@@ -224,19 +224,19 @@ def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
     return {name: value for name, value in known.items() if value not in (None, "")}
 
 
-def _ellipse(pose: EarthPose) -> list[list[float]]:
-    """Return the ring [deg] that holds the pose with `ELLIPSE_PROBABILITY`; empty for a point."""
-    values, axes = np.linalg.eigh(pose.covariance[:2, :2])
-    if not values[-1] > 0:
-        return []
+def _ellipses(poses: Sequence[EarthPose]) -> list[list[list[float]]]:
+    """Return the ring [deg] that holds each pose with `ELLIPSE_PROBABILITY`; empty for a point."""
+    covariances = np.array([pose.covariance[:2, :2] for pose in poses]).reshape(-1, 2, 2)
+    values, axes = np.linalg.eigh(covariances)
     # counter-clockwise, as RFC 7946 wants outer rings
-    axes[:, 0] *= np.sign(axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0])
-    corners = _CIRCLE * (_SCALE * np.sqrt(np.maximum(values, 0.0))) @ axes.T
-    ring = LocalPlane(pose.longitude, pose.latitude).to_lonlat(corners)
-    ring[:, 0] += 360.0 * np.round((pose.longitude - ring[:, 0]) / 360.0)  # across the date line
-    ring[-1] = ring[0]
-    corners_deg: list[list[float]] = np.round(ring, DECIMALS).tolist()
-    return corners_deg
+    axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
+    corners = _CIRCLE * (_SCALE * np.sqrt(np.maximum(values, 0.0)))[:, None] @ axes.swapaxes(1, 2)
+    planes = [LocalPlane(pose.longitude, pose.latitude) for pose in poses]
+    degrees = np.array([plane.metres_per_degree for plane in planes]).reshape(-1, 1, 2)
+    origins = np.array([(p.longitude, p.latitude) for p in planes]).reshape(-1, 1, 2)
+    rings = np.round(origins + corners / degrees, DECIMALS)
+    rings[:, -1] = rings[:, 0]
+    return [r if v > 0 else [] for r, v in zip(rings.tolist(), values[:, -1], strict=True)]
 
 
 def _evidence_features(rank: int, evidence: Sequence[Any]) -> Iterator[dict[str, Any]]:

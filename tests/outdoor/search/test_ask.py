@@ -286,11 +286,11 @@ def test_names_of_the_same_words_are_one_choice():
     names = ["McDonald's", "McDonalds", "Blenz", "Esso"]
     named = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0.5]])
     around = _Surroundings([], np.zeros((2, 0), np.int64), np.zeros((5, 0)), names, named)
-    (question,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), around)
+    (question,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), around, "")
     assert question.options == ("McDonald's", "Blenz", "Esso", NONE)
     named = np.maximum(named[1:], [[1, 0, 0, 0]] + 2 * [4 * [0]])
     merged = _Surroundings([], around.pairs, around.expected, names[1:], named)
-    (same,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), merged)
+    (same,) = _make_choice_question(np.array([0.3, 0.25, 0.25, 0.2]), merged, "")
     assert question.gain == pytest.approx(same.gain)
 
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geojson import contains_points
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
-from placegraph.outdoor.map.objects import AREA, POINT, find_labelled
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
+from placegraph.outdoor.map.objects import POINT, find_labelled
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -130,19 +130,9 @@ class Gazetteer:
         return {row: self._measure_distance(at, row) for row in rows[close].tolist()}
 
     def _measure_distance(self, at: Floats, row: int) -> float:
-        objects = self.city.objects
-        away = float(np.hypot(*(objects.center[row] - at)))
-        if objects.kind[row] == POINT:
-            return away
-        for part in objects.parts(row):
-            ring = part.astype(np.float64)
-            if objects.kind[row] == AREA and contains_points(at[None], [ring])[0]:
-                return 0.0
-            begin, step = part[:-1], np.diff(part, axis=0)
-            share = ((at - begin) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-9)
-            offset = begin + np.clip(share, 0.0, 1.0)[:, None] * step - at
-            away = min(away, float(np.hypot(*offset.T).min(initial=np.inf)))
-        return away
+        o, (east, north) = self.city.objects, at.tolist()
+        where = o.part_starts, o.point_starts, o.points, o.kind[row], row, east, north
+        return float(nearest_on_parts(*where)[2]) ** 0.5
 
     def find_nearest(self, request: Mapping[str, Any]) -> dict[int, float]:
         """Return the objects with a name nearest to a point, and how far each is [m]."""

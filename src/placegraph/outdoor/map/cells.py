@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -179,15 +180,13 @@ class Cells(PickleFields, Mapping[str, Cell]):
 
     def at_plane(self, east_north: NDArray[np.float64]) -> str | None:
         """Return the id of the cell at east and north (2,) [m]; see `at`."""
-        step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
-        column, row = (int(x) for x in np.floor(step + 0.5))
-        reach = np.abs(step - (column, row)).max() * self.grid.stride
-        if (
-            not (0 <= column < self.grid.columns and 0 <= row < self.grid.rows)
-            or reach > self.size / 2
-        ):
+        grid, (east, north) = self.grid, east_north.tolist()
+        across, up = (east - grid.east) / grid.stride, (north - grid.north) / grid.stride
+        column, row = floor(across + 0.5), floor(up + 0.5)
+        reach = max(abs(across - column), abs(up - row)) * grid.stride
+        if not (0 <= column < grid.columns and 0 <= row < grid.rows) or reach > self.size / 2:
             return None
-        cell = self._id(row * self.grid.columns + column)
+        cell = self._id(row * grid.columns + column)
         return cell if cell in self else None
 
     def nearest(self, east_north: NDArray[np.float64]) -> str:

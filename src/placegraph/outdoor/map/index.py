@@ -457,15 +457,19 @@ class ViewIndex:
         """Find the viewpoints (K,) nearest to positions (K, 2), within `STRIDE`; -1 where there is none."""
         east, north, stride, _ = self.columns.grid
         at = (np.asarray(positions, np.float64) - (east, north)) / stride
+        points = np.rint(at).astype(np.int64)
+        found = self._rows(points[:, 0], points[:, 1])
+        off = np.flatnonzero((found < 0) | (_farther(at - points) > 0.01))  # on no viewpoint
         steps = np.arange(1 - _AROUND, 1 + _AROUND)
         offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)[:, ::-1]
-        points = np.floor(at).astype(np.int64)[:, None] + offsets
+        points = np.floor(at[off]).astype(np.int64)[:, None] + offsets
         rows = self._rows(points[..., 0], points[..., 1])
         places = (points * stride + (east, north)).astype(np.float32)
-        delta = np.where(rows >= 0, _farther(places - np.asarray(positions)[:, None]), np.inf)
+        delta = np.where(rows >= 0, _farther(places - np.asarray(positions)[off, None]), np.inf)
         best = np.min(delta, axis=1)
         first = np.min(np.where(delta == best[:, None], rows, len(self)), axis=1)
-        return np.where(best <= STRIDE, first, -1)
+        found[off] = np.where(best <= STRIDE, first, -1)
+        return found
 
     def _rows(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
         """Find the viewpoints at points of the grid; -1 where there is none."""

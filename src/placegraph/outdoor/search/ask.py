@@ -159,13 +159,12 @@ def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
     weights = weights / weights.sum()
     understood = estimate.understood or Description("")
     text = f" {' '.join(tokens(understood.text))} "
-    around = _Surroundings.of_positions(
-        city, city.plane.to_plane(estimate.support[heaviest, :2])
-    ).without_names(text)
+    positions = city.plane.to_plane(estimate.support[heaviest, :2])
+    around = _Surroundings.of_positions(city, positions)
     code = understood.language if understood.language in read_answers() else "en"
     asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
     ranked = heapq.merge(
-        _rank_yes_no_questions(weights, around, code), _make_choice_question(weights, around),
+        _rank_yes_no_questions(weights, around, code), _make_choice_question(weights, around, text),
         key=lambda q: -q.gain,
     )  # fmt: skip
     spoken = (replace(q, text=translate(q.text, code), language=code) for q in ranked)
@@ -234,11 +233,6 @@ class _Surroundings:
             named.reshape(len(names), k),
         )
 
-    def without_names(self, text: str) -> _Surroundings:
-        """Leave out the names whose words, one space between two and around all, stand in a text."""
-        kept = [i for i, name in enumerate(self.names) if f" {' '.join(tokens(name))} " not in text]
-        return replace(self, names=[self.names[i] for i in kept], named=self.named[kept])
-
 
 def _renumber(keys: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the keys that occur, ascending, and the row of each key: `np.unique` of small numbers."""
@@ -279,8 +273,11 @@ def _entropy(yes: Any) -> Any:  # noqa: ANN401  # a number, or an array
     return -(yes * np.log(yes) + (1.0 - yes) * np.log1p(-yes))
 
 
-def _make_choice_question(weights: Floats, around: _Surroundings) -> list[Question]:
-    """Make at most one choice question, of names that together cover the likeliest places."""
+def _make_choice_question(weights: Floats, around: _Surroundings, text: str) -> list[Question]:
+    """Make at most one choice question, of names that together cover the likeliest places.
+
+    Names are left out whose words, one space between two and around all, stand in the text.
+    """
     left = weights.copy()
     sure = np.minimum(around.named, 1.0)
     rows: dict[str, int] = {}  # by their words: "McDonald's" and "McDonalds" are one
@@ -289,7 +286,11 @@ def _make_choice_question(weights: Floats, around: _Surroundings) -> list[Questi
         best = max(np.flatnonzero(share == share.max()).tolist(), key=lambda i: around.names[i])
         if share[best] < 0.02:  # the rest is too unlikely to be asked about
             break
-        first = rows.setdefault(" ".join(tokens(around.names[best])), best)
+        words = " ".join(tokens(around.names[best]))
+        if f" {words} " in text:
+            sure[best] = 0.0
+            continue
+        first = rows.setdefault(words, best)
         left = left * (1.0 - sure[best])
         if first != best:
             sure[first] = np.minimum(sure[first] + sure[best], 1.0)
