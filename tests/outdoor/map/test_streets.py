@@ -158,6 +158,7 @@ def test_the_reason_counts_places_that_are_not_listed(city):
             "Only 1 of 4 statements fit the best place, so it cannot be sure.",
         ),
         (900.0, 1.0, "I'm in Elm Park.", "“Elm Park” is more than .* m wide; say where in it."),
+        (900.0, 1.0, "Elm Park is north of me. I'm in Elm Park.", "“Elm Park” is more than"),
     ],
 )  # fmt: skip
 def test_findings_that_forbid_ok(build_world, width, near, text, reason):
@@ -173,6 +174,19 @@ def test_findings_that_forbid_ok(build_world, width, near, text, reason):
     best = replace(best, explain=partial(find_evidence, at, city, query))
     found = Diagnostics(best=1.0, near_best=near, claim=AT_A_PLACE)
     assert re.match(reason or "$", find_uncertainty(best, query, city, found))
+
+
+def test_nothing_is_on_a_street_out_of_sight(build_world):
+    """The bank on Oak Street may be missing; another 220 m away from the street is not the one."""
+    line = [(0.0, 0.0, {}), (600.0, 0.0, {})]
+    banks = [(300.0, n, {"amenity": "bank", "name": "Rexbank"}) for n in (10.0, 220.0)]
+    city = build_world(
+        [*line, *banks], [((0, 1), {"highway": "residential", "name": "Oak Street"})]
+    )
+    query = compile_query(parse(city, "I'm at the Rexbank on Oak Street."), city)
+    at = sorted(city.objects.center[city.objects.kind == 0].tolist(), key=lambda at: at[1])
+    near, far = (find_evidence(np.array(each), city, query)[1].weight for each in at)
+    assert near > far + 5.0
 
 
 @pytest.mark.parametrize(("width", "radius"), [(60.0, 250.0), (900.0, 900.0)])

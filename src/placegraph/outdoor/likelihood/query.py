@@ -218,8 +218,8 @@ MAX_DISTANT = 12
 """... and where it does not."""
 NEAR_SCALE, FAR_SCALE = 80.0, 350.0
 """Scale of distances to objects out of sight, and where the text tells a way or names a quarter [m]."""
-SITE_SCALE = 35.0
-"""Scale of distances to a crossing or a house [m]."""
+SITE_SCALE, STREET_SCALE = 35.0, 15.0
+"""Scale of distances to a crossing or a house, and from a street that something is on [m]."""
 QUARTERS = frozenset(f"place={kind}" for kind in ("suburb", "neighbourhood", "quarter", "borough"))
 NUM_SALIENT = 20.0
 """Number of objects out of sight that come to a speaker's mind."""
@@ -642,9 +642,11 @@ def find_distant(
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
-        if not s.far and not sites.keys().isdisjoint(ends(s)):
-            return SITE_SCALE
-        return FAR_SCALE if s.far or inside else NEAR_SCALE
+        if s.far or inside:
+            return FAR_SCALE
+        if s.relation is Relation.ALONG:
+            return STREET_SCALE
+        return NEAR_SCALE if sites.keys().isdisjoint(ends(s)) else SITE_SCALE
 
     rarest: list[NDArray[np.int64]] = sorted(
         (o for o, _ in members if 0 < len(o) <= MAX_DISTANT), key=len

@@ -359,6 +359,8 @@ def find_uncertainty(
     misfit = find_misfit(best, query, diagnostics)
     if best is None or query is None or misfit:
         return misfit
+    if (city.objects.kind == POINT).all():
+        return ""  # a list of landmarks tells no extents
     position = city.plane.to_plane((best.longitude, best.latitude))
     names = [mention.name for mention in query.description.mentions]
     wide: dict[int, float] = {}
@@ -369,12 +371,12 @@ def find_uncertainty(
         extents = {
             node: query.find_extent(node, position, city)
             for node in query.unique.intersection(ends(s)) - query.sites
-            if is_binding(s) or s.relation is Relation.NEAR
         }
-        if max(extents.values(), default=0.0) > max(MAX_EXTENT, diagnostics.claim.radius):
+        if max(extents.values(), default=0.0) <= max(MAX_EXTENT, diagnostics.claim.radius):
+            told = not any(names[node][:1].isdecimal() for node in ends(s))
+            narrow |= told and evidence.weight > TELLING
+        elif is_binding(s) or s.relation is Relation.NEAR:
             wide |= extents
-        elif not any(names[node][:1].isdecimal() for node in ends(s)):
-            narrow |= evidence.weight > TELLING
     if not wide or narrow:
         return ""
     node = min(wide, key=wide.__getitem__)
