@@ -31,6 +31,7 @@ from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.bench import BARE, OFFICE, SEMANTIC, Job, encoder_of
+from placegraph_lab.tables.indoor.followers import NEIGHBOURS, STEP, VOXEL, depth_points
 from placegraph_lab.tables.indoor.metrics import (
     AXES,
     WITHIN_95,
@@ -45,9 +46,6 @@ from placegraph_lab.tables.indoor.windows import Window, disturb_pose, without_d
 
 Kind = Literal["PLANE_ICP", "GICP"]
 
-STEP = 6  # pixels of the depth image between readings, and between rays
-VOXEL = 0.05  # clouds hold one point a voxel of this edge [m]
-NEIGHBOURS = 10  # points that a normal is fitted to
 REACHES = ((1.0, 0.3), (0.3, 0.1))
 """For each time the rays are cast: how far a point may be from its partner [m], one alignment each.
 small_gicp's Python has no robust kernel: shorter reaches take its place."""
@@ -71,13 +69,7 @@ def align(
         ) from error
     clouds = [np.zeros((0, 3))]
     for frame, last_from_frame in zip(frames, _steps(frames), strict=True):
-        depth = frame.depth()
-        if depth is None or frame.depth_camera is None:
-            continue
-        v, u = np.mgrid[STEP // 2 : depth.shape[0] : STEP, STEP // 2 : depth.shape[1] : STEP]
-        read = np.isfinite(depth[v, u])
-        uv = np.stack([u[read], v[read]], axis=-1) + 0.5
-        points = frame.depth_camera.directions(uv) * depth[v, u][read][:, None]
+        points = depth_points(frame)
         clouds.append(points @ last_from_frame[:3, :3].T + last_from_frame[:3, 3])
     cloud = np.concatenate(clouds)
     if not len(cloud):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,8 @@ WORDS = 64  # of VLAD
 CANDIDATES = 10  # mapped views that a query is matched with
 ERROR = 12.0  # reprojection error of an inlier of PnP [px]
 LEAST = 12  # fewest inliers of a pose
-RATIO = 0.8
+RATIO = 0.8  # of SIFT's distances
+SIFT = 512.0  # COLMAP's factor of the numbers of SIFT in 8 bits
 _ROUNDS = 8
 _SOME = 20_000
 
@@ -70,6 +71,30 @@ class Peer:
     def megabytes(self) -> float:
         count = sum(len(view.points) for view in self.views)
         return (count * self.bytes_a_feature + self.images.nbytes) / 1e6
+
+    def save(self, path: Path) -> None:
+        """Write the map, with `bytes_a_feature`: points in 32 bits, SIFT in 8 and others in 16."""
+        vectors = np.concatenate([view.vectors for view in self.views])
+        small = vectors.astype(np.float16)
+        if self.ratio < 1.0:
+            small = np.rint(SIFT * vectors).clip(0, 255).astype(np.uint8)
+        points = np.concatenate([view.points for view in self.views]).astype(np.float32)
+        ends = np.cumsum([len(view.points) for view in self.views])
+        np.savez(
+            path, points=points, vectors=small, ends=ends, words=self.words, images=self.images,
+            of=(self.bytes_a_feature, self.ratio),
+        )  # fmt: skip
+
+    @classmethod
+    def open(cls, path: Path, features: Callable[[Frame], Features]) -> Self:
+        """Read a map that `save` wrote; `features` of a query's image are of the same kind."""
+        with np.load(path) as file:
+            points, vectors, ends = file["points"], file["vectors"], file["ends"][:-1]
+            words, images, (size, ratio) = file["words"], file["images"], file["of"].tolist()
+        unit = _unit(vectors.astype(np.float32))
+        pairs = zip(np.split(points, ends), np.split(unit, ends), strict=True)
+        views = [View(at.astype(np.float64), own) for at, own in pairs]
+        return cls(views, words, images, size, features, ratio)
 
     def ask(self, frame: Frame) -> tuple[Floats | None, bool]:
         """map_from_camera (4, 4) of a frame, and whether enough features agree on one."""
@@ -148,12 +173,7 @@ def xfeat_peer(
     frames: Sequence[Frame], poses: Floats, weights: Path, rng: np.random.Generator
 ) -> Peer:
     """XFeat features of mapped frames (T, 4, 4), lifted by their own depth; 64 numbers in 16 bits."""
-    network = XFeatMatcher(weights=weights)
-
-    def features(frame: Frame) -> Features:
-        found: Features = network.prepare_query(frame.rgb())
-        return found
-
+    features = extract_xfeat(weights)
     views = []
     for frame, pose in zip(frames, poses, strict=True):
         found = features(frame)
@@ -163,6 +183,17 @@ def xfeat_peer(
         at = (rays * depth[:, None])[known] @ pose[:3, :3].T + pose[:3, 3]
         views.append(View(at, found.vectors[known]))
     return peer(views, features, 64 * 2 + 12, 1.0, rng)
+
+
+def extract_xfeat(weights: Path) -> Callable[[Frame], Features]:
+    """Return what finds XFeat's features of a frame."""
+    network = XFeatMatcher(weights=weights)
+
+    def features(frame: Frame) -> Features:
+        found: Features = network.prepare_query(frame.rgb())
+        return found
+
+    return features
 
 
 def colmap_peer(frames: Sequence[Frame], poses: Floats, rng: np.random.Generator) -> Peer:
@@ -181,13 +212,18 @@ def colmap_peer(frames: Sequence[Frame], poses: Floats, rng: np.random.Generator
             described = np.asarray(database.read_descriptors(image.image_id).data, np.float32)
             views.append(View(np.array(points).reshape(-1, 3), _unit(described[rows])))
         database.close()
-    sift = colmap.Sift()
+    return peer(views, extract_sift(), 128 + 12, RATIO, rng)
+
+
+def extract_sift() -> Callable[[Frame], Features]:
+    """Return what finds COLMAP's SIFT features of a frame."""
+    sift = pycolmap().Sift()
 
     def features(frame: Frame) -> Features:
         keypoints, vectors = sift.extract(np.ascontiguousarray(_grey(frame)))
         return Features(keypoints[:, :2].astype(np.float64), _unit(np.asarray(vectors, np.float32)))
 
-    return peer(views, features, 128 + 12, RATIO, rng)
+    return features
 
 
 def _triangulated(
