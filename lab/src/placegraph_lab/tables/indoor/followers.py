@@ -147,7 +147,7 @@ class LaserFollower:
             self._move(step)
         self._odometry = odometry
         if self._moved[0] >= MOVED or self._moved[1] >= TURNED:
-            self._weigh(depth_points(frame) @ level.T)
+            self._resample_by_scan(depth_points(frame) @ level.T)
             self._moved = (0.0, 0.0)
             x, y, yaw = self.particles.T
             mean = np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())
@@ -165,7 +165,7 @@ class LaserFollower:
         self.particles[:, 1] += along * np.sin(bearing) + aside * np.cos(bearing)
         self.particles[:, 2] += step[3] + spread[:, 2]
 
-    def _weigh(self, points: Floats) -> None:
+    def _resample_by_scan(self, points: Floats) -> None:
         """Weigh and resample the particles by the scan of levelled points (N, 3) [m]."""
         scan = points[np.abs(points[:, 2]) < SLICE, :2]
         if not len(scan):
