@@ -75,8 +75,8 @@ class Server:
             connection.close()
 
     def workers(self) -> list[int]:
-        """Return the ids of its worker processes."""
-        return [p for p in _children(self.process.pid) if b"spawn_main" in _command_line(p)]
+        """Return the ids of its worker processes, which one of its children forks."""
+        return [p for child in _children(self.process.pid) for p in _children(child)]
 
     def end(self) -> None:
         """Kill the server."""

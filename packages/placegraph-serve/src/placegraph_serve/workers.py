@@ -25,7 +25,7 @@ from placegraph_serve.problem import problem
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
-    from multiprocessing.context import SpawnProcess
+    from multiprocessing.context import ForkServerProcess
 
 LOG = logging.getLogger("placegraph_serve")
 VERBS = {
@@ -113,6 +113,11 @@ def run(connection: Connection, setting: Setting) -> None:
 QUERIES = logging.getLogger("placegraph.queries")
 STARTING = 600.0
 """A process that is not ready after so long is given up [s]."""
+PRELOADED = [
+    "placegraph.view.city.page", "placegraph.outdoor.city", "placegraph_serve.locate",
+    "placegraph_serve.localize",
+]  # fmt: skip
+"""Modules that one process imports, from which all workers are forked before they open maps."""
 _PAUSE = 1.0
 """Before a process that did not start is tried again [s]."""
 
@@ -121,10 +126,11 @@ class Worker:
     """A process and the pipe to it."""
 
     def __init__(self, name: str, setting: Setting) -> None:
-        context = get_context("spawn")
+        context = get_context("forkserver")
+        context.set_forkserver_preload(PRELOADED)
         self.connection: Connection
         self.connection, other_end = context.Pipe()
-        self.process: SpawnProcess = context.Process(
+        self.process: ForkServerProcess = context.Process(
             target=run, args=(other_end, setting), name=f"placegraph {name}", daemon=True
         )
         self.process.start()

@@ -61,10 +61,12 @@ class RunningServer:
 
     @cached_property
     def processes(self) -> list[int]:
-        """Itself and its workers, as they are at first; of one that died nothing is known."""
-        every = (int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit())
-        own = self.process.pid
-        return [own, *(process for process in every if _stat(process)[1] == str(own))]
+        """Itself, its children and theirs, as they are at first; of one that died nothing is known."""
+        every = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+        found = [self.process.pid]
+        for parent in found:
+            found += [process for process in every if _stat(process)[1] == str(parent)]
+        return found
 
     def cpu(self) -> float:
         """Time of all cores that its processes have taken [s]."""
