@@ -8,6 +8,8 @@
   and misses a callee that changed in another.
 - No kernel is compiled by two processes at once: the second waits, and loads the code of the first.
 - Cached code needs numba's runtime, but not its declarations, which take long to import.
+- LLVM optimizes and translates only the kernels that Python calls, each with all that it calls; numba
+  does so for every function on the way.
 - Signals wait while LLVM asks Python for cached code: it ignores exceptions there, such as a
   `KeyboardInterrupt`, and the kernel would do nothing.
 """
@@ -34,9 +36,12 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
+from llvmlite.binding import Linkage
 from numba.core import config, sigutils
+from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.environment import lookup_environment
 from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
@@ -45,6 +50,8 @@ from numba.core.types import BaseNamedTuple, Type, unliteral
 
 from placegraph.core import cache
 
+_FORMAT = 2
+"""Version of the files of the cache."""
 _SIGNALS = ("SIGINT", "SIGALRM", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2")
 """Signals whose handlers in Python may raise."""
 _PLAIN = (bool, int, float, complex, str, bytes, NoneType, EllipsisType, np.generic, Enum, Type)
@@ -102,11 +109,99 @@ def defer_signals() -> Iterator[None]:
             handlers[number](number, None)
 
 
-class _UninterruptedCompiler(Compiler):
+class _Part(JITCodeLibrary):
+    """Code of a function that kernels call; they optimize and translate it with their own."""
+
+    def finalize(self) -> None:
+        """Keep the code as it is; numba optimizes and translates it here."""
+        self._finalize_dynamic_globals()
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = Linkage.linkonce_odr
+        self._finalized = True
+
+    @property
+    def codegen(self) -> Any:  # noqa: ANN401  # numba's
+        """Generator of code whose functions have no address yet, and hence no environment."""
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:  # noqa: ANN401
+        """Leave the environment to the kernels."""
+
+    def own_module(self) -> Any:  # noqa: ANN401  # LLVM's
+        """Return the code without that of the functions that it calls."""
+        self._ensure_finalized()
+        return self._final_module
+
+    def _get_module_for_linking(self) -> Any:  # noqa: ANN401
+        """Return the code with all that it calls, for numba's own dispatchers and the cache."""
+        if self._shared_module is None:
+            self._shared_module = self.own_module().clone()
+            _link_callees(self, self._shared_module)
+        return self._shared_module
+
+    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
+        return self.name, "bitcode", self._get_module_for_linking().as_bitcode()
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, bytes]) -> _Part:  # noqa: ANN401
+        name, _, code = state
+        self = cls(codegen, name)
+        self._final_module = llvmlite.binding.parse_bitcode(code)
+        self._finalized = True
+        return self
+
+
+class _Whole(JITCodeLibrary):
+    """Code of a kernel that Python calls, and of all functions that it calls."""
+
+    def finalize(self) -> None:
+        """Link, optimize and translate the code."""
+        _link_callees(self, self._final_module)
+        self._linking_libraries = []
+        super().finalize()
+        for variable in self._final_module.global_variables:
+            env = lookup_environment(variable.name)
+            if env is not None:
+                self._codegen.set_env(variable.name, env)
+
+
+def _link_callees(library: CodeLibrary, module: Any) -> None:  # noqa: ANN401  # LLVM's
+    """Link all functions that the code of a library calls into a module."""
+    pending, visited = [library], {library}
+    while pending:
+        for callee in pending.pop()._linking_libraries:  # noqa: SLF001  # numba's
+            if callee in visited:
+                continue
+            visited.add(callee)
+            library._reload_init.update(callee._reload_init)  # noqa: SLF001
+            if isinstance(callee, _Part):
+                pending.append(callee)
+                module.link_in(callee.own_module(), preserve=True)
+            else:
+                module.link_in(callee._get_module_for_linking(), preserve=True)  # noqa: SLF001
+
+
+@contextmanager
+def _libraries_of(kind: type[JITCodeLibrary], context: Any) -> Iterator[None]:  # noqa: ANN401
+    """Make numba create libraries of a kind for all code; needs its compiler lock."""
+    codegen = context.codegen()
+    before, codegen._library_class = codegen._library_class, kind  # noqa: SLF001
+    try:
+        yield
+    finally:
+        codegen._library_class = before  # noqa: SLF001
+
+
+class _KernelCompiler(Compiler):
     """Numba's compiler, which no exception of a signal handler interrupts."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
-        with defer_signals():
+        context = self.state.targetctx
+        if not self.state.flags.no_cpython_wrapper:
+            self.state.library = _Whole(context.codegen(), func.__qualname__)
+            self.state.library.enable_object_caching()
+        with defer_signals(), _libraries_of(_Part, context):
             return super().compile_extra(func)
 
 
@@ -114,7 +209,7 @@ class _InnerKernel(CPUDispatcher):
     """Numba's dispatcher with our cache, for calls from other kernels."""
 
     def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
-        super().__init__(py_func, pipeline_class=_UninterruptedCompiler, **options)
+        super().__init__(py_func, pipeline_class=_KernelCompiler, **options)
 
     def enable_caching(self) -> None:
         """Use our cache instead of numba's."""
@@ -185,7 +280,7 @@ class _Cache:
     @cached_property
     def _folder(self) -> str:
         processor = self._dispatcher.targetctx.codegen().magic_tuple()
-        versions = (sys.version, numba.__version__, llvmlite.__version__)
+        versions = (_FORMAT, sys.version, numba.__version__, llvmlite.__version__)
         return f"{self.name}-{cache_key(versions, processor, self._dispatcher)}"
 
     @property
@@ -208,8 +303,7 @@ class _Cache:
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:  # noqa: ANN401
         if not data.library.has_dynamic_globals:
-            is_linked = not isinstance(self._dispatcher, Kernel)
-            code = dumps(_strip_code(data._reduce(), is_linked=is_linked))  # noqa: SLF001
+            code = dumps(_strip_code(data._reduce()))  # noqa: SLF001
             cache.FOLDERS.store(f"{self._folder}/{_file(sig)}", code)
         cache.notify_listeners(self.name, done=True)
 
@@ -224,7 +318,8 @@ class _Cache:
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
                 # numba's own format; compiled code has to be trusted anyway
                 code = pickle.loads(file.read_bytes())  # noqa: S301
-                with defer_signals():
+                kind = _Whole if isinstance(self._dispatcher, Kernel) else _Part
+                with defer_signals(), _libraries_of(kind, target_context):
                     return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None
 
@@ -251,19 +346,19 @@ def _without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _strip_code(reduced: tuple[Any, ...], *, is_linked: bool) -> tuple[Any, ...]:
+def _strip_code(reduced: tuple[Any, ...]) -> tuple[Any, ...]:
     """Drop the parts of numba's cache entry that take longest to load.
 
-    These are the code for linking, of which only kernels that other kernels link need more than the
-    names, and environments without constants, each of which costs an import.
+    These are the code for linking, of which kernels that Python calls need only the names, and
+    environments without constants, each of which costs an import.
     """
-    (name, kind, (code, linkable)), description, *others, environments = reduced
-    if not is_linked:
+    (name, kind, code), description, *others, environments = reduced
+    if kind == "object":
         names = (description.llvm_func_name, description.llvm_cpython_wrapper_name)
         definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
-        linkable = llvmlite.binding.parse_assembly(definitions).as_bitcode()
+        code = code[0], llvmlite.binding.parse_assembly(definitions).as_bitcode()
     environments = tuple(each for each in environments if each.consts)
-    return ((name, kind, (code, linkable)), description, *others, environments)
+    return ((name, kind, code), description, *others, environments)
 
 
 def _file(sig: Any) -> str:  # noqa: ANN401  # numba's
