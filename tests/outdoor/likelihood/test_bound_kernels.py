@@ -103,8 +103,6 @@ def test_no_more_are_chosen_than_there_is_room_for():
     """A tile that was passed over holds a viewpoint that is, by rounding, as good as those chosen."""
     bounds, highest = np.array([3.0, 2.0, np.nextafter(2.0, 3.0)]), np.array([3.0, 2.0])
     rows = np.arange(3, dtype=np.int32)
-    chosen, _, stands = promise_kernels._select_best.py_func(
-        rows, bounds, np.ones(3), highest, 0.0, 2, 1
-    )
+    chosen, _, stands = promise_kernels._select_best(rows, bounds, np.ones(3), highest, 0.0, 2, 1)
     assert len(chosen) == 3
     assert (stands == 0.0).sum() == 2

@@ -234,7 +234,6 @@ TILES_PER_STRIP = 1024
 """Number of whole tiles that are bounded at once."""
 
 
-@kernel(finite=True)
 def find_views_by_bound(statements, mentions, views, weights, most, drawn, least):
     """Find viewpoints (K,) by upper bound: their rows, bounds, and how many viewpoints each represents.
 
@@ -245,16 +244,9 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
     come `drawn` samples of all others (`sample_systematic`); skipped tiles are represented by samples of
     tiles, drawn in proportion to their bounds.
     """
-    tile_bound = _bound_whole_tiles(statements, mentions, views)
-    if len(weights):
-        for t in range(len(tile_bound)):
-            heaviest = 0.0
-            for v in range(views.first[t], views.first[t + 1]):
-                heaviest = max(heaviest, weights[v])
-            tile_bound[t] *= heaviest
+    tile_bound = _bound_whole_tiles(statements, mentions, views, weights)
     highest, n, floor = np.empty(2 * most + TILES_AT_ONCE * SLOTS), 0, least
-    bounded = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
-    count = 0
+    bounded = [(np.zeros(0, np.int32), np.zeros(0), np.zeros(0))]
     share = np.ones(len(tile_bound))
     every, size = np.flatnonzero(tile_bound > 0.0), FIRST_TILES
     while len(every) > 0:
@@ -262,47 +254,50 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
         if len(every) > size:
             bar = np.partition(tile_bound[every], len(every) - size)[len(every) - size]
             first = every[tile_bound[every] > bar]
-        bounded, count, n, least = _bound_single_views(
-            statements, mentions, views, weights, first, tile_bound, share, most,
-            highest, n, least, bounded, count,
-        )  # fmt: skip
+        found, n, least = _bound_single_views(
+            statements, mentions, views, weights, first, tile_bound, share, most, highest, n, least
+        )
+        bounded.append(found)
         if len(every) <= size:
             break
         every = every[(tile_bound[every] > least) & (tile_bound[every] > 0.0)]
         size *= 4
     if drawn:
         rest = _sample_tiles(
-            views, np.flatnonzero(tile_bound > 0.0), tile_bound, share, bounded[1][:count].sum(),
-            max(1, drawn // SAMPLES_PER_TILE),
+            views, np.flatnonzero(tile_bound > 0.0), tile_bound, share,
+            sum(bounds.sum() for _, bounds, _ in bounded), max(1, drawn // SAMPLES_PER_TILE),
         )  # fmt: skip
-        bounded, count, n, least = _bound_single_views(
-            statements, mentions, views, weights, rest, tile_bound, share, most,
-            highest, n, INFINITE, bounded, count,
-        )  # fmt: skip
-    rows, bounds, multiplicity = bounded[0][:count], bounded[1][:count], bounded[2][:count]
+        found, n, _ = _bound_single_views(
+            statements,
+            mentions,
+            views,
+            weights,
+            rest,
+            tile_bound,
+            share,
+            most,
+            highest,
+            n,
+            INFINITE,
+        )
+        bounded.append(found)
+    rows, bounds, multiplicity = map(np.concatenate, zip(*bounded, strict=True))
     return _select_best(rows, bounds, multiplicity, highest[:n], floor, most, drawn)
 
 
-@kernel(finite=True)
 def _select_best(rows, bounds, multiplicity, highest, least, most, drawn):
     """Select the best of all bounded viewpoints, and samples of the others; see `find_views_by_bound`."""
     if len(highest) >= most:
         least = np.partition(highest, len(highest) - most)[len(highest) - most]
-    ties = most
-    for i in range(len(highest)):
-        ties -= highest[i] > least
-    best, n = np.empty(most, np.int64), 0
-    for i in range(len(rows)):
-        good = n < most and bounds[i] >= least and multiplicity[i] == 1.0
-        if good and (bounds[i] > least or ties > 0):
-            ties -= bounds[i] == least
-            best[n], multiplicity[i] = i, 0.0
-            n += 1
-    best = best[:n]
-    best = best[np.argsort(-bounds[best])]
+    single = multiplicity == 1.0
+    better = np.flatnonzero(single & (bounds > least))
+    ties = np.flatnonzero(single & (bounds == least))[: max(0, most - (highest > least).sum())]
+    best = np.sort(np.concatenate([better, ties]))[:most]
+    multiplicity[best] = 0.0
+    best = best[np.argsort(-bounds[best], kind="stable")]
     some, stand = sample_systematic(bounds, multiplicity, drawn)
-    every = np.concatenate((best, some))
-    return rows[every], bounds[every], np.concatenate((np.zeros(n), stand))
+    every = np.concatenate([best, some])
+    return rows[every], bounds[every], np.concatenate([np.zeros(len(best)), stand])
 
 
 @kernel(finite=True)
@@ -334,8 +329,8 @@ def sample_systematic(bounds, multiplicity, drawn):
 
 
 @kernel(finite=True)
-def _bound_whole_tiles(statements, mentions, views):
-    """Bound all viewpoints of each tile (T,) together; 0 where no statement can hold."""
+def _bound_whole_tiles(statements, mentions, views, weights):
+    """Bound all viewpoints of each tile (T,), times its largest weight; 0 where no statement can hold."""
     n_mentions = len(mentions.starts) - 1
     out = np.zeros(len(views.tiles))
     at = views.token_starts[mentions.tokens]
@@ -370,6 +365,12 @@ def _bound_whole_tiles(statements, mentions, views):
             if there[m]:
                 of_pairs[m] = 0.0
                 of_total[m] = 0.0
+    if len(weights):
+        for t in range(len(out)):
+            heaviest = 0.0
+            for v in range(views.first[t], views.first[t + 1]):
+                heaviest = max(heaviest, weights[v])
+            out[t] *= heaviest
     return out
 
 
@@ -393,20 +394,23 @@ def _sum_tile_masses(of_pairs, of_total, mentions, views, at, m, first, last):
 
 @kernel(finite=True)
 def _bound_single_views(
-    statements, mentions, views, weights, tiles, tile_bound, share, most, highest, n, least, bounded, count
-):  # fmt: skip
-    """Bound the viewpoints of tiles whose own bound exceeds `least`, and add them to those `bounded`.
+    statements, mentions, views, weights, tiles, tile_bound, share, most, highest, n, least
+):
+    """Bound the viewpoints of tiles whose own bound exceeds `least`: rows, bounds, `share` of their tile.
 
-    There are `count` of these: rows, bounds, and the `share` of their tile. All viewpoints of sampled
-    tiles are added (`least` is then `INFINITE`); else the `n` `highest` bounds are kept. The bound
-    (`tile_bound`) of tiles that were bounded becomes 0.
+    All tiles are bounded if they are samples (`least` is then `INFINITE`); else the `n` `highest` bounds
+    are kept. The bound (`tile_bound`) of tiles that were bounded becomes 0. Also returns `n` and `least`.
     """
     at = views.token_starts[mentions.tokens]
     extents, there = allocate_sight(len(mentions.starts) - 1)
     bound = np.empty(TILES_AT_ONCE * SLOTS)
     strip = np.empty(TILES_AT_ONCE, np.int64)
     drawn = least >= INFINITE
-    k = size = 0
+    n_views = k = size = count = 0
+    for t in tiles:
+        n_views += max(0, views.first[t + 1] - views.first[t])
+    rows = np.empty(n_views, np.int32)
+    bounds, multiplicity = np.empty(n_views), np.empty(n_views)
     while k < len(tiles) or size > 0:
         if k < len(tiles):
             if tile_bound[tiles[k]] > least or drawn:
@@ -415,23 +419,16 @@ def _bound_single_views(
             k += 1
             if size < TILES_AT_ONCE and k < len(tiles):
                 continue
-        if count + TILES_AT_ONCE * SLOTS > len(bounded[0]):
-            bounded = (
-                np.concatenate((bounded[0], np.empty_like(bounded[0]))),
-                np.concatenate((bounded[1], np.empty_like(bounded[1]))),
-                np.concatenate((bounded[2], np.empty_like(bounded[2]))),
-            )
         if size and bound_views(
             statements, mentions, views, strip[:size], at, extents, there, bound
         ):
-            rows, bounds, multiplicity = bounded
             for i in range(size):
                 of_tile = bound[i * SLOTS : (i + 1) * SLOTS]
                 bits, row = views.present[strip[i]], views.first[strip[i]]
                 if len(weights):
                     _multiply_by_prior(of_tile, bits, row, weights)
                 for slot in range(SLOTS):
-                    if of_tile[slot] > 0.0:
+                    if of_tile[slot] > 0.0 and count < n_views:  # a forged map may have more
                         rows[count] = row + count_lower_bits(bits, slot)
                         bounds[count], multiplicity[count] = of_tile[slot], share[strip[i]]
                         count += 1
@@ -439,12 +436,35 @@ def _bound_single_views(
                             highest[n] = of_tile[slot]
                             n += 1
             if n > 2 * most:
-                highest[:most] = np.partition(highest[:n], n - most)[n - most : n]
-                n, least = most, highest[:most].min()
+                n, least = most, keep_largest(highest[:n], most)
         for i in range(size):
             tile_bound[strip[i]] = 0.0
         size = 0
-    return bounded, count, n, least
+    return (rows[:count], bounds[:count], multiplicity[:count]), n, least
+
+
+@kernel(finite=True, _nrt=False)
+def keep_largest(values, most):
+    """Move the `most` largest of values (n,) to the front, and return the least of these (quickselect)."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) >> 1], low, high
+        while i <= j:
+            while values[i] > pivot:
+                i += 1
+            while values[j] < pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if most <= j + 1:
+            high = j
+        elif most > i:
+            low = i
+        else:
+            break
+    return values[most - 1]
 
 
 @kernel(finite=True, _nrt=False)
@@ -456,29 +476,16 @@ def _multiply_by_prior(bound, bits, row, weights):
             row += 1
 
 
-@kernel(finite=True)
 def _sample_tiles(views, tiles, tile_bound, share, bounded_weight, most):
     """Sample `most` tiles, ascending, that represent all; `share` becomes how many each represents."""
-    heights = np.empty(len(tiles))
-    rest = 0.0
-    for i in range(len(tiles)):
-        heights[i] = tile_bound[tiles[i]] * (views.first[tiles[i] + 1] - views.first[tiles[i]])
-        rest += heights[i]
-    if rest <= NEGLIGIBLE * bounded_weight:
+    heights = tile_bound[tiles] * (views.first[tiles + 1] - views.first[tiles])
+    cumulative = np.cumsum(heights)
+    if not len(tiles) or cumulative[-1] <= NEGLIGIBLE * bounded_weight:
         return tiles[:0]
     if len(tiles) <= most:
         return tiles
-    taken, n = np.empty(most + 1, np.int64), 0
-    step = rest / most
-    cumulative, mark = 0.0, 0.5 * step
-    for i in range(len(tiles)):
-        cumulative += heights[i]
-        times = 0
-        while mark <= cumulative and n + 1 < len(taken):
-            mark += step
-            times += 1
-        if times:
-            share[tiles[i]] = times * step / heights[i]
-            taken[n] = tiles[i]
-            n += 1
-    return taken[:n]
+    step = cumulative[-1] / most
+    times = np.diff(np.floor(cumulative / step + 0.5), prepend=0.0)
+    taken = times > 0.0
+    share[tiles[taken]] = times[taken] * step / heights[taken]
+    return tiles[taken]
