@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 from placegraph.language.grammar import Chunk, Clause, PlacePhrase
 from placegraph.language.text import IgnoredText, check_text
@@ -45,20 +44,6 @@ NO_LANGUAGE = "in an unknown language"
 
 
 _SUFFIX, _LABEL = re.compile(r"['’]\w+"), re.compile(r"\S*[=_]\S*")
-
-
-class Describer(Protocol):
-    """Turns a text into a query graph."""
-
-    def describe(
-        self,
-        text: str,
-        *,
-        vocabulary: Words | None = None,
-        names: NameFinder | None = None,
-        heading: float | None = None,
-    ) -> Description:
-        """Return the statements of a text; raises DescriptionError where it cannot be read at all."""
 
 
 def describe(
@@ -184,7 +169,8 @@ class GraphBuilder:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
         words = self.references.text[clause.start : clause.end]
         context = ClauseContext(words, certainty, clause.negated, walked=self.walk.legs > 0)
-        before, first = self._count(), len(self.places.statements)
+        before, first = [*self.places.statements], len(self.places.statements)
+        unread = len(self.ignored)
         self.places.reason = NO_PLACE
         if clause.condition and clause.verb != "meets":  # "when you see the bank"
             self.walk.go(clause.after or clause.before, clause.travel or "REACH", context)
@@ -194,7 +180,8 @@ class GraphBuilder:
                 self.walk.join(first)
         else:
             self.places.reason = "not understood"
-        if self._count() == before and clause.verb != "too_far":
+        said = self.places.statements != before or len(self.ignored) > unread
+        if not said and clause.verb != "too_far":
             self.ignored.append(IgnoredText(words, self.places.reason))
         self.walking = clause.verb == "goes" or (self.walking and clause.verb == "fragment")
         self._choose_topic()
@@ -265,10 +252,6 @@ class GraphBuilder:
                 mentions[node] = replace(mentions[node], name=name)
             if not any(node in (s.source, s.target, s.target2) for s in self.places.statements):
                 self.places.add(ClauseContext(name), Relation.NEAR, SPEAKER, node, certainty=LED)
-
-    def _count(self) -> tuple[int, int, int]:
-        """Count what has been said, understood or not; every telling clause raises it."""
-        return len(self.places.statements), len(self.ignored), self.walk.ends
 
     def finish(self) -> None:
         """Let a walk lead to the speaker where nothing says where the speaker is."""
@@ -414,7 +397,7 @@ class GraphBuilder:
         first, alone = items[0], len(items) == 1
         if isinstance(first, PlacePhrase):
             leg = first.distance is not None and first.how in ("towards", "away")
-            further = self.walk.way.row is not None and leg and not first.targets
+            further = bool(self.walk.way.said) and leg and not first.targets
             if (self.walking or further) and not opens:  # "then west"
                 self.walk.go(items, "GO", context)
             else:  # "..., but not near the church"

@@ -79,7 +79,7 @@ _TYPES: dict[str, type | tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class LanguageModelDescriber:
-    """Reads a text by a language model; implements `Describer`.
+    """Reads a text by a language model.
 
     Parameters
     ----------

@@ -25,8 +25,6 @@ _SENTENCE_SPAN = re.compile(
     r"(?:[^.!?。！？؟\n]|(?<=\b[A-Z])\.|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)",
     re.MULTILINE,
 )
-_OTHER = re.compile(r"[\u0370-\u1fff\u3040-\uffdc]")
-"""A letter of another script than Latin."""
 _WORD = re.compile(r"[^\W\d_]+(?:['’][^\W\d_]+)*")
 _SCRIPTS = {
     "Cyrillic": r"[\u0400-\u052f]",
@@ -46,10 +44,6 @@ _GRAMMAR = re.compile(
 )
 _THINGS = re.compile(r"^\[things\]\n(.*?)(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 _PHRASE = re.compile(r'"([^"\n]*)"')
-_PLAIN = frozenset(
-    "the are and with there from you near north south east street behind next between".split()  # noqa: SIM905
-)
-"""English words of which nearly every English sentence has one, and hardly another's."""
 _LEAST = 0.2
 """Share of a sentence's words that a language must know ..."""
 _LONG = 4
@@ -152,8 +146,6 @@ def find_stretches(
         return [Stretch(0, len(text), language(code, folder))]
     text = _NO_SIGN.sub(lambda found: " " * len(found.group()), text)
     spans = [m.span() for m in _SENTENCE_SPAN.finditer(text) if m.end() > m.start()]
-    if not _OTHER.search(text) and all(_is_english(text[a:b]) for a, b in spans):
-        return [Stretch(0, len(text), english())]
     signs = _signs(folder)
     whole = _best(_evidence(text, signs, nouns, folder), english=True)
     found: list[Stretch] = []
@@ -167,13 +159,6 @@ def find_stretches(
         else:
             found.append(part)
     return found or [Stretch(0, len(text), english(), whole != NO_CODE)]
-
-
-def _is_english(sentence: str) -> bool:
-    words = set(_WORD.findall(sentence))
-    # in "vor einer Bank in der Wall Street" only a name is English
-    spoken = {word for word in words if word.islower()} or {word.lower() for word in words}
-    return not words or not _PLAIN.isdisjoint(spoken)
 
 
 class _Evidence(NamedTuple):

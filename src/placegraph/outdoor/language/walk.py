@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import atan2, cos, hypot, pi, sin
 
 from placegraph.language.grammar import PlacePhrase
@@ -12,8 +11,9 @@ from placegraph.outdoor.language.description import (
     SPEAKER,
     Direction,
     Relation,
+    Statement,
 )
-from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place
+from placegraph.outdoor.language.grammar import Items, NounPhrase, Place
 from placegraph.outdoor.language.statements import (
     LEGS,
     OF_A_WALK,
@@ -31,62 +31,38 @@ INSTRUCTION = "a route instruction"
 
 @dataclass
 class Way:
-    """Legs of a walk that follow each other, as one way: so far in that direction."""
+    """Legs of a walk that follow each other: so far in that direction."""
 
     start: int = LISTENER
     """Node at which it starts."""
-    east: float = 0.0
-    north: float = 0.0
-    variance: float = 0.0
-    """Variance of the end, to either side [m^2]."""
-    heading: float | None = None
-    """Bearing [rad] of the last leg; None before the first."""
-    is_complete: bool = True
-    """Whether the length of every leg but the last was said."""
-    is_measured: bool = True
-    """Whether the length of the last leg was said."""
-    row: int | None = None
-    """Statement that says where it ends."""
+    legs: list[tuple[float, float | None]] = field(default_factory=list)
+    """Bearing [rad] and length [m] of every leg; None where no length was said."""
+    said: list[Statement] = field(default_factory=list)
+    """Statements about it, which one about its end replaces."""
 
     def turn(self, direction: Direction) -> bool:
         """Turn to a point of the compass, or to the left or right of the last leg, if it is known."""
-        if direction.facing and self.heading is None:
+        if direction.facing and not self.legs:
             return False
-        ahead = self.heading if direction.facing and self.heading is not None else 0.0
-        self.heading = (direction.bearing + ahead) % (2.0 * pi)
-        self.is_complete &= self.is_measured
-        self.is_measured = False
+        ahead = self.legs[-1][0] if direction.facing else 0.0
+        self.legs.append(((direction.bearing + ahead) % (2.0 * pi), None))
         return True
 
     def walk(self, length: float) -> None:
         """Go that far [m] straight on."""
-        heading = self.heading or 0.0
-        self.east += length * sin(heading)
-        self.north += length * cos(heading)
-        self.variance += (0.2 * length) ** 2 + LEG_SIGMA**2
-        self.is_measured = True
+        bearing, known = self.legs[-1]
+        self.legs[-1 if known is None else len(self.legs) :] = [(bearing, length)]
 
     def find_end(self) -> tuple[Direction, float] | None:
         """Return direction and distance [m] of the end from the start; None where it is not known."""
-        far, off = hypot(self.east, self.north), self.variance**0.5
-        if not self.is_complete or far < off:
+        lengths = [length for _, length in self.legs if length is not None]
+        east = sum(length * sin(bearing) for bearing, length in self.legs if length)
+        north = sum(length * cos(bearing) for bearing, length in self.legs if length)
+        far = hypot(east, north)
+        off = sum((0.2 * length) ** 2 + LEG_SIGMA**2 for length in lengths) ** 0.5
+        if not lengths or len(lengths) < len(self.legs) or far < off:
             return None
-        sigma = max(0.3, atan2(off, far))
-        return Direction(atan2(self.east, self.north) % (2.0 * pi), sigma), far
-
-
-def _join_measures(items: Items) -> Iterator[Item]:
-    """Yield the places of a leg, "south" and "8 blocks" as one."""
-    rest = list(items)
-    while rest:
-        item = rest.pop(0)
-        after = rest[0] if rest else None
-        if isinstance(item, PlacePhrase) and isinstance(after, PlacePhrase):
-            bare = item.how == "towards" and not item.targets and item.distance is None
-            if bare and after.how == "away" and not after.targets:
-                rest.pop(0)
-                item = replace(item, distance=after.distance, end=after.end)
-        yield item
+        return Direction(atan2(east, north) % (2.0 * pi), max(0.3, atan2(off, far))), far
 
 
 class Walk:
@@ -96,8 +72,7 @@ class Walk:
         self.places, self.references = places, places.references
         self.way = Way()
         self.legs = 0
-        self.ends = 0
-        """Number of times that the end of a measured way was given; each replaces the one before."""
+        """Number of statements about legs whose length was not said."""
         self.on_the_way: int | None = None
         """Node that was last said to be met on the way."""
         self.led_to: int | None = None
@@ -106,7 +81,7 @@ class Walk:
     def go(self, items: Items, travel: str, context: ClauseContext) -> None:
         """Add a leg of a walk to the place: where it leads, and what lies on the way."""
         context = replace(context, travel=True)
-        for item in _join_measures(items):
+        for item in items:
             if isinstance(item, NounPhrase):
                 self._meet(item, travel, context)
             elif item.how == "start" and item.distance is None:
@@ -142,39 +117,39 @@ class Walk:
         if place.how == "towards" and not self.way.turn(place.direction):
             self.places.reason = OF_A_WALK
             return
-        if place.distance is not None and self.way.heading is not None:
-            self.way.walk(self.places.measure(place.distance, self.way.heading) or 0.0)
-            if self._add_end(context):
-                return
-        if place.how == "away" or place.direction.facing:
+        if place.distance is not None and self.way.legs:
+            self.way.walk(self.places.measure(place.distance, self.way.legs[-1][0]) or 0.0)
+        start, sure = self.way.start, WALKED
+        end: tuple[Direction, float | None] | None = self.way.find_end()
+        if end is not None:
+            texts = dict.fromkeys((*[s.text for s in self.way.said], context.text))
+            context = replace(context, text=", ".join(texts))
+            self.legs -= sum(s.distance is None for s in self.way.said)
+        elif place.how == "away" or place.direction.facing:
             self.places.reason = INSTRUCTION
             return
-        sure = context.certainty * LEGS[min(self.legs, len(LEGS) - 1)]
-        self.legs += 1
-        self.places.add(
-            replace(context, certainty=sure), Relation.DIRECTION, SPEAKER, LISTENER,
-            direction=place.direction._replace(sigma=max(0.7, place.direction.sigma)),
-        )  # fmt: skip
-
-    def _add_end(self, context: ClauseContext) -> bool:
-        """Say where the walk so far ends, in place of where it ended before."""
-        end = self.way.find_end()
-        if end is None:
-            return False
-        statements, row = self.places.statements, self.way.row
-        before = statements[row].text if row is not None else ""
-        if before not in ("", context.text):
-            context = replace(context, text=f"{before}, {context.text}")
-        self.places.add(
-            context, Relation.DIRECTION, SPEAKER, self.way.start,
-            direction=end[0], distance=end[1], certainty=WALKED,
-        )  # fmt: skip
-        self.ends += 1
-        if row is None:
-            self.way.row = len(statements) - 1
         else:
-            statements[row] = statements.pop()
-        return True
+            start, sure = LISTENER, LEGS[min(self.legs, len(LEGS) - 1)]
+            end = place.direction._replace(sigma=max(0.7, place.direction.sigma)), None
+            self.legs += 1
+        statements = self.places.statements
+        n = len(statements)
+        self.places.add(
+            context, Relation.DIRECTION, SPEAKER, start,
+            direction=end[0], distance=end[1], certainty=sure,
+        )  # fmt: skip
+        if len(statements) > n and end[1] is not None and self.way.said:
+            self._replace_said(self.way.said, statements.pop())
+        else:
+            self.way.said += statements[n:]
+
+    def _replace_said(self, said: list[Statement], end: Statement) -> None:
+        """Let one statement about the end of the way stand for those about its legs."""
+        statements = self.places.statements
+        statements[statements.index(said[0])] = end
+        for leg in said[1:]:
+            statements.remove(leg)
+        self.way.said = [end]
 
     def join(self, first: int) -> None:
         """Join measured directions from one thing, from a statement on, as legs of one way.
@@ -182,27 +157,19 @@ class Walk:
         "16 blocks south and a block and a half west of you" is neither 16 blocks south of you, nor
         one and a half west.
         """
-        statements = self.places.statements
-        legs: list[int] = []
-        for row in range(first, len(statements)):
-            s = statements[row]
-            measured = s.bearing is not None and s.distance is not None and not s.within
-            if not measured or s.negated or s.source not in self.places.goals:
-                continue
-            if s.target == statements[(legs or [row])[0]].target:
-                legs.append(row)
-        if not legs:
-            return
-        self.way = Way(statements[legs[0]].target, row=legs[0])
-        for row in legs:
-            self.way.turn(Direction(statements[row].bearing or 0.0))
-            self.way.walk(statements[row].distance or 0.0)
-        end = self.way.find_end()
-        if len(legs) > 1 and end is not None:
-            joined = replace(statements[legs[0]], bearing=end[0].bearing, distance=end[1])
-            statements[legs[0]] = joined
-            for row in legs[:0:-1]:
-                del statements[row]
+        legs = [
+            s
+            for s in self.places.statements[first:]
+            if s.bearing is not None and s.distance is not None and not (s.within or s.negated)
+            if s.source in self.places.goals
+        ]
+        legs = [s for s in legs if s.target == legs[0].target]
+        if legs:
+            ways = [(s.bearing or 0.0, s.distance) for s in legs]
+            self.way = Way(legs[0].target, ways, [legs[0]])
+            end = self.way.find_end()
+            if len(legs) > 1 and end is not None:
+                self._replace_said(legs, replace(legs[0], bearing=end[0].bearing, distance=end[1]))
 
     def _meet(self, noun: NounPhrase, travel: str, context: ClauseContext) -> None:
         """Relate a thing that is met on the way."""
