@@ -34,9 +34,10 @@ def modes(*shares, spread=0.05):
 def test_all_agrees():
     answer, reason = decide_fit(GOOD, modes(0.99, 0.01), TOLD)
     assert answer is Status.OK
-    assert "95% of the labelled patches" in reason
-    assert "97% of the depth readings" in reason
-    assert reason.endswith(".")
+    assert reason == (
+        "One place holds 99% of the probability within 0.3 m: 95% of the labelled patches, "
+        "97% of the depth readings, the colours agree with the map."
+    )
 
 
 @pytest.mark.parametrize(
@@ -84,8 +85,9 @@ def test_a_wall_and_a_floor_are_no_place():
 def test_rivals_make_it_ambiguous():
     answer, reason = decide_fit(GOOD, modes(0.55, 0.45), TOLD)
     assert answer is Status.AMBIGUOUS
-    assert "The first of 2 places holds 55%; others fit" in reason
-    assert "55%" in reason
+    assert reason == (
+        "The first of 2 places holds 55% of the probability within 0.3 m; others fit as well."
+    )
     _, reason = decide_fit(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
     assert "The first of 3 places holds 40%" in reason
 
@@ -98,7 +100,13 @@ def test_other_images_of_the_room_exclude_rivals_or_the_best_mode():
     assert decide_joined(alone, [0.995, 0.005]).status is Status.OK
     half = decide_joined(alone, [0.7, 0.3])
     assert (half.status, half.best.probability) == (status, 0.7)
-    assert half.reason == "The first of 2 places holds 70%; others fit as well. Note."
+    assert half.reason == reason.replace("60%", "70%") + " Note."
+    other = decide_joined(alone, [0.3, 0.7])
+    assert [m.probability for m in other.modes] == [
+        0.7,
+        0.3,
+    ]  # best first, and the reason speaks of it
+    assert "first of 2 places holds 70% of" in other.reason
     sure = replace(alone, status=Status.OK)
     assert decide_joined(sure, [0.9, 0.1]).status is Status.OK
     assert decide_joined(sure, [0.4, 0.6]).status is Status.AMBIGUOUS
@@ -115,12 +123,14 @@ def test_reasons_against_a_pose_by_what_was_not_searched(searched, why):
 def test_a_place_known_to_a_metre_only_is_not_ok():
     answer, reason = decide_fit(GOOD, modes(1.0, spread=1.0), TOLD)
     assert answer is Status.AMBIGUOUS
-    assert reason == "One place fits best, but it is known only to 1.0 m."
+    assert reason == (
+        "One place holds 100% of the probability within 2.5 m; a certain pose needs 0.5 m."
+    )
     (best,) = modes(1.0)
     best.covariance[2, 2] = 0.3**2
     answer, reason = decide_fit(GOOD, [best], TOLD)
     assert answer is Status.AMBIGUOUS
-    assert "its height is known only to 0.3 m" in reason
+    assert "within 0.8 m, above all in height; a certain pose needs 0.5 m" in reason
 
 
 shares = st.floats(0, 1)

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.outdoor.search.ask import NO, YES
 from placegraph.world import World
 
 OUTSIDE = "A church is south of me and Lange Straße is south of me. A bakery is east of me."
@@ -45,6 +47,13 @@ def test_a_sentence_tells_twins_apart(world, films, text, scene):
     assert {m.scene for m in alone.modes} == {"suite", "twin"}
     estimate = world.locate(text, frames)
     assert (estimate.status, estimate.best.scene) == (Status.OK, scene)
+    for found in (alone, estimate):  # the reason speaks of the list
+        shares = [m.probability for m in found.modes]
+        assert shares == sorted(shares, reverse=True)
+        assert re.findall(r"(\d+)% of the probability within", found.reason) == [
+            f"{100 * shares[0]:.0f}"
+        ]
+        assert found.best.where in found.reason
 
 
 def test_frames_tell_towns_apart(world, films):
@@ -177,6 +186,25 @@ def test_questions_tell_twins_apart_and_a_no_is_no_yes(world, films):
     unknown = world.locate(None, films["parlour"], refine=False, answers=answers)
     assert unknown.status is Status.AMBIGUOUS
     assert unknown.next_question(world).text != question.text
+
+
+@pytest.mark.parametrize(
+    "text", ["Ich bin neben dem Tisch.", "I am near a table.", "Estoy al lado de la mesa."]
+)
+def test_an_answer_about_a_building_decides_and_changes_no_language(world, text):
+    alone = world.locate(text)
+    question = alone.next_question(world)
+    before = {m.scene: m.probability for m in alone.modes}
+    name = question.subjects[0].words
+    for option, least, most in ((YES, 0.9, 1.0), (NO, 0.0, 0.2)):
+        found = world.locate(text, answers=[question.answer(option)])
+        there = sum(m.probability for m in found.modes if m.building == name)
+        assert least <= there <= most, (option, before)
+        assert found.understood.language == alone.understood.language
+        evidence = [e for m in found.modes for e in m.evidence if m.building == name]
+        assert any(question.text in e.statement for e in evidence) or option == NO
+        again = found.next_question(world)
+        assert again is None or question.text != again.text
 
 
 def test_what_one_of_two_towns_says_of_itself_is_not_said_of_all(world):

@@ -47,7 +47,6 @@ def test_who_may_be_indoors(parse, text, indoors):
         ("Estoy en el hotel, al lado de la cama", True, ["near: bed"]),
         ("Ik ben in de keuken, naast het raam.", False, ["room: kitchen", "near: window"]),
         ("Eine Bäckerei ist nördlich von mir.", True, []),
-        ("Ich bin neben dem Bett. I am in the bedroom.", False, ["near: bed", "room: bedroom"]),
     ],
 )  # fmt: skip
 def test_outside_and_inside_in_many_languages(parse, text, outside, inside):

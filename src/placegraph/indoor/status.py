@@ -5,6 +5,7 @@ Stages fill `Diagnostics` and pass it along in `PoseEstimate.diagnostics`. Only 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
@@ -44,6 +45,9 @@ FITS_NOWHERE = -1.0
 LOOSE = 0.2
 """A pose known no better than this [m] in any direction is not `OK`: one in a hundred would err by more
 than the 0.5 m that `OK` promises."""
+CLAIMED = 2.5
+"""Radius of a claim, in deviations of the least certain direction: with `LOOSE` the 0.5 m of `OK`."""
+_CLAIM = re.compile(r"^.*? holds \d+% of the probability within [\d.]+ m")
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
@@ -181,12 +185,9 @@ def decide_pose(
     consistent = _is_consistent(diagnostics, agreed)
     if diagnostics.image_fault:
         return Status.LOST, diagnostics.image_fault, replace(diagnostics, consistent=consistent)
-    status, reason = decide_fit(
-        agreed,
-        modes,
-        diagnostics.ratio_per_frame,
-        float(1.0 / (1.0 + np.exp(-diagnostics.searched))),
-    )
+    share = float(1.0 / (1.0 + np.exp(-diagnostics.searched)))
+    status, reason = decide_fit(agreed, modes, diagnostics.ratio_per_frame, share)
+    claim = state_claim([share * m.probability for m in modes], modes[0].covariance)
     undecided = status is Status.AMBIGUOUS
     if (
         status is not Status.LOST
@@ -198,8 +199,7 @@ def decide_pose(
         odds = both_odds(CONFIDENCE.odds(agreed), diagnostics.searched)
         if modes[0].probability / (1.0 + np.exp(-odds)) < SURE:
             why = _UNLIKE_OWN if diagnostics.searched < 0.0 else _MAY_REPEAT
-            held = modes[0].probability / (1.0 + np.exp(-diagnostics.searched))
-            status, reason = Status.AMBIGUOUS, f"One place fits best ({held:.0%}), but {why}."
+            status, reason = Status.AMBIGUOUS, f"{claim}, but {why}."
     if diagnostics.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
         return status, diagnostics.contradiction, replace(diagnostics, consistent=consistent)
@@ -214,7 +214,7 @@ def decide_pose(
         and not _is_sure(without_looks, modes[0].probability)
     ):
         status = Status.AMBIGUOUS
-        reason = "One place fits best, but the appearance of patches alone is not sufficient."
+        reason = f"{claim}, but the appearance of patches alone is not sufficient."
     if status is Status.OK and diagnostics.unmet:
         status = Status.AMBIGUOUS
         reason = f"{reason} But the description does not fit there: {diagnostics.unmet}."
@@ -233,54 +233,76 @@ def decide_fit(
     against = _contradicts(agreed, ratio_per_frame)
     if against:
         return Status.LOST, f"No place on the map fits: {against}."
-    best, rivals = modes[0], sum(m.probability > RIVAL for m in modes[1:])
-    first = "One place fits best, but"
-    if rivals:
-        first = f"The first of {rivals + 1} places holds {share * best.probability:.0%}, and"
+    best = modes[0]
+    claim = state_claim([share * m.probability for m in modes], best.covariance)
     loose, axis = least_certain(best.covariance)
     if loose > LOOSE:
-        what = "its height is" if abs(axis[2]) > _UPRIGHT else "it is"
-        return Status.AMBIGUOUS, f"{first} {what} known only to {loose:.1f} m."
+        what = ", above all in height" if abs(axis[2]) > _UPRIGHT else ""
+        return (
+            Status.AMBIGUOUS,
+            f"{claim}{what}; a certain pose needs {CLAIMED * LOOSE:.1f} m.",
+        )
     if _is_sure(agreed, 1.0) and not _is_sure(agreed, best.probability):
-        return Status.AMBIGUOUS, f"{first.removesuffix(', and')}; others fit as well."
+        return Status.AMBIGUOUS, f"{claim}; others fit as well."
     if not _is_sure(agreed, best.probability):
-        return Status.AMBIGUOUS, f"{first} {_describe_weakness(agreed)}."
-    return Status.OK, f"One place fits: {_describe_agreement(agreed)}."
+        return Status.AMBIGUOUS, f"{claim}, but {_describe_weakness(agreed)}."
+    return Status.OK, f"{claim}: {_describe_agreement(agreed)}."
+
+
+def state_claim(shares: Sequence[float], covariance: Floats, where: str = "") -> str:
+    """Return the opening of a reason: the best place, its probability, and the radius that holds it.
+
+    `shares`: probabilities of the modes, best first; `covariance`: (6, 6) of the best; `where`: its name.
+    """
+    radius = np.ceil(10.0 * CLAIMED * least_certain(covariance)[0]) / 10.0
+    rivals, first = sum(share > RIVAL for share in shares[1:]), where or "One place"
+    if rivals:
+        first = f"The first of {rivals + 1} places" + (f", {where}," if where else "")
+    return f"{first} holds {shares[0]:.0%} of the probability within {radius:.1f} m"
+
+
+def restate_claim(reason: str, shares: Sequence[float], covariance: Floats, where: str = "") -> str:
+    """Return a reason with the claim of other modes (`state_claim`); one without a claim as it is."""
+    return _CLAIM.sub(lambda _: state_claim(shares, covariance, where), reason, count=1)
 
 
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate[Any])
 
 
 def decide_joined(estimate: AnyEstimate, shares: Sequence[float]) -> AnyEstimate:
-    """Return the estimate of one image with the shares of its modes by all images of the room.
+    """Return the estimate of one image with the shares of its modes by all images of the room, best first.
 
     In a scene map an image that only rivals kept from `OK` may become so; one whose best mode the other
     images contradict is not `OK`.
     """
-    modes = tuple(replace(m, probability=p) for m, p in zip(estimate.modes, shares, strict=True))
-    joined = replace(estimate, modes=modes)
+    modes = [replace(m, probability=p) for m, p in zip(estimate.modes, shares, strict=True)]
+    modes.sort(key=lambda mode: -mode.probability)
+    joined = replace(estimate, modes=tuple(modes))
     if estimate.status is Status.OK and shares[0] < max(SURE, *shares):
         reason = f"The images fit different places ({shares[0]:.0%} for the best of this one)."
         return replace(joined, status=Status.AMBIGUOUS, reason=reason)
-    if not isinstance(joined, PoseEstimate) or shares[0] < max(shares):
+    pose = modes[0] if isinstance(modes[0], PoseMode) else modes[0].pose
+    if pose is None:
+        return joined
+    where = "" if pose is modes[0] else modes[0].where
+    ordered = [mode.probability for mode in modes]
+    reason = restate_claim(estimate.reason, ordered, pose.covariance, where)
+    joined = replace(joined, reason=reason)
+    if not isinstance(joined, PoseEstimate):
         return joined
     found = diagnostics_of(joined)
-    if not found.undecided or found.agreement is None:
+    joined = replace(joined, trajectory=pose.map_from_camera[None])
+    if not found.undecided or found.agreement is None or shares[0] < ordered[0]:
         return joined
-
-    def decide_again(modes: Sequence[PoseMode]) -> tuple[Status, str]:
-        whole = sum(mode.probability for mode in modes)
-        alone = tuple(replace(mode, probability=mode.probability / whole) for mode in modes)
-        status, reason, _ = decide_pose(found, alone)
-        if found.refinement is None:
-            return status, reason
+    alone = tuple(replace(mode, probability=mode.probability / sum(ordered)) for mode in modes)
+    status, reason, _ = decide_pose(found, alone)
+    if found.refinement is not None:
         decided = replace(joined, status=status, reason=reason, modes=alone)
-        return decide_refined(decided, found.refinement)
-
-    (_, before), (status, reason) = decide_again(estimate.modes), decide_again(modes)
-    if status is Status.OK:
-        return replace(joined, status=status, reason=f"{reason} The other images confirm it.")
-    return replace(joined, reason=joined.reason.replace(before, reason))
+        status, reason = decide_refined(decided, found.refinement)
+    if status is not Status.OK:
+        return joined
+    reason = restate_claim(reason, ordered, pose.covariance)
+    return replace(joined, status=status, reason=f"{reason} The other images confirm it.")
 
 
 def reject_frames(fault: str, frames: Sequence[int]) -> PoseEstimate:
@@ -393,37 +415,38 @@ def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
 
 def decide_refined(estimate: PoseEstimate, refined: RefinementDiagnostics) -> tuple[Status, str]:
     """Return status and reason after a refinement of an estimate."""
-    status, reason = estimate.status, estimate.reason
-    if status is Status.OK and refined.motion > BENT:
-        status = Status.AMBIGUOUS
-        reason = (
-            "One place fits, but the frames contradict the odometry or the camera's "
-            "intrinsics there."
-        )
-    if status is Status.OK and refined.objection:
-        status, reason = Status.AMBIGUOUS, f"One place fits, but {refined.objection}."
-    images_alone = refined.accepted and not refined.has_depth and refined.landmarks is None
-    parted = (refined.shift, refined.turn_deg)
-    if status is Status.OK and images_alone and any(np.greater(parted, _PARTED)):
-        status = Status.AMBIGUOUS
-        reason = (
-            "One place fits, but images matched with the map move it by "
-            f"{refined.shift:.1f} m and {refined.turn_deg:.0f} degrees: check the camera's intrinsics."
-        )
-    if status is Status.OK and refined.loose > LOOSE:
-        status = Status.AMBIGUOUS
-        reason = (
-            "One place fits, but the scale of depth may be wrong, which moves the pose by up to "
-            f"{refined.loose:.1f} m."
-        )
+    status, reason, best = estimate.status, estimate.reason, estimate.modes[0]
+    claim = state_claim([m.probability for m in estimate.modes], best.covariance)
+    objection = _find_objection(refined)
+    if status is Status.OK and objection:
+        status, reason = Status.AMBIGUOUS, f"{claim}, but {objection}."
     found, one_scene = diagnostics_of(estimate), len({m.scene for m in estimate.modes}) == 1
     undecided = found.undecided and found.searched > log_odds(SURE, 0.0)
     counts = refined.landmarks is not None and refined.accepted and one_scene
-    if counts and undecided and least_certain(estimate.modes[0].covariance)[0] <= LOOSE:
+    if counts and undecided and least_certain(best.covariance)[0] <= LOOSE:
         # they were looked for in the whole map, and led to where the likelihood is largest
         status = Status.OK
-        reason = f"One place fits: {refined.landmarks} landmarks of the map agree on it."
+        reason = f"{claim}: {refined.landmarks} landmarks of the map agree on it."
     return status, reason
+
+
+def _find_objection(refined: RefinementDiagnostics) -> str:
+    """Find what makes a pose doubtful after its refinement, as half a sentence; empty: nothing."""
+    if refined.motion > BENT:
+        return "the frames contradict the odometry or the camera's intrinsics there"
+    if refined.objection:
+        return refined.objection
+    images_alone = refined.accepted and not refined.has_depth and refined.landmarks is None
+    if images_alone and any(np.greater((refined.shift, refined.turn_deg), _PARTED)):
+        return (
+            f"images matched with the map move it by {refined.shift:.1f} m and "
+            f"{refined.turn_deg:.0f} degrees: check the camera's intrinsics"
+        )
+    if refined.loose > LOOSE:
+        return (
+            f"the scale of depth may be wrong, which moves the pose by up to {refined.loose:.1f} m"
+        )
+    return ""
 
 
 def decide_given(estimate: PoseEstimate, window: PoseEstimate) -> PoseEstimate:

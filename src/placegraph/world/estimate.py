@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,6 +75,22 @@ class WorldQuery:
                 raise OptionError(
                     f"near is {self.near!r}; give longitude and latitude in degrees, in this order."
                 )
+
+    def answers_about(self, label: str) -> list[tuple[str, Answer]]:
+        """Return the answers yes and no about a `BUILDING` or `ROOM`, each with its name."""
+        for answer in self.answers:
+            if not isinstance(answer, Answer):
+                raise OptionError(
+                    f"answers contains {answer!r}; create answers with `question.answer(option)`."
+                )
+        subjects = ((answer.question.subjects[0], answer) for answer in self.answers)
+        return [(s.words, a) for s, a in subjects if s.label == label and a.option in (YES, NO)]
+
+    @property
+    def spoken(self) -> str:
+        """The text, and the names of buildings that the speaker is in by an answer."""
+        named = (name for name, a in self.answers_about(BUILDING) if a.option == YES)
+        return " | ".join([self.text or "", *named])
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +172,9 @@ class WorldEstimate(Estimate[WorldMode]):
         if best.place is None:
             read = self.understood
             inside = read.inside.mentions if read and read.inside else ()
-            words = " ".join([read.text if read else "", *(m.words for m in inside)])
-            return choose_question(
-                self.modes, self.answered, words, read.language if read else "en"
-            )
+            known = [read.text if read else "", *(m.words for m in inside), *self.answered]
+            code = read.language if read else "en"
+            return choose_question(self.modes, self.answered, " ".join(known), code)
         for part, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.towns[part.partition("//")[0]].ask(part, estimate)
@@ -177,7 +192,7 @@ class WorldEstimate(Estimate[WorldMode]):
 def choose_question(
     modes: Sequence[WorldMode], excluded: Sequence[str], text: str = "", code: str = "en"
 ) -> Question | None:
-    """Choose the yes-or-no question with most information about the building, else about the room.
+    """Choose the yes-or-no question with most information about the building, else about its room.
 
     It repeats no name of the `text`, and asks for no other if the best is in the text; `code`: a language.
     """
@@ -186,7 +201,8 @@ def choose_question(
     rooms: dict[str, float] = defaultdict(float)
     for m in modes:
         buildings[m.building or m.scene] += m.probability
-        rooms[m.room] += m.probability
+        if m.scene == modes[0].scene:
+            rooms[m.room] += m.probability
     for label, shares, words in ((BUILDING, buildings, "{}"), (ROOM, rooms, "the {}")):
         asked = []
         for name, share in shares.items():  # of everything: where no mode is, one is elsewhere
@@ -202,23 +218,3 @@ def choose_question(
         if left:
             return max(left, key=lambda q: q.gain)
     return None
-
-
-def add_answers(query: WorldQuery) -> WorldQuery:
-    """Append answers about buildings and rooms to the text; the others are a city's."""
-    text, others = [query.text] if query.text else [], []
-    for answer in query.answers:
-        if not isinstance(answer, Answer):
-            raise OptionError(
-                f"answers contains {answer!r}; create answers with `question.answer(option)`."
-            )
-        thing = answer.question.subjects[0]
-        if thing.label not in (BUILDING, ROOM):
-            others.append(answer)
-        elif answer.option in (YES, NO):
-            name = thing.words if thing.label == BUILDING else f"the {thing.words}"
-            text.append(f"I am {'not ' if answer.option == NO else ''}in {name}.")
-    if len(text) == bool(query.text):
-        return replace(query, answers=tuple(others))
-    ended = (s if s[-1:] in (".", "!", "?") else f"{s}." for s in map(str.rstrip, text))
-    return replace(query, text=" ".join(ended), answers=tuple(others))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +11,14 @@ import numpy as np
 from placegraph.core.estimate import CityEstimate, Evidence, SceneMode
 from placegraph.core.geo import Anchor, EarthPose
 from placegraph.core.geometry import Floats, LocalPlane
-from placegraph.indoor.language.likeness import table
+from placegraph.indoor.language.likeness import room_kind, table
 from placegraph.indoor.language.score import of_scenes, score, score_statements
-from placegraph.indoor.language.sentence import Kind, Sentence
+from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.floor import find_storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.search.ask import NO, YES, Answer, Subject
+from placegraph.world.estimate import BUILDING, ROOM
 from placegraph.world.sentence import FloorStatement, ParsedSentence, compare_floors, parse_sentence
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ WRONG_FIX_SHARE = 1e-3
 WRONG_ROOM_SHARE = 0.05
 """Share of people who are not in such a room as they say: "in the kitchen"."""
 NAME_RATIO = 3.0
-"""Log-likelihood ratio of a scene whose name, or whose building's, is in the text."""
+"""Log-likelihood ratio of a scene whose name, or whose building's, is in the text, or in an answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +186,8 @@ class SceneEvidence:
     """Whether the text mentions the building, or the scene itself, by name or kind."""
     building_match: BuildingMatch | None = None
     """Score of its building in the city around, by statements about the outside."""
+    answers: tuple[Evidence, ...] = ()
+    """Answers to questions about its building."""
     floors: tuple[FloorStatement, ...] = ()
     above: int = 0
     """Storeys above the level of the anchor."""
@@ -258,6 +262,7 @@ class WorldEvidence:
         out: list[Evidence] = []
         if w.building_match is not None:
             out += w.building_match.evidence
+        out += w.answers
         if self.inside is not None:
             out += self.inside.explain(name)
         if w.anchors:
@@ -275,7 +280,7 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
         return OutdoorSearch()
     labels: tuple[str, ...] = ()
     if world.candidates is not None:
-        labels, names = world.candidates.labels, world.candidates.find_names(query.text)
+        labels, names = world.candidates.labels, world.candidates.find_names(query.spoken)
     else:
         anchors = (s for scene in world.scenes.values() for s in AnchorHypothesis.of_scene(scene))
         names = {*world.scenes, *(s.anchor.building for s in anchors)} - {""}
@@ -287,6 +292,14 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
             labels = tuple(every)
     towns = world.towns
     parsed = parse_sentence(query.text, towns, labels, query.heading, names, query.language)
+    # a building without a scene is in sight of who is in it
+    others = [a for name, a in query.answers_about(BUILDING) if name not in names]
+    in_sight = [
+        Answer(replace(a.question, subjects=(Subject(a.question.subjects[0].words),)), a.option)
+        for a in others
+    ]
+    of_city = [a for a in query.answers if a.question.subjects[0].label not in (BUILDING, ROOM)]
+    query = replace(query, answers=(*of_city, *in_sight))
     found: dict[str, TownMatch] = {}
     obstacles: dict[str, None] = {}
     for name, outside in parsed.outside.items():
@@ -301,14 +314,15 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
 def collect_evidence(world: World, query: WorldQuery, text: OutdoorSearch) -> WorldEvidence:
     """Weigh all scenes and towns by all but the frames; raises as `World.locate`."""
     scenes = {name: AnchorHypothesis.of_scene(world.scenes[name]) for name in world.scenes}
-    parsed, towns, inside = text.parsed, text.towns, None
+    towns, inside = text.towns, None
+    parsed = add_room_answers(text.parsed, query)
     if parsed is not None and parsed.inside is not None and scenes:
         inside = IndoorMatch.of_sentence(world.library, parsed.inside)
     floors = parsed.floors if parsed else ()
     above = {n: len(find_storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
     spoken = f" {' '.join(tokens(query.text or ''))} "
     denied = [f" {' '.join(tokens(name))} " for name in _find_denied(parsed)]
-    if " not in " in spoken:  # answers name maps that no grammar knows
+    if " not in " in spoken:  # no grammar knows the names of maps
         names = {n for s, all_ in scenes.items() for n in (s, *(a.anchor.building for a in all_))}
         named = {f" {' '.join(tokens(name))} " for name in names if name}
         denied += sorted(n for n in named if f" not in{n}" in spoken and n not in denied)
@@ -349,12 +363,21 @@ class _SceneScorer:
         names = {name, *(s.anchor.building for s in anchors)}
         is_named = any(_contains_name(self.spoken, n) for n in names)
         penalty = NAME_RATIO * any(_contains_name(self.denied, n) for n in names)
+        answers = tuple(
+            Evidence(f"{a.question.text} {a.option}", "for" if a.option == YES else "against",
+                     NAME_RATIO if a.option == YES else -NAME_RATIO)
+            for known, a in self.query.answers_about(BUILDING) if known in names
+        )  # fmt: skip
+        answered = sum(e.weight for e in answers)
         inside = self.inside.scenes[name] if self.inside else 0.0
         near = self.query.near
         if not anchors:
             fits = 1.0 if near is None else FIT_UNANCHORED
-            ratio = NAME_RATIO * is_named - penalty
-            return SceneEvidence(name, outside=ratio, inside=inside, near=fits, is_meant=is_named)
+            ratio = NAME_RATIO * is_named - penalty + answered
+            is_meant = is_named or answered > 0.0
+            return SceneEvidence(
+                name, outside=ratio, inside=inside, near=fits, is_meant=is_meant, answers=answers
+            )
         priors = np.array([s.anywhere.probability for s in anchors])
         ratios = np.array([b.score.ratio if b else 0.0 for b in buildings])
         ratios += [compare_floors(self.floors, s.anchor.level, above) for s in anchors]
@@ -373,11 +396,29 @@ class _SceneScorer:
         outside = float(np.log(priors @ np.exp(ratios) + unknown))
         return SceneEvidence(
             name, tuple(anchors[i] for i in order), shares[order],
-            outside + NAME_RATIO * (is_named and best is None) - penalty, inside,
+            outside + NAME_RATIO * (is_named and best is None) - penalty + answered, inside,
             float(priors @ nears + unknown * FIT_UNANCHORED),
-            is_named or any(b is not None and b.score.is_meant for b in buildings),
-            best, self.floors, above,
+            is_named or answered > 0.0 or any(b is not None and b.score.is_meant for b in buildings),
+            best, answers, self.floors, above,
         )  # fmt: skip
+
+
+def add_room_answers(parsed: ParsedSentence | None, query: WorldQuery) -> ParsedSentence | None:
+    """Return a parsed text with the answers about rooms as statements."""
+    if not (answers := query.answers_about(ROOM)):
+        return parsed
+    parsed = parsed or ParsedSentence("", {}, None)
+    sentence = parsed.inside or Sentence(query.text or "")
+    for name, answer in answers:
+        room = Mention(f"the {name}", name, room=room_kind(name))
+        text = f"{answer.question.text} {answer.option}"
+        row = (len(sentence.mentions),)
+        added = Statement(Kind.ROOM, row, negated=answer.option == NO, text=text)
+        sentence = replace(
+            sentence,
+            mentions=(*sentence.mentions, room), statements=(*sentence.statements, added),
+        )  # fmt: skip
+    return replace(parsed, inside=sentence)
 
 
 def _find_denied(parsed: ParsedSentence | None) -> tuple[str, ...]:

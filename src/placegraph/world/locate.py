@@ -8,6 +8,7 @@ odds of each add to what is known of its scene.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +26,8 @@ from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
-from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery, add_answers
+from placegraph.outdoor.language.languages import translate, translate_option
+from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery
 from placegraph.world.evidence import WorldEvidence, collect_evidence, list_rooms, match_outdoors
 from placegraph.world.status import (
     decide_by_frames,
@@ -52,11 +54,10 @@ COMPASS_CONCENTRATION, COMPASS_OUTLIERS = 8.0, 0.1
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 
-def locate(world: World, given: WorldQuery) -> WorldEstimate:
+def locate(world: World, query: WorldQuery) -> WorldEstimate:
     """Compute one posterior over place, room and pose; see `World.locate`."""
-    if given.budget is not None and not world.planets:
+    if query.budget is not None and not world.planets:
         raise OptionError("`budget` applies only to worlds in shards, but this is none; remove it.")
-    query = add_answers(given)
     text = match_outdoors(world, query)
     if world.candidates is not None:
         world = world.candidates.select(world, query, text)
@@ -71,7 +72,10 @@ def locate(world: World, given: WorldQuery) -> WorldEstimate:
         notes += (NO_SCENES,) if query.capture is not None else ()
     status, reason = limit_status(found, world, query, text.towns)
     notes += tuple(note for town in text.towns.values() for note in town.notes)
-    answered = tuple(answer.question.text for answer in given.answers)
+    answered = tuple(answer.question.text for answer in query.answers)
+    code = found.understood.language if found.understood else "en"
+    floor = translate_option("floor {}", code).replace("{}", r"\1")
+    reason = re.sub(r"\bfloor ([\w-]+)", floor, translate(reason, code))
     return replace(found, status=status, reason=reason, notes=notes, answered=answered, map=world)
 
 
@@ -200,8 +204,12 @@ def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) 
         for answer, share in zip(kept, shares.tolist(), strict=True)
         for m in _make_pose_modes(world, evidence, query, answer, share)
     ]
-    modes.sort(key=lambda m: (m.pose is not best.best, -m.probability))
-    status, reason = decide_by_frames(best, modes[0], evidence, query)
+    is_ok = best.status is Status.OK
+    modes.sort(key=lambda m: (is_ok and m.pose is not best.best, -m.probability))
+    if modes[0].scene != scene_of(best):  # several poses share the scene where frames fit best
+        likelier = next(a for a in kept if scene_of(a) == modes[0].scene)
+        best = replace(likelier, status=best.status)
+    status, reason = decide_by_frames(best, modes, evidence, query)
     return WorldEstimate(
         status, _choose_modes(modes, query), reason, elsewhere=elsewhere,
         understood=evidence.parsed, cities=evidence.parts, poses=poses,

@@ -413,10 +413,7 @@ def _translate(words: str, english: Mapping[str, str]) -> str:
     """Translate the name of an object, in any case or number, to English; empty where unknown."""
     last = words.casefold().split()[-1:] or [""]
     found = [w for w in english if last[0].startswith(w) and len(last[0]) - len(w) <= MAX_ENDING]
-    if found:
-        return english[max(found, key=len)]
-    plain = words.casefold().removeprefix("the ")  # an answer to a question is English
-    return plain if room_kind(plain) else ""
+    return english[max(found, key=len)] if found else ""
 
 
 def convert_to_indoor(description: Description) -> Sentence:

@@ -9,7 +9,8 @@ import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import angle_between
-from placegraph.indoor.status import SURE_SCENE, diagnostics_of
+from placegraph.indoor.status import SURE_SCENE, diagnostics_of, restate_claim
+from placegraph.outdoor.search.status import describe_doubt
 from placegraph.world.evidence import SceneEvidence, WorldEvidence, list_rooms
 from placegraph.world.sentence import compare_floors
 
@@ -34,7 +35,7 @@ def decide_by_text(
         why = evidence.obstacle or "None of these maps contains anything that the text mentions."
         return Status.LOST, why
     best = modes[0]
-    where, share = best.where, f"({best.probability:.0%})"
+    where, share = best.where, f"holds {best.probability:.0%} of the probability"
     if elsewhere > max(0.5, best.probability):
         why = f"No place or room fits better than a place off the map ({elsewhere:.0%})."
         return Status.LOST, why
@@ -46,45 +47,39 @@ def decide_by_text(
         town = next(t for t in evidence.towns.values() if best.place in t.estimate.modes).estimate
         held = best.probability / max(best.place.probability, 1e-9)
         rooms = " No mapped room fits." if evidence.is_indoors and evidence.scenes else ""
-        why = town.reason
-        if (
-            town.status is Status.OK
-            and f"{best.place.probability:.0%}" != f"{best.probability:.0%}"
-        ):
+        why, is_ok = town.reason, town.status is Status.OK
+        if is_ok and f"{best.place.probability:.0%}" != f"{best.probability:.0%}":
             why += f" Among all maps, the best place holds {best.probability:.0%}."
-        if (
-            held < SURE_SCENE and town.status is not Status.LOST
-        ):  # its reason speaks of the town alone
-            why = f"The best place holds only {best.probability:.0%} of the probability."
-        is_sure = town.status is Status.OK and held >= SURE_SCENE
-        return Status.OK if is_sure else Status.AMBIGUOUS, why + rooms
+        if held < SURE_SCENE and town.status is not Status.LOST:  # it speaks of the town alone
+            why = describe_doubt(best.probability)
+        return Status.OK if is_ok and held >= SURE_SCENE else Status.AMBIGUOUS, why + rooms
     of_scene = sum(m.probability for m in modes if m.scene == best.scene)
     if of_scene >= SURE_SCENE and evidence.scenes[best.scene].ratio < 0:
-        return Status.AMBIGUOUS, f"{where} fits best {share}, but the description does not fit it."
+        return Status.AMBIGUOUS, f"{where} {share}, but the description does not fit it."
     if best.probability >= SURE_SCENE and (
         best.room or len(list_rooms(world.library, best.scene)) == 1
     ):
-        return Status.OK, f"{where} fits {share}."
+        return Status.OK, f"{where} {share}."
     if of_scene >= SURE_SCENE:
-        where = evidence.scenes[best.scene].where
-        why = f"{where} fits ({of_scene:.0%}), but the text does not identify the room."
-        return Status.AMBIGUOUS, why
+        where, share = (
+            evidence.scenes[best.scene].where,
+            share.replace(f"{best.probability:.0%}", f"{of_scene:.0%}"),
+        )
+        return Status.AMBIGUOUS, f"{where} {share}, but the text does not identify the room."
     rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
-    others = f"; so may {'; '.join(rivals)}" if rivals else ""
-    return Status.AMBIGUOUS, f"{where} fits best {share}{others}."
+    others = f"; it may also be {'; '.join(rivals)}" if rivals else ""
+    return Status.AMBIGUOUS, f"{where} {share}{others}."
 
 
 def decide_by_frames(
-    best: PoseEstimate, mode: WorldMode, evidence: WorldEvidence, query: WorldQuery
+    best: PoseEstimate, modes: Sequence[WorldMode], evidence: WorldEvidence, query: WorldQuery
 ) -> tuple[Status, str]:
-    """Decide on the best pose: its own status, unless other evidence contradicts it."""
-    reason = best.reason
+    """Decide on modes, best first: the status in the best scene, unless evidence contradicts it."""
+    mode, shares = modes[0], [m.probability for m in modes]
+    where = restate_claim(best.reason, shares, best.modes[0].covariance, mode.where)
+    where = where if where != best.reason else f"In {mode.where}: {best.reason}"
     for name, scene in evidence.scenes.items():
-        reason = reason.replace(f" in {name}.", f" in {scene.where}.")
-    alone = best.modes[0].probability
-    share = f"{mode.probability:.0%}"
-    told = "" if f"{alone:.0%}" == share else f" ({share} among all maps)"
-    where = f"In {mode.where}{told}: {reason}"
+        where = where.replace(f" in {name}.", f" in {scene.where}.")
     against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
     unmet = diagnostics_of(best).unmet
     if not against or (unmet and unmet in best.reason):

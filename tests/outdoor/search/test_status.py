@@ -48,7 +48,7 @@ def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
     assert "within 250 m, where 2 places fit: it may be any of them" in reason
     peaks = find_modes(near, 5, SPACING)
     _, (best, _) = shrink(near, peaks, diagnose(near, peaks, AT_A_PLACE, None))
-    assert reason.endswith(f"Of this, {best.probability:.0%} lies within 50 m.")
+    assert reason.endswith(f"Within 50 m it holds {best.probability:.0%}.")
     assert "2 places" not in judge(make_posterior((0, 0.999), (150, 0.0005)), AT_A_PLACE)[1]
     scattered = make_posterior(*((60.0 * i, 0.24) for i in range(4)))
     assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, (

@@ -165,29 +165,32 @@ def _decide(diagnostics: Diagnostics) -> tuple[Status, str]:
     if names:
         are = "are" if len(names) > 1 else "is"
         why = f"{_quote(names)} {are} not on this map, so the place cannot be sure."
-    elif best < 0.05:
-        why = f"Too many places fit: the best holds only {best:.1%} of the probability."
     else:
-        why = f"The best place holds only {best:.0%} of the probability; others fit as well."
+        why = describe_doubt(best)
     unread = (
         f" Not understood: {_quote(diagnostics.unread[:MAX_QUOTED])}." if diagnostics.unread else ""
     )
     return Status.AMBIGUOUS, why + unread
 
 
+def describe_doubt(best: float) -> str:
+    """Say that the best place holds too little of the probability."""
+    if best < 0.05:
+        return f"Too many places fit: the best holds only {best:.1%} of the probability."
+    return f"The best place holds only {best:.0%} of the probability; others fit as well."
+
+
 def _confirm(diagnostics: Diagnostics, sure: float) -> str:
     """Say how much of the probability (`sure`) lies within the radius of a claim, and at its best place."""
     claim, others = diagnostics.claim, diagnostics.others
     best = claim.of_place.apply(diagnostics.best or 0.0, doubtful=False)
-    of_this = f" Of this, {best:.0%} lies within {MODE_RADIUS:.0f} m."
-    of_this = "" if f"{best:.0%}" == f"{sure:.0%}" else of_this
+    nearer = f" Within {MODE_RADIUS:.0f} m it holds {best:.0%}."
+    nearer = "" if f"{best:.0%}" == f"{sure:.0%}" else nearer
     if not others:
-        return (
-            f"One place holds {sure:.0%} of the probability within {claim.radius:.0f} m.{of_this}"
-        )
+        return f"One place holds {sure:.0%} of the probability within {claim.radius:.0f} m.{nearer}"
     return (
         f"The best place holds {sure:.0%} of the probability within {claim.radius:.0f} m, where "
-        f"{others + 1} places fit: it may be any of them.{of_this}"
+        f"{others + 1} places fit: it may be any of them.{nearer}"
     )
 
 

@@ -154,7 +154,7 @@ class CandidateScenes(SceneShards):
                 (m.longitude, m.latitude) for t in text.towns.values() for m in t.estimate.modes
             ]
             likely = np.argsort(-weights, kind="stable")[:LIKELIEST]
-        named = sorted(self.find_named(query.text), key=lambda row: -weights[row])[:NAMED]
+        named = sorted(self.find_named(query.spoken), key=lambda row: -weights[row])[:NAMED]
         names: dict[int, str] = {}
         notes = list(self.notes)
         for row in sorted({*likely.tolist(), *named, *self.find_beside(places)[:BESIDE]}):
