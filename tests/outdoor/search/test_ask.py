@@ -1,3 +1,4 @@
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,13 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.language.languages import read_answers, translate
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
+from placegraph.outdoor.map.objects import find_hidden
 from placegraph.outdoor.search.ask import (
+    MIN_CHANGE,
     NO,
     NONE,
     UNKNOWN,
@@ -24,10 +28,12 @@ from placegraph.outdoor.search.ask import (
     _rank_yes_no_questions,
     _Surroundings,
     compute_gain,
+    measure_change,
     next_question,
     rank_questions,
 )
 from placegraph.outdoor.search.status import ADVICE
+from placegraph_lab.worlds.town.town import Town
 
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
 # What somebody says who sees little, and the places it may have been said at: row and column.
@@ -362,3 +368,72 @@ def test_questions_are_asked_and_answered_in_the_language_of_the_text(harbour):
     assert again.next_question(harbour).text != question.text
     yes = replace(BENCH, language="es")
     assert (yes.answer("sí").option, yes.answer("n").option) == (YES, NO)
+
+
+UNDERGROUND = """
+[town]
+name = Underground
+center = 9.99 53.55
+
+[drawing]
+--1-----+---------
+   b    |    b
+ SS     |     KK
+ SS     3     KK
+~~~~~~~~s~~~~~~~~~
+        |
+
+[legend]
+1 road: highway=residential name=Nordweg
+3 road: highway=residential name=Kreuzweg
+~ line: railway=subway name=Blaue Linie
+b: amenity=bench
+s: railway=station name=Mitte
+S area: building=yes shop=bakery name=Kern
+K area: building=yes amenity=cafe name=Mole
+"""
+
+
+def test_questions_are_about_what_can_be_seen(tmp_path):
+    town = Town.parse(UNDERGROUND).write_osm(tmp_path / "u.osm")
+    city = build_city(town, tmp_path / "u.city")
+    hidden = find_hidden(city.objects)
+    assert [city.objects.name(row) for row in hidden] == ["Blaue Linie"]
+    asked = [q.text for q in rank_questions(city.locate("I am next to a bench."), city)]
+    assert asked
+    assert not any("Blaue Linie" in text or "subway" in text for text in asked)
+
+
+def test_an_answer_moves_the_posterior_that_the_search_finds(real_city):
+    text = "I am next to a bench."
+    estimate = real_city.locate(text)
+    question = estimate.next_question(real_city)
+    shares = {tuple(p[:2]): p[2] for p in estimate.support.tolist()}
+    moved = []
+    for option in question.options:
+        support = real_city.locate(text, answers=[question.answer(option)]).support
+        after = {tuple(p[:2]): p[2] for p in support.tolist()}
+        places = shares.keys() | after.keys()
+        moved.append(0.5 * sum(abs(shares.get(k, 0.0) - after.get(k, 0.0)) for k in places))
+    assert np.mean(moved) >= MIN_CHANGE
+    ranked = itertools.takewhile(lambda q: q != question, rank_questions(estimate, real_city))
+    assert all(measure_change(estimate, real_city, q) < MIN_CHANGE for q in ranked)
+
+
+def test_plurals_have_no_article():
+    around = _Surroundings(
+        ["highway=steps"],
+        np.array([[0], [0]]),
+        np.array([[1.0]] + [[0.0]] * 4),
+        [],
+        np.zeros((0, 2)),
+    )
+    (question,) = _rank_yes_no_questions(np.array([0.5, 0.5]), around, "en")
+    assert question.text == "Are there steps within sight?"
+
+
+def test_german_nouns_are_written_large(harbour):
+    ranked = rank_questions(harbour.locate("Ich stehe an einem Brunnen."), harbour)
+    kinds = [q.subjects[0].words for q in ranked if q.options == (YES, NO)]
+    assert kinds
+    assert all(words[0].isupper() for words in kinds)

@@ -263,3 +263,15 @@ def find_labelled(objects: CityObjects, labels: frozenset[str]) -> Rows:
     wanted = [i for i, label in enumerate(objects.labels) if label in labels]
     hits = np.flatnonzero(np.isin(objects.label_values, wanted))
     return np.unique(np.searchsorted(objects.label_starts, hits, "right") - 1)
+
+
+HIDDEN = frozenset(("tunnel=yes", "parking=underground", "railway=abandoned", "railway=razed"))
+"""Labels of objects that nobody sees."""
+
+
+def find_hidden(objects: CityObjects) -> Rows:
+    """Find the rows of objects that nobody sees: in tunnels or under the ground, and subways off bridges."""
+    subways = find_labelled(objects, frozenset(("railway=subway",)))
+    tracks = subways[objects.kind[subways] == LINE]
+    bridges = find_labelled(objects, frozenset(("bridge=yes", "bridge=viaduct")))
+    return np.union1d(find_labelled(objects, HIDDEN), np.setdiff1d(tracks, bridges))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,7 +32,10 @@ from placegraph.outdoor.language.description import (
 from placegraph.outdoor.language.languages import read_answers, translate, translate_option
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.likelihood.match_kernels import score_exact
+from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.objects import find_hidden
 
 YES, NO, UNKNOWN = "yes", "no", "don't know"
 NONE = "none of these"
@@ -46,6 +50,15 @@ MAX_NAMES = 4
 """Largest number of names in a choice question."""
 MIN_GAIN = 0.02
 """Smallest expected information gain of a question that is asked [nat]."""
+MIN_CHANGE, MAX_TRIED, MAX_MOVED = 0.1, 8, 64
+"""Smallest share of the probability that the answers to a question move, in the mean; largest numbers of
+questions and of places that this is computed for."""
+
+
+UNTOLD = re.compile(
+    r"\*$|landuse=|highway=(service|track|unclassified|secondary|tertiary)|building=(commercial|retail)"
+)
+"""Labels that people on the street cannot tell from others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +155,35 @@ def next_question(estimate: CityEstimate, city: City) -> Question | None:
     """
     if estimate.status == Status.OK:
         return None
-    found = rank_questions(estimate, city)
-    first = next(found, None)
-    if first is None or first.gain <= MIN_GAIN:
-        return None
-    as_good = itertools.takewhile(lambda q: q.gain == first.gain, found)
-    return max((first, *as_good), key=lambda q: q.text)
+    found = list(itertools.islice(rank_questions(estimate, city), MAX_TRIED))
+    found.sort(key=lambda q: (q.gain, q.text), reverse=True)
+    good = itertools.takewhile(lambda q: q.gain > MIN_GAIN, found)
+    return next((q for q in good if measure_change(estimate, city, q) >= MIN_CHANGE), None)
+
+
+def measure_change(estimate: CityEstimate, city: City, question: Question) -> float:
+    """Compute the share of the probability that an answer moves between the likeliest places, in the mean.
+
+    Total variation distance between the posterior and those given each answer, by the likelihood of the
+    search.
+    """
+    from placegraph.outdoor.search.posterior import PRIOR_COHERENT  # which imports answers
+
+    heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MAX_MOVED]
+    weights = estimate.support[heaviest, 2] / estimate.support[heaviest, 2].sum()
+    positions = city.plane.to_plane(estimate.support[heaviest, :2])
+    seen = city.in_sight(np.maximum(city.views.nearest(positions), 0))
+    changes = []
+    for option in question.options:
+        query = compile_query(Answer(question, option).added_to(Description("")), city)
+        added = np.zeros((len(positions), 1, len(query.used)), np.float32)
+        ratios, _, _ = score_exact(
+            query.statements, city.columns, query.token_weights(len(city.views.share)),
+            positions[:, None], (seen.starts, seen.objects), added, PRIOR_COHERENT, False,
+        )  # fmt: skip
+        posterior = weights * np.exp(ratios[:, 0] - ratios.max())
+        changes.append(0.5 * np.abs(posterior / posterior.sum() - weights).sum())
+    return float(np.mean(changes))
 
 
 def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
@@ -208,8 +244,10 @@ class _Surroundings:
         views, objects = city.views, city.objects
         nearest = np.maximum(views.nearest(positions), 0)
         seen = city.in_sight(nearest)
-        place, rows = np.repeat(np.arange(len(positions)), np.diff(seen.starts)), seen.objects
-        delta = (views.positions_of(nearest) - positions)[place] + seen.offsets
+        shown = np.isin(seen.objects, find_hidden(objects), invert=True)
+        place = np.repeat(np.arange(len(positions)), np.diff(seen.starts))[shown]
+        rows = seen.objects[shown]
+        delta = (views.positions_of(nearest) - positions)[place] + seen.offsets[shown]
         distance = np.hypot(*delta.T)
         # a cell's centre may be kilometres from the nearest viewpoint
         sure = 1.0 / (1.0 + np.exp(np.minimum((distance - SIGHT) / 6.0, 80.0)))
@@ -255,15 +293,17 @@ def _rank_yes_no_questions(weights: Floats, around: _Surroundings, code: str) ->
     )
     gains = _entropy(ERROR_RATE + np.stack(answered)) - _entropy(ERROR_RATE) - np.stack(known)
     there = np.stack([np.bincount(label, e, len(around.labels)) > 0.0 for e in around.expected])
-    there &= [not name.endswith("*") for name in around.labels]
+    there &= [UNTOLD.search(name) is None for name in around.labels]
     winds = ("", *COMPASS)
     for j, i in zip(*np.unravel_index(np.argsort(-gains, axis=None), gains.shape), strict=True):
         if there[j, i]:
             words, wind = vocabulary.name_label(around.labels[i], language=tongue), winds[j]
+            words = words[:1].upper() + words[1:] if code == "de" else words
             article = "an" if words[:1].lower() in "aeiou" else "a"
             called = f"{article} {words}" if code == "en" else words
             where = f"within sight to your {wind}" if wind else "within sight"
-            text = f"Is there {called} {where}?"
+            is_plural = code == "en" and re.search("[^siu]s$", words)
+            text = f"Are there {words} {where}?" if is_plural else f"Is there {called} {where}?"
             subject = Subject(words, around.labels[i], wind)
             yield Question(text, (YES, NO), (subject,), float(gains[j, i]))
 
