@@ -53,6 +53,26 @@ def test_a_place_lies_on_its_street(gazetteer):
     assert sorted(distances.values()) == pytest.approx([20.0], abs=1.0)
 
 
+@pytest.mark.parametrize("text", ["High Street, Streets", "high street streets", "High Street"])
+def test_the_town_may_follow_a_name(gazetteer, text):
+    assert len(rows_of(Gazetteer(gazetteer.city, "streets"), Search(q=text).model_dump())) == 2
+
+
+def test_a_sentence_in_a_search_box_is_of_all_towns(web):
+    def names(text):
+        found = web.get("/api", params={"q": text}).json()["features"]
+        return [f["properties"] for f in found]
+
+    for text, near in (
+        ("a museum and a bench", "Museum"),
+        ("near Bäckerei Kern and St. Marien", "St. Marien"),
+    ):
+        first, *_ = names(text)
+        assert (first["osm_value"], first["probability"] >= 0.05) == ("described", True)
+        assert near in first["name"]
+    assert names("800 Robson Street") == []
+
+
 PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script src="leaflet/package/dist/leaflet.js"></script>
 <script src="leaflet-control-geocoder/package/dist/Control.Geocoder.js"></script>

@@ -144,6 +144,7 @@ class GeoPoseAnswer(_Answer):
     reason: str
     source: Literal["images", "geolocation"]
     modes: list[dict[str, Any]]
+    notes: list[str]
 
 
 JSON, PNG = "application/json", "image/png"

@@ -372,6 +372,7 @@ def _answer(
         "reason": reason,
         "source": source,
         "modes": [],
+        "notes": [],
     }  # fmt: skip
 
 

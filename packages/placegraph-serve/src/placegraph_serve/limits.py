@@ -74,6 +74,8 @@ class Metrics:
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
 """Paths whose bodies carry images."""
 SEARCHES = ("/api", "/reverse")
+PREFLIGHT = [(b"access-control-allow-methods", b"GET"), (b"access-control-max-age", b"86400"),
+             (b"access-control-allow-headers", b"Authorization, X-API-Key")]  # fmt: skip
 CLOSED = ("/v1/", "/api/", "/reverse/", "/geopose/", "/metrics/")
 """Paths that need a key where there are keys; the page and the state of health do not."""
 _TOKENS = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"|\\.|[\[\]{}]', re.DOTALL)
@@ -164,6 +166,9 @@ class Guard:
                 self.metrics.note(scope["path"], status, perf_counter() - start)
 
     async def _guarded(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope.get("method") == "OPTIONS" and self._is_open(scope):
+            await send({"type": "http.response.start", "status": 204, "headers": PREFLIGHT})
+            return await send({"type": "http.response.body", "body": b""})
         try:
             self._check(scope)
         except RequestError as error:
@@ -189,8 +194,8 @@ class Guard:
 
     def _is_open(self, scope: Scope) -> bool:
         """Whether pages of other hosts may read the answer: they search names (CORS)."""
-        path = scope["path"].rstrip("/")
-        return not self.options.same_origin and scope.get("method") == "GET" and path in SEARCHES
+        path, method = scope["path"].rstrip("/"), scope.get("method")
+        return not self.options.same_origin and method in {"GET", "OPTIONS"} and path in SEARCHES
 
     def _check(self, scope: Scope) -> None:
         if not self.keys.let_in(scope):

@@ -114,7 +114,7 @@ def describe_question(question: Question) -> dict[str, Any]:
     things = [{"words": t.words, "label": t.label, "wind": t.wind} for t in question.subjects]
     return {
         "text": question.text,
-        "options": list(question.choices[:-1]),
+        "options": list(question.choices),
         "things": things,
         "gain": question.gain,
     }
@@ -128,11 +128,12 @@ def answers_in(request: dict[str, Any]) -> list[Answer]:
 def read_answer(answer: dict[str, Any]) -> Answer:
     """An answer ``{"question": ..., "option": ...}`` that a client sends back."""
     from placegraph.outdoor.language.languages import read_options
-    from placegraph.outdoor.search.ask import COMPASS, NONE, Question, Subject
+    from placegraph.outdoor.search.ask import COMPASS, NONE, UNKNOWN, Question, Subject
 
     request = answer["question"]
     things = tuple(Subject(t["words"], t["label"], t["wind"]) for t in request["things"])
     options = tuple(read_options().get(option, option) for option in request["options"])
+    options = tuple(option for option in options if option != UNKNOWN)
     known = len(things) == 1 or options == (*(t.words for t in things), NONE)
     if not things or not known or any(t.wind and t.wind not in COMPASS for t in things):
         raise OptionError("answers: a question was changed; send it back as it was asked.")

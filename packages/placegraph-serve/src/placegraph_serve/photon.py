@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
-from placegraph.outdoor.map.objects import POINT, find_labelled
+from placegraph.outdoor.map.objects import LINE, POINT, find_hidden, find_labelled
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -47,8 +47,10 @@ _LANDMARKS = frozenset(("amenity", "building", "historic", "leisure", "office", 
                         "tourism"))  # fmt: skip
 """Keys of what is near a place; people stand in a park or on a square."""
 _GROUNDS = frozenset(("place=square", "leisure=park", "leisure=garden"))
-LEAST = 0.01
-"""Smallest probability of a place that is given an address."""
+LEAST, SUGGESTED = 0.01, 0.05
+"""Smallest probability of a place that is given an address; and that a search box is told of."""
+FAR = 5.0 * STREET
+"""Largest distance of what a place is near where nothing is closer [m]."""
 
 
 def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
@@ -60,9 +62,8 @@ def search(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
     ]
     found.sort(key=lambda entry: -entry[0])
     features = [city.feature(row) for _, city, row in found[: request["limit"]]]
-    if not features:
-        features = [f for city in _cities(dispatcher) for f in find_described(city.city, request)]
-    return {"type": "FeatureCollection", "features": features[: request["limit"]]}
+    features = features or find_described(dispatcher, request)
+    return {"type": "FeatureCollection", "features": features}
 
 
 def reverse(dispatcher: Dispatcher, request: dict[str, Any]) -> dict[str, Any]:
@@ -82,6 +83,8 @@ class Gazetteer:
     """A city's objects as addresses: their streets, districts and towns."""
 
     city: CityMap
+    title: str = ""
+    """Name of the map."""
 
     @cached_property
     def named(self) -> NDArray[np.bool_]:
@@ -104,7 +107,13 @@ class Gazetteer:
             for label in labels
         ]
         found: NDArray[np.bool_] = np.array(known)[self.city.objects.label_values[firsts]]
-        return found & self.named
+        found &= self.named
+        tracks = [label.startswith("railway=") for label in labels]
+        found &= ~np.array(tracks)[self.city.objects.label_values[firsts]] | (
+            self.city.objects.kind != LINE
+        )
+        found[find_hidden(self.city.objects)] = False
+        return found
 
     @cached_property
     def towns(self) -> dict[str, NDArray[np.int64]]:
@@ -175,6 +184,12 @@ class Gazetteer:
             street += touching
         return street
 
+    def without_town(self, words: str) -> str:
+        """Return words without the name of the city or of a place in it at their end."""
+        names = [self.city.objects.name(row) for rows in self.towns.values() for row in rows]
+        ends = (f" {' '.join(tokens(name))}" for name in (self.title, *names))
+        return next((words.removesuffix(end) for end in ends if words.endswith(end)), words)
+
     @property
     def first(self) -> int:
         """Number of the first token that is a name; those before are labels."""
@@ -202,7 +217,8 @@ class Gazetteer:
         """Return street, district and city of an object, as far as the map knows them."""
         objects, address = self.city.objects, {}
         at = objects.center[row].astype(float)
-        if not self.streets[row]:
+        place = any(row in rows for rows in self.towns.values())
+        if not self.streets[row] and not place:
             away = self.measure_distances(at, STREET, self.streets & self.named)
             street = min(away, key=away.__getitem__, default=row)
             if away.get(street, STREET) < STREET:
@@ -220,13 +236,15 @@ class Gazetteer:
 
     def name_place(self, at: Floats) -> dict[str, str]:
         """Return `address` (ground or street, and nearest landmark) and `town` of a point (2,)."""
-        objects, away = self.city.objects, self.measure_distances(at, STREET, self.spoken)
+        objects, away = self.city.objects, self.measure_distances(at, FAR, self.spoken)
         if not away:  # of another city
             return {}
-        near = sorted((row for row in away if away[row] < STREET), key=away.__getitem__)
+        every = sorted((row for row in away if away[row] < FAR), key=away.__getitem__)
+        near = [row for row in every if away[row] < STREET] or every[:1]
         streets = {objects.name(r): away[r] for r in reversed(near) if self.streets[r]}
         names = sorted(streets, key=streets.__getitem__)
         where = " and ".join(names[: 1 + (len(names) > 1 and streets[names[1]] < CORNER)])
+        where = f"near {where}" if where and streets[names[0]] > STREET else where
         grounds = [r for r in near if objects.label(r) in _GROUNDS and away[r] == 0.0]
         where = objects.name(grounds[0]) if grounds else where
         others = (objects.name(r) for r in near
@@ -248,15 +266,16 @@ def _cities(dispatcher: Dispatcher) -> Iterator[Gazetteer]:
     for name in names:
         city, known = dispatcher.places.city(name), dispatcher.gazetteers.get(name)
         if known is None or known.city is not city:
-            known = dispatcher.gazetteers[name] = Gazetteer(city)
+            known = dispatcher.gazetteers[name] = Gazetteer(city, name)
         yield known
 
 
 def name_places(dispatcher: Dispatcher, answer: dict[str, Any]) -> dict[str, Any]:
     """Give the likely places outdoors of an answer their `address` and `town`."""
     modes = [
-        m for m in answer["estimate"]["modes"]
-        if m.get("latitude") is not None and not m.get("scene") and m["probability"] >= LEAST
+        m for k, m in enumerate(answer["estimate"]["modes"])
+        if m.get("latitude") is not None and not m.get("scene")
+        and (k == 0 or m["probability"] >= LEAST)
     ]  # fmt: skip
     with suppress(RequestError):  # a world in shards holds no city
         for city, mode in itertools.product(_cities(dispatcher), modes):
@@ -272,6 +291,11 @@ def rows_of(gazetteer: Gazetteer, request: Mapping[str, Any]) -> dict[int, float
     if not words:
         return {}
     rows = _objects(city, _names(city, words), gazetteer.first)
+    while (
+        not rows and (rest := gazetteer.without_town(words)) != words
+    ):  # "High Street, Hafenstadt"
+        words = rest
+        rows = _objects(city, _names(city, words), gazetteer.first)
     rows = rows or _objects(city, _labels(city, text), 0)
     mask = gazetteer.select(request)
     scores = {row: fit for row, fit in rows.items() if mask[row]}
@@ -346,23 +370,32 @@ def _objects(city: CityMap, tokens_of: Mapping[int, float], first: int) -> dict[
     return found
 
 
-def find_described(city: CityMap, request: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
-    """Yield the places that a sentence describes, as features; none where no place fits."""
+def find_described(dispatcher: Dispatcher, request: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the likely places that a sentence describes, in all maps, as features."""
     near = None if None in (request["lat"], request["lon"]) else (request["lon"], request["lat"])
     if request["layer"] or request["osm_tag"] or request["bbox"]:
-        return
+        return []
     try:
-        estimate = city.locate(request["q"], near=near, top=request["limit"])
+        estimate = dispatcher.places.world().locate(request["q"], near=near, top=request["limit"])
     except PlacegraphError:
-        return
-    if estimate.status.name == "LOST":
-        return
-    for mode in estimate.modes:
+        return []
+    known = name_places(dispatcher, {"estimate": estimate.to_dict()})["estimate"]
+    features = []
+    for mode in known["modes"]:
+        if (
+            mode["longitude"] is None
+            or mode["probability"] < SUGGESTED
+            or known["status"] == "LOST"
+        ):
+            continue
+        inside = ", ".join(filter(None, (mode["room"], mode["building"])))
         properties = {
             "osm_type": "N", "osm_id": 0, "osm_key": "placegraph", "osm_value": "described",
-            "type": "house", "name": request["q"], "probability": mode.probability,
+            "type": "house", "name": inside or mode.get("address") or request["q"],
+            "city": mode.get("town", ""), "probability": mode["probability"],
         }  # fmt: skip
-        yield _feature([mode.longitude, mode.latitude], properties)
+        features.append(_feature([mode["longitude"], mode["latitude"]], properties))
+    return features
 
 
 def _layer(key: str, value: str) -> str:

@@ -45,9 +45,10 @@ export function places({ estimate, ranked }, selected, select) {
       el("bdi", { class: "named" }, named(mode)),
       el("span", { class: "where" }, precision(mode))),
     k === selected ? coordinates(mode, k) : null) : null));
-  const left = rows.filter((row) => !row).length;
+  const left = rows.filter((row) => !row).length, shown = modes.reduce((sum, mode, k) => sum + (rows[k] ? mode.probability : 0), 0);
+  const rest = 100 * (1 - shown), more = [left && `${left} more`, left ? "and elsewhere" : "elsewhere"].filter(Boolean).join(", ");
   return el("section", { "aria-label": "Places" }, el("h2", {}, "Places"), el("ol", { class: "modes" }, rows),
-    left ? el("p", { class: "note" }, `and ${left} more below ${100 * FAINTEST} % each`) : null);
+    ranked || rest < 0.5 ? null : el("p", { class: "note rest" }, `${more}: ${rest.toFixed(0)} %`));
 }
 
 /** Room, building and floor, or street and what is near; and the town, as far as they are known. */
@@ -159,7 +160,7 @@ export function reading(statement, mentions) {
 /** The question that would help most, with its answers as buttons where one can answer. */
 export function question(asked, answer) {
   if (!asked) return null;
-  const options = answer ? [...asked.options, "don't know"] : [];
+  const options = answer ? asked.options : [];
   return el("section", { class: "ask", "aria-label": "Question" },
     el("h2", {}, answer ? "To be sure" : "To be more certain, please answer"), el("p", {}, asked.text),
     options.length ? el("div", { class: "options" }, options.map((option) =>

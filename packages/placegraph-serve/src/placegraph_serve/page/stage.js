@@ -225,9 +225,8 @@ export class Stage {
       const near = taken.some(([a, b]) => Math.abs(a - left) < 90 && Math.abs(b - top) < 30);
       const pinned = (before, after) => pins.some(([a, b]) => a > left - before && a < left + after && Math.abs(b - top + 22) < 30);
       door.classList.toggle("small", scale < NAMED || near || pinned(34, 178));
-      const aside = [0, 46, -46, 92, -92].find((dx) => !pinned(28 - dx, 28 + dx)); // beside the pins
-      door.hidden = off || aside === undefined || scale < DOORS || scale > 2 * OPEN;
-      door.style.translate = `${(left + (aside ?? 0)).toFixed(1)}px ${top.toFixed(1)}px`;
+      door.hidden = off || scale < DOORS || scale > 2 * OPEN || pinned(28, 28); // a pin stands there
+      door.style.translate = `${left.toFixed(1)}px ${top.toFixed(1)}px`;
       if (!door.hidden) taken.push([left, top]);
     }
     const least = ENTERED * Math.min(map.width, map.height);
