@@ -97,6 +97,7 @@ class LocalQueue:
 
     async def ask(self, verb, asked):
         loop = asyncio.get_running_loop()
+        asked = asked() if callable(asked) else asked
         return await loop.run_in_executor(self.pool, answer, self.dispatcher, verb, asked)
 
 

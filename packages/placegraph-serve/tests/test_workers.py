@@ -1,14 +1,19 @@
+import asyncio
 import concurrent.futures
+import json
 import os
 import signal
 import time
 
 import pytest
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from placegraph_serve.limits import Guard, Keys, Metrics
 from placegraph_serve.options import ServeOptions
+from placegraph_serve.routes import live
 from placegraph_serve.workers import answer
 from serve_world import SENTENCE, ready, serving
 
@@ -128,3 +133,69 @@ def test_all_bodies_together_are_bounded():
     assert (full.status_code, full.json()["code"]) == (503, "busy")
     for _ in range(2):  # what was answered is held no more
         assert client.post("/v1/locate", json={"text": "A bakery is near."}).text == "read"
+
+
+class SlowQueue:
+    """Queue whose one worker is free once `free` is set."""
+
+    def __init__(self):
+        self.free, self.asked = asyncio.Event(), []
+
+    async def ask(self, _verb, request):
+        await self.free.wait()
+        self.asked.append(request())
+        await asyncio.sleep(0.01)
+        return b"{}", None
+
+
+def test_a_request_whose_client_left_is_not_asked(client):
+    async def leave():
+        queue = SlowQueue()
+
+        async def receive():
+            return {"type": "http.disconnect"}
+
+        request = Request({"type": "http"}, receive)
+        told = await client.app.state.server.ask(queue, "locate", SAID, request)
+        queue.free.set()
+        await asyncio.sleep(0.05)
+        return told.status_code, queue.asked
+
+    assert asyncio.run(leave()) == (499, [])
+
+
+class TypedSocket:
+    client_state = WebSocketState.CONNECTED
+
+    def __init__(self):
+        self.typed, self.sent = asyncio.Queue(), asyncio.Queue()
+
+    async def accept(self):
+        pass
+
+    async def receive_text(self):
+        if (text := await self.typed.get()) is None:
+            raise WebSocketDisconnect
+        return text
+
+    async def send_text(self, text):
+        await self.sent.put(json.loads(text))
+
+
+def test_of_keys_typed_while_others_are_answered_the_newest_is_asked():
+    async def type_keys():
+        queue, socket = SlowQueue(), TypedSocket()
+        answering = asyncio.create_task(live(socket, queue))
+        for end in range(1, 10):
+            socket.typed.put_nowait(json.dumps({"id": end, "text": SENTENCE[:end]}))
+            await asyncio.sleep(0)
+        await asyncio.sleep(0.01)
+        queue.free.set()
+        first = await socket.sent.get()
+        socket.typed.put_nowait(json.dumps({"id": 10, "text": SENTENCE[:10]}))
+        second = await socket.sent.get()
+        socket.typed.put_nowait(None)
+        await answering
+        return first["id"], second["id"], [len(asked["text"]) for asked in queue.asked]
+
+    assert asyncio.run(type_keys()) == (9, 10, [9, 10])

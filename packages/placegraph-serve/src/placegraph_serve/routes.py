@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.routing import WebSocketRoute
-from starlette.websockets import WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocketState
 
 from placegraph.errors import InputError, PlacegraphError, RequestError
 from placegraph_serve.answers import describe_api
@@ -27,7 +27,7 @@ from placegraph_serve.limits import MEDIA_TYPE_METRICS, check_depth
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import problem
 from placegraph_serve.requests import BeginSession, Live, Localize, Locate, Reverse, Search, Step
-from placegraph_serve.server import Server, response_of
+from placegraph_serve.server import Server, receive_texts, response_of
 from placegraph_serve.workers import WorkerQueue, to_json
 
 _FORM = {
@@ -108,34 +108,34 @@ def _add_state(app: FastAPI, server: Server) -> None:
 
 def _add_questions(app: FastAPI, server: Server) -> None:
     @app.post("/v1/locate")
-    async def locate(body: Locate) -> Response:
+    async def locate(body: Locate, request: Request) -> Response:
         """Locate a sentence: estimate, next question, GeoJSON."""
-        return await server.ask(server.sentences, "locate", body.model_dump())
+        return await server.ask(server.sentences, "locate", body.model_dump(), request)
 
     @app.get("/api")
     @app.get("/api/", include_in_schema=False)
-    async def search(query: Annotated[Search, Query()]) -> Response:
+    async def search(query: Annotated[Search, Query()], request: Request) -> Response:
         """Names, kinds of things, or a sentence, as a search box asks; answered as Photon does."""
-        return await server.ask(server.sentences, "search", query.model_dump())
+        return await server.ask(server.sentences, "search", query.model_dump(), request)
 
     @app.get("/reverse")
     @app.get("/reverse/", include_in_schema=False)
-    async def reverse(query: Annotated[Reverse, Query()]) -> Response:
+    async def reverse(query: Annotated[Reverse, Query()], request: Request) -> Response:
         """What lies nearest to a point, answered as Photon does."""
-        return await server.ask(server.sentences, "reverse", query.model_dump())
+        return await server.ask(server.sentences, "reverse", query.model_dump(), request)
 
     @app.post("/v1/localize", openapi_extra=_FORM)
     async def localize(request: Request) -> Response:
         """Localize images, or a capture as a ZIP."""
         async with save_upload(request, server.options) as body:
-            return await server.ask(server.captures, "localize", body)
+            return await server.ask(server.captures, "localize", body, request)
 
     @app.post("/geopose", openapi_extra=_OSCP)
     async def geopose(request: Request) -> Response:
         """The Open AR Cloud's GeoPose protocol, versions 1 and 2."""
         version = version_of(request.headers.get("accept", ""))
         body = {"body": await request.body(), "version": version}
-        answer = await server.ask(server.captures, "geopose", body)
+        answer = await server.ask(server.captures, "geopose", body, request)
         if answer.status_code == 200 and version is not None:
             answer.headers["content-type"] = f"application/vnd.oscp+json; version={version}.0"
         return answer
@@ -251,45 +251,45 @@ LONGEST = 1 << 16
 
 
 async def live(socket: WebSocket, queue: WorkerQueue) -> None:
-    """Answer what is typed until the socket is closed."""
-    await socket.accept()
-    running: asyncio.Task[None] | None = None
-    before: dict[str, Any] = {}
+    """Answer what is typed until the socket is closed; a text replaces the one that waits for a worker."""
+    typed: list[Live] = []
+    chosen: list[Live] = []
+    came = asyncio.Event()
+
+    def take() -> dict[str, Any]:
+        came.clear()
+        chosen[:] = typed
+        return chosen[0].model_dump(exclude={"id", "changes"})
+
+    async def answer() -> None:
+        before: dict[str, Any] = {}
+        while await came.wait():
+            chosen.clear()
+            body, trouble = await queue.ask("live", take)
+            if not chosen:  # too many wait
+                take()
+            if came.is_set() or socket.client_state is not WebSocketState.CONNECTED:
+                continue  # nobody waits for it any more
+            reply = (
+                f'"result":{body.decode()}' if body else f'"problem":{to_json(trouble).decode()}'
+            )
+            if body and chosen[0].changes:
+                now = orjson.loads(body)
+                reply = f'"changes":{to_json(find_changes(before, now)).decode()}'
+                before = now
+            await socket.send_text(f'{{"id":{json.dumps(chosen[0].id)},{reply}}}')
+
+    answering = asyncio.create_task(answer())
     try:
-        while True:
-            text = await socket.receive_text()
-            if running is not None:
-                running.cancel()
-            running = asyncio.create_task(_answer(socket, queue, text, before))
-    except WebSocketDisconnect:
-        pass
-    except KeyError:  # bytes, which have no text
-        await socket.close(1003, "Send text, as JSON.")
+        async for text in receive_texts(socket):
+            try:
+                typed[:] = [_read_message(text)]
+                came.set()
+            except PlacegraphError as error:
+                trouble = to_json({"id": None, "problem": problem(error)})
+                await socket.send_text(trouble.decode())
     finally:
-        if running is not None:
-            running.cancel()
-
-
-async def _answer(socket: WebSocket, queue: WorkerQueue, text: str, before: dict[str, Any]) -> None:
-    """Answer one text; `before`: the answer that was sent last with `changes`, which is replaced."""
-    number: int | str | None = None
-    try:
-        message = _read_message(text)
-        number = message.id
-        body, trouble = await queue.ask("live", message.model_dump(exclude={"id", "changes"}))
-    except PlacegraphError as error:
-        body, trouble = None, problem(error)
-    head = json.dumps(number)
-    reply = f'"result":{body.decode()}' if body else f'"problem":{to_json(trouble).decode()}'
-    if body and message.changes:
-        now = orjson.loads(body)
-        reply = f'"changes":{to_json(find_changes(before, now)).decode()}'
-        before.clear()
-        before.update(now)
-    if (
-        socket.client_state is WebSocketState.CONNECTED
-    ):  # whole, or the next changes are of another answer
-        await asyncio.shield(socket.send_text(f'{{"id":{head},{reply}}}'))
+        answering.cancel()
 
 
 def find_changes(before: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
+from collections.abc import AsyncIterator
 from typing import Any
 
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -40,9 +42,30 @@ class Server:
         """All queues."""
         return self.sentences, self.captures, self.steps
 
-    async def ask(self, queue: WorkerQueue, verb: str, request: dict[str, Any]) -> Response:
-        """Answer of a worker queue as a response."""
-        return response_of(*await queue.ask(verb, request))
+    async def ask(
+        self, queue: WorkerQueue, verb: str, body: dict[str, Any], client: Request
+    ) -> Response:
+        """Answer of a worker queue as a response; what waits for a worker ends when its client leaves."""
+
+        async def leave() -> None:
+            while (await client.receive())["type"] != "http.disconnect":
+                pass
+
+        def take() -> dict[str, Any]:
+            leaving.cancel()
+            return body
+
+        asking = asyncio.ensure_future(queue.ask(verb, take))
+        leaving = asyncio.ensure_future(leave())
+        leaving.add_done_callback(lambda left: left.cancelled() or asking.cancel())
+        try:
+            return response_of(*await asking)
+        except asyncio.CancelledError:
+            if not leaving.done():
+                raise
+            return Response(status_code=499)  # for the counts: nobody reads it
+        finally:
+            leaving.cancel()
 
     def now(self) -> dict[tuple[str, str], float]:
         """Return the values of this moment, by name and queue."""
@@ -61,6 +84,18 @@ def response_of(body: bytes | None, trouble: dict[str, Any] | None) -> Response:
         return Response(body, media_type="application/json")
     headers = {"Retry-After": str(trouble["retry_after"])} if "retry_after" in trouble else {}
     return JSONResponse(trouble, trouble["status"], headers, media_type=MEDIA_TYPE)
+
+
+async def receive_texts(socket: WebSocket) -> AsyncIterator[str]:
+    """Accept a WebSocket and yield its messages until it is closed; bytes close it."""
+    await socket.accept()
+    try:
+        while True:
+            yield await socket.receive_text()
+    except WebSocketDisconnect:
+        pass
+    except KeyError:  # bytes, which have no text
+        await socket.close(1003, "Send text, as JSON.")
 
 
 class Sessions:
@@ -120,20 +155,13 @@ class Sessions:
 
     async def follow(self, socket: WebSocket, session: str) -> None:
         """Answer steps that come over a WebSocket, one after the other."""
-        await socket.accept()
-        try:
-            while True:
-                text = await socket.receive_text()
-                try:
-                    check_depth(text.encode(), self._options.depth)
-                    body, trouble = await self.step(session, Step.read(text, "message"))
-                except PlacegraphError as error:
-                    body, trouble = None, problem(error)
-                await socket.send_text((body or to_json(trouble)).decode())
-        except WebSocketDisconnect:
-            pass
-        except KeyError:  # bytes, which have no text
-            await socket.close(1003, "Send text, as JSON.")
+        async for text in receive_texts(socket):
+            try:
+                check_depth(text.encode(), self._options.depth)
+                body, trouble = await self.step(session, Step.read(text, "message"))
+            except PlacegraphError as error:
+                body, trouble = None, problem(error)
+            await socket.send_text((body or to_json(trouble)).decode())
 
     def _check(self, session: str) -> None:
         if session not in self._ends:

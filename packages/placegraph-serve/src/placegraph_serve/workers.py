@@ -201,14 +201,9 @@ class WorkerQueue:
     async def ask(self, verb: str, request: Any) -> Answer:  # noqa: ANN401  # of the verb
         """Answer of a process; a problem where it died or took too long, or too many wait already.
 
-        Who is cancelled while waiting costs nothing; a request that runs is let run, for nobody.
+        `request` may be a function that is called once a process is free. Who is cancelled while
+        waiting costs nothing; a request that runs is let run, for nobody.
         """
-        if self.setting.options.log_queries and isinstance(request, dict):
-            fields = request.get("request") or request
-            said = {
-                k: fields[k] for k in ("text", "q", "description", "near", "map") if fields.get(k)
-            }
-            QUERIES.info("%s %s", verb, said)
         if self.waiting >= self.setting.options.queue:
             return None, self._busy()
         self.waiting += 1
@@ -221,6 +216,13 @@ class WorkerQueue:
             return None, self._problem or self._busy()
         finally:
             self.waiting -= 1
+        request = request() if callable(request) else request
+        if self.setting.options.log_queries and isinstance(request, dict):
+            fields = request.get("request") or request
+            said = {
+                k: fields[k] for k in ("text", "q", "description", "near", "map") if fields.get(k)
+            }
+            QUERIES.info("%s %s", verb, said)
         return await asyncio.shield(self._keep(self._run(worker, verb, request)))
 
     async def end(self) -> None:
