@@ -7,7 +7,7 @@ texel, a mesh without textures has one white one. All colours are sRGB.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -46,8 +46,8 @@ class Mesh:
     """(V, 2) float32 texture coordinates, v down, repeated beyond [0, 1)."""
     texture_of: NDArray[np.int32]
     """(T,) int32, rows of textures."""
-    textures: tuple[NDArray[np.uint8], ...]
-    """K arrays (h, w, 3) uint8, sRGB; at least one."""
+    textures: Sequence[NDArray[np.uint8]]
+    """K arrays (h, w, 3) uint8, sRGB; at least one. Those of a map file are decoded on first use."""
 
     def __post_init__(self) -> None:
         v, t = len(self.vertices), len(self.triangles)
@@ -59,7 +59,8 @@ class Mesh:
             _put(self, name, _column(name, getattr(self, name), dtype, shape))
         if not self.textures:
             raise OptionError("textures: the list is empty; give at least one white texel.")
-        _put(self, "textures", tuple(_texture(i, a) for i, a in enumerate(self.textures)))
+        if isinstance(self.textures, tuple | list):
+            _put(self, "textures", tuple(_texture(i, a) for i, a in enumerate(self.textures)))
         for name, count in (("triangles", v), ("texture_of", len(self.textures))):
             _rows(name, getattr(self, name), count)
         _rows("object_of", self.object_of, None)

@@ -15,10 +15,10 @@ from placegraph.core.geo import Anchor, no_anchor_error, sort_anchors
 from placegraph.core.geojson import make_collection, make_feature, polygon_geometry
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile
-from placegraph.core.pickling import PickleFields, rebuild
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, sort_triangles
+from placegraph.indoor.map.mesh import Mesh, Surface, sort_triangles
 
 if TYPE_CHECKING:
     from placegraph.indoor.rays import RayCaster
@@ -249,9 +249,9 @@ class Scene(PickleFields):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Textures travel as the map file holds them."""
-        _, (cls, values, cached) = super().__reduce__()
-        bare = replace(self.mesh, textures=(WHITE,) * len(self.encoded))
-        return _with_textures, (cls, values | {"mesh": bare}, cached)
+        make, (cls, values, cached) = super().__reduce__()
+        mesh = replace(self.mesh, textures=textures.EncodedTextures(self.encoded, self.source))
+        return make, (cls, values | {"mesh": mesh}, cached)
 
     def __repr__(self) -> str:
         merged = f", {len(self.scenes)} scenes" if len(self.scenes) > 1 else ""
@@ -352,14 +352,6 @@ class Scene(PickleFields):
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
             vectors = dequantize_vectors(*quantize_vectors(vectors))
         return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
-
-
-def _with_textures(cls: type[S], values: dict[str, Any], cached: tuple[str, ...]) -> S:
-    mesh = replace(
-        values["mesh"], textures=textures.decode_textures(values["encoded"], values["source"])
-    )
-    scene: S = rebuild(cls, values | {"mesh": mesh}, cached)
-    return scene
 
 
 def make_graph(

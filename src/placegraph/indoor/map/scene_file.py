@@ -20,7 +20,6 @@ from placegraph.core.mapfile import (
     read_map,
     write_map,
 )
-from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh, decode_high_water, encode_high_water
 from placegraph.indoor.map.scene import (
     MAX_LANDMARKS,
@@ -30,6 +29,7 @@ from placegraph.indoor.map.scene import (
     dequantize_vectors,
     quantize_vectors,
 )
+from placegraph.indoor.map.textures import EncodedTextures
 
 KIND = "scene"
 VERSION = 2
@@ -162,7 +162,7 @@ def _unpack_scene(file: MapFile) -> dict[str, Any]:
     )
     return {
         "graph": _graph(file),
-        "mesh": _mesh(file, textures.decode_textures(blobs, file.header.path)),
+        "mesh": _mesh(file, EncodedTextures(blobs, file.header.path)),
         "attributes": tuple(_attributes(a) for a in file.strings("attributes")),
         "floors": np.array(file.meta["floors"], np.float64),
         "scenes": tuple(str(name) for name in file.meta["scenes"]),
@@ -209,7 +209,7 @@ def _embeddings(file: MapFile) -> NDArray[np.float32]:
     return dequantize_vectors(numbers, scales)
 
 
-def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
+def _mesh(file: MapFile, textures: EncodedTextures) -> Mesh:
     grain, uv_grain = (float(file.meta[key]) for key in ("grain", "uv_grain"))
     if not (0 < grain < 1e6 and 0 < uv_grain < 1e6):
         raise ValueError(f"grain {grain}, uv_grain {uv_grain}")
@@ -220,7 +220,7 @@ def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
         colours=file.array("colours", "|u1", 2),
         uv=file.array("uv", "<i4", 2).astype(np.float32) * np.float32(uv_grain),
         texture_of=file.array("texture_of", "<i4"),
-        textures=decoded,
+        textures=textures,
     )
 
 

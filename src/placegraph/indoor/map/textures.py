@@ -6,8 +6,9 @@ import io
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import cached_property
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +157,32 @@ def measure_needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
                 metres = length[order[np.searchsorted(total, FINEST * total[-1])]]
                 needed[k, axis] = max(np.ceil(metres / texel), 1.0)
     return needed
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedTextures(Sequence[NDArray[np.uint8]]):
+    """Encoded textures, which are all decoded when the first one is asked for.
+
+    That raises `MapError` as `decode_textures` does.
+    """
+
+    blobs: tuple[bytes, ...]
+    path: object
+    """What an error names."""
+
+    def __len__(self) -> int:
+        return len(self.blobs)
+
+    @overload
+    def __getitem__(self, row: int) -> NDArray[np.uint8]: ...
+    @overload
+    def __getitem__(self, row: slice) -> tuple[NDArray[np.uint8], ...]: ...
+    def __getitem__(self, row: int | slice) -> Any:
+        return self._decoded[row]
+
+    @cached_property
+    def _decoded(self) -> tuple[NDArray[np.uint8], ...]:
+        return decode_textures(self.blobs, self.path)
 
 
 def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:

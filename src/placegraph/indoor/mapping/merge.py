@@ -175,5 +175,5 @@ def _first_rows(counts: list[int]) -> list[int]:
     return [0, *np.cumsum(counts).tolist()[:-1]]
 
 
-def _join_tuples(columns: list[tuple[Any, ...]]) -> tuple[Any, ...]:
+def _join_tuples(columns: Sequence[Sequence[Any]]) -> tuple[Any, ...]:
     return tuple(entry for column in columns for entry in column)
