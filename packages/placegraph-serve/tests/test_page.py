@@ -34,6 +34,22 @@ def test_typing_asking_and_sharing(browser, url):
         page.wait_for_selector(".status.AMBIGUOUS")
 
 
+def test_a_german_text_is_answered_in_german_and_nothing_is_missing(browser, url):
+    with opened(browser, url + "#q=Ich bin in der Küche.") as page:
+        page.wait_for_selector(".status.AMBIGUOUS")
+        options = page.locator(".options button")
+        assert options.all_inner_texts() == ["ja", "nein", "weiß nicht"]
+        first = page.locator(".mode .named").first.inner_text()
+        options.nth(1).click()
+        page.wait_for_selector(".chip")
+        page.wait_for_function(
+            "name => document.querySelector('.mode .named').innerText !== name", arg=first
+        )
+        assert "Wahrscheinlichkeit" in page.inner_text(".reason")
+        shares = " ".join(page.locator(".share b, .rest").all_inner_texts())
+        assert sum(map(int, re.findall(r"(\d+) %", shares))) == pytest.approx(100, abs=3)
+
+
 def test_rivals_in_two_towns_stand_in_their_own(browser, url):
     with opened(browser, url + "#q=A bakery is to my west. A fountain is to my east.") as page:
         for k in (0, 1):  # the likeliest two

@@ -21,6 +21,8 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.status import SURE_SCENE, decide_joined, diagnostics_of
 from placegraph.io.capture.frame import Frame
+from placegraph.outdoor.language.languages import translate
+from placegraph.outdoor.search.status import describe_doubt
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_serve.locate import describe_answer, on_earth, options_in, read_answer
 from placegraph_serve.options import ServeOptions
@@ -382,8 +384,9 @@ def _walk_anywhere(
     support = [e.support * (1.0, 1.0, s) for (_, e), s in zip(found, scales, strict=True)]
     tracker, best = found[int(shares.argmax())]
     status, reason = best.status, best.reason
-    if status is not Status.LOST and shares.max() < SURE_SCENE:
-        status, reason = Status.AMBIGUOUS, "Places in several towns fit."
+    if status is not Status.LOST and shares.max() < SURE_SCENE:  # the reason speaks of one town
+        code = best.understood.language if best.understood else "en"
+        status, reason = Status.AMBIGUOUS, translate(describe_doubt(modes[0].probability), code)
     joint = replace(
         best, status=status, reason=reason, modes=tuple(modes[:5]), support=np.concatenate(support)
     )

@@ -123,7 +123,7 @@ export class Inside {
       ondragleave: () => box.classList.remove("over"),
       ondrop: (event) => { event.preventDefault(); this.take(event.dataTransfer.files); } },
     files("Take a picture", { capture: "environment" }), files("Choose images", {}),
-    el("p", { class: "note" }, "One image of the room is enough; several taken while walking are better. The camera's focal length is read from the image."),
+    this.images.length ? null : el("p", { class: "note" }, "One image of the room is enough; several taken while walking are better. The camera's focal length is read from the image."),
     el("div", { class: "key" }, words),
     this.images.length ? el("div", { class: "thumbs" }, this.images.map(({ url, file, zip }) => (zip ? el("bdi", {}, file.name) : el("img", { src: url, alt: file.name })))) : null,
     this.images.length && !this.busy ? button(null, { class: "act", onclick: () => this.localize() }, "Look again") : null);
