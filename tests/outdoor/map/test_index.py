@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError
+from placegraph.outdoor.likelihood.bound_kernels import _add_run, list_runs
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import (
@@ -19,13 +20,23 @@ from placegraph.outdoor.map.index import (
     SIGHT,
     STRIDE,
     Core,
+    ViewColumns,
     ViewIndex,
+    _joined,
     build,
     fade,
 )
-from placegraph.outdoor.map.index_kernels import EDGE, WIDE, count_lower_bits, pack, slot_of, unpack
-
-ANY = st.floats(-REACH, REACH, width=32)
+from placegraph.outdoor.map.index_kernels import (
+    FALLS,
+    JUMP,
+    PULLS,
+    SLOTS,
+    TOTALS,
+    count_lower_bits,
+    read_step,
+    slot_of,
+    write_step,
+)
 
 
 def nearest(o, row, position):
@@ -63,23 +74,31 @@ def test_what_is_in_sight(real_city, rng):
             assert np.hypot(*offset) == pytest.approx(np.hypot(*found[row]), abs=0.01)
 
 
-def test_sums_of_sight_are_kept_rounded_down(real_city, rng):
+def test_sums_of_sight_are_rounded_to_the_safe_side(real_city, rng):
     o, rows = real_city.objects, sample(real_city, rng)
     seen, c = real_city.in_sight(rows), real_city.views.columns
     for k, row in enumerate(rows):
         here = slice(seen.starts[k], seen.starts[k + 1])
         d = np.hypot(*seen.offsets[here].T)
         sight = 1 / (1 + np.exp((d - SIGHT) / FADE))
-        assert 0.96 * sight.sum() <= LEVELS[c.total[row]] <= sight.sum() * 1.0001
+        assert 0.5 * sight.sum() <= TOTALS[c.density[row]] <= max(1.0, sight.sum() * 1.0001)
         outside = sight * ~((o.kind[seen.objects[here]] == 2) & (d == 0))
         root = np.sqrt(max(outside.sum() ** 2 - (outside**2).sum(), 0.0))
-        assert root - 0.02 <= c.pairs[row] / 64 <= root + 1e-3
+        pull = sight.sum() / np.sqrt(root**2 + 30.0)
+        assert pull * 0.999 <= PULLS[c.density[row]] <= max(PULLS[0], pull * 1.1)
 
 
 def test_everything_is_seen_from_somewhere(real_city):
     seen = real_city.in_sight(np.arange(len(real_city.views)))
     assert len(np.unique(seen.objects)) == len(real_city.objects)
-    assert set(real_city.views.columns.objects) == set(range(len(real_city.objects)))
+    c, listed, k = real_city.views.columns, set(), 0
+    for end in c.thing_starts[1:]:
+        row = -1
+        while k < end:
+            step, k = read_step(c.things, k)
+            row += step
+            listed.add(row)
+    assert listed == set(range(len(real_city.objects)))
 
 
 def test_a_hut_in_the_hills_is_seen(build_world):
@@ -118,14 +137,17 @@ def test_positions_of_some_are_those_of_all(real_city, rng, monkeypatch):
 
 
 def postings(views, token):
-    """Viewpoint, grade and box of every posting of a token."""
+    """Viewpoint, run and share of every posting of a token."""
     c = views.columns
-    for run in range(c.token_starts[token], c.token_starts[token + 1]):
-        bits, tile = int(c.run_slots[run]), c.run_tiles[run]
-        slots = [s for s in range(64) if bits >> s & 1]
-        for k, slot in enumerate(slots):
-            view = c.first[tile] + count_lower_bits(c.present[tile], slot)
-            yield view, run, unpack(np.int64(c.postings[c.run_first[run] + k]))
+    runs = list_runs(c, np.array([token]))
+    for run, tile, first in zip(
+        range(*c.token_starts[token : token + 2]), runs.tiles, runs.postings, strict=True
+    ):
+        shares = np.zeros(SLOTS, np.float32)
+        end = int(first) + int(c.run_sizes[run])
+        _add_run(shares, c.postings, int(first), end, 0, c.present[tile], LEVELS[c.run_total[run]])
+        for slot in np.flatnonzero(shares).tolist():
+            yield c.first[tile] + count_lower_bits(c.present[tile], slot), run, shares[slot]
 
 
 def test_postings_by_token(real_city, rng):
@@ -145,18 +167,12 @@ def test_postings_by_token(real_city, rng):
         mass = np.bincount(view_of[entries], (sight * weights[seen.objects])[entries], len(views))
         found = list(postings(views, token))
         assert sorted(view for view, _, _ in found) == np.flatnonzero(mass).tolist()
-        for view, run, (grade, west, south, east, north) in found:
-            kept = LEVELS[grade]
-            assert mass[view] <= kept * 1.0001
-            assert kept <= max(mass[view] * 1.04, LEVELS[0])
-            here = seen.offsets[entries[view_of[entries] == view]]
-            for low, high, ends in ((west, east, here[:, 0]), (south, north, here[:, 1])):
-                assert ends.min() - WIDE - 1e-6 <= low <= ends.min() + 1e-6
-                assert ends.max() - 1e-6 <= high <= ends.max() + WIDE + 1e-6
-            c = views.columns
-            root = np.sqrt((c.pairs[view] / 64) ** 2 + 30.0)
-            assert LEVELS[c.run_pairs[run]] >= kept / root
-            assert LEVELS[c.run_total[run]] >= kept / LEVELS[c.total[view]]
+        c, total = views.columns, np.bincount(view_of, sight, len(views))
+        for view, run, share in found:
+            exact, largest = mass[view] / total[view], LEVELS[c.run_total[run]]
+            assert exact <= share * 1.0001
+            assert share <= max(exact * 1.17, largest * FALLS[-1] * 1.0001)
+            assert LEVELS[c.run_pairs[run]] >= share * PULLS[c.density[view]] * 0.9999
 
 
 def test_frequency_is_a_share(real_city):
@@ -195,17 +211,39 @@ def test_nearest_is_what_near_finds_first(real_city, rng):
     assert -1 in one_by_one
 
 
-@given(mass=st.floats(1e-3, 200.0), ends=st.tuples(ANY, ANY, ANY, ANY))
-def test_postings_hold_what_they_were_made_of(mass, ends):
-    west, south, east, north = ends
-    grade, *kept = unpack(pack(mass, west, south, east, north))
-    assert mass <= LEVELS[grade] * 1.0001
-    assert LEVELS[grade] <= max(LEVELS[0], mass * 1.04)
-    for end, low in zip((west, south), kept[:2], strict=True):
-        assert end - WIDE - 1e-6 <= low <= end + 1e-6
-    for end, high in zip((east, north), kept[2:], strict=True):
-        assert end - 1e-6 <= high <= end + WIDE + 1e-6
-    assert min(kept) >= -EDGE
+@given(st.lists(st.integers(1, 1 << 31), min_size=1))
+def test_steps_are_read_as_they_were_written(steps):
+    things, n = np.zeros(5 * len(steps), np.uint8), 0
+    for step in steps:
+        n = write_step.py_func(things, n, step)
+    found, k = [], 0
+    while k < n:
+        step, k = read_step(things[:n], k)
+        found.append(step)
+    assert found == steps
+
+
+@pytest.mark.parametrize("tiles", [[0, 1, 70_000, 300_000], [65_535, 65_536, 131_072], [200_000]])
+def test_runs_of_far_apart_tiles_are_read_as_they_were_joined(tiles):
+    n = len(tiles)
+    part = {
+        "token": np.zeros(n, np.int32),
+        "run_tiles": np.array(tiles),
+        "run_sizes": np.ones(n, np.uint8),
+    }
+    part |= {name: np.ones(n, np.uint8) for name in ("run_pairs", "run_total")}
+    part |= {"postings": np.arange(n, dtype=np.uint8), "tiles": np.arange(400_000)}
+    joined = _joined([part], 1)
+    c = ViewColumns(*[None] * len(ViewColumns._fields))
+    starts = (np.array([0, int(joined[name][0])]) for name in ("run_counts", "run_bytes"))
+    runs = list_runs.py_func(c._replace(
+        **dict(zip(("token_starts", "posting_starts"), starts, strict=True)),
+        run_tiles=joined["run_tiles"], run_sizes=joined["run_sizes"],
+    ), [0])  # fmt: skip
+    real = joined["run_sizes"] > 0
+    assert runs.tiles[real].tolist() == tiles
+    assert joined["postings"][runs.postings[real]].tolist() == list(range(n))
+    assert (np.diff(runs.tiles.astype(int), prepend=-1) <= JUMP).all()
 
 
 @given(st.sets(st.integers(0, 63), min_size=1))
@@ -233,9 +271,7 @@ def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
     inside = np.flatnonzero(core.holds(views.positions.astype(np.float64)))
     here = np.flatnonzero(core.holds(index.positions.astype(np.float64)))
     np.testing.assert_array_equal(index.positions[here], views.positions[inside])
-    for name in ("total", "pairs"):
-        mine, all_ = (getattr(i.columns, name) for i in (index, views))
-        np.testing.assert_array_equal(mine[here], all_[inside])
+    np.testing.assert_array_equal(index.columns.density[here], views.columns.density[inside])
     assert seen.viewpoints == len(inside)
     looked = real_city.in_sight(inside)
     sight, (starts, values, weights) = sight_of(looked), real_city.tokens
@@ -250,8 +286,7 @@ def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
     np.testing.assert_allclose(seen.peak, (mass / total[:, None]).max(axis=0), rtol=1e-3, atol=1e-4)
     shares = (mass[:, : len(o.labels)] / total[:, None]).sum(axis=1)
     assert seen.spread == pytest.approx(shares.max(), rel=1e-3)
-    pairs = (index.columns.pairs[here] / 64) ** 2
-    assert seen.pull == pytest.approx((total**2 / (pairs + 30.0)).max(), rel=0.02)
+    assert seen.pull == pytest.approx((PULLS[index.columns.density[here]] ** 2).max(), rel=0.2)
 
 
 def test_a_core_in_which_nothing_is_seen_counts_nothing(harbour):
@@ -278,7 +313,7 @@ def test_an_index_travels(harbour):
         ("share", lambda a: a * np.nan, "share"),
         ("share", lambda a: -a, "share"),
         *((name, lambda a: a[:-1], "entries") for name in (
-            "present", "things", "total", "pairs", "run_tiles", "run_slots", "run_pairs", "share"
+            "present", "things", "density", "run_tiles", "run_sizes", "postings", "run_pairs", "share"
         )),
         *(("grid", lambda _, grid=grid: grid, "grid") for grid in (
             (np.nan, 0.0, 4), (0.0, 1e12, 4), (0.0, 0.0, 0)
@@ -295,7 +330,7 @@ def test_columns_that_make_no_sense_are_refused(harbour, name, change, says):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_forged_index_is_searched_without_harm(harbour, make_description, seed):
     rng, columns = np.random.default_rng(seed), harbour.views.arrays()
-    names = "things run_tiles run_slots run_first postings run_pairs run_total"
+    names = "things run_tiles run_sizes postings density run_pairs run_total"
     for name in names.split():
         raw = rng.integers(0, 256, columns[name].nbytes, np.uint8)
         columns[name] = raw.view(columns[name].dtype)

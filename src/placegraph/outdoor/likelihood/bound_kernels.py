@@ -3,76 +3,93 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
 from placegraph.outdoor.likelihood.match_kernels import BETWEEN, DIRECTION, ME
-from placegraph.outdoor.map.directions_kernels import TABLE
-from placegraph.outdoor.map.index_kernels import FINE, SLOTS, count_lower_bits, slot_of, unpack
+from placegraph.outdoor.map.index_kernels import (
+    FALLS,
+    JUMP,
+    PULLS,
+    SIDE,
+    SLOTS,
+    TOTALS,
+    count_lower_bits,
+    slot_of,
+)
 
 TILES_AT_ONCE = 16
 """Number of tiles whose viewpoints are bounded at once: their data fits into the nearest cache."""
-VIEW_HALF_WIDTH = 8.0
-"""Largest distance of the speaker from a viewpoint along each axis [m]."""
 MAX_BOUND = 1e290
 """Largest bound: texts of a hundred statements must not overflow."""
-FAR_AWAY = 1e9
-"""West and south end of an empty box, whose east and north end are its negatives [m]."""
-MASS, WEST, SOUTH, EAST, NORTH = range(5)
-"""Columns: mass of a mention in sight, and the ends of the box that holds its objects [m]."""
+
+
+class Runs(NamedTuple):
+    """Runs of the tokens of a query: where each of the tokens is in sight."""
+
+    starts: NDArray[np.int64]
+    """(K + 1,) first run of a token ..."""
+    shift: NDArray[np.int64]
+    """(K,) ... and how far its rows lie from those of the index."""
+    tiles: NDArray[np.uint32]
+    """(R,) tile, ascending within a token."""
+    postings: NDArray[np.uint32]
+    """(R,) first of its postings."""
 
 
 @kernel
-def allocate_sight(n_mentions):
-    """Allocate mass and box of each mention, and of the speaker, for viewpoints of `TILES_AT_ONCE` tiles."""
-    extents = np.empty((n_mentions + 1, 5, TILES_AT_ONCE * SLOTS), np.float32)
-    for m in range(n_mentions):
-        _clear(extents[m])
-    extents[ME] = VIEW_HALF_WIDTH  # the last row is the speaker's
-    extents[ME, MASS] = 1.0
-    extents[ME, WEST : SOUTH + 1] = -VIEW_HALF_WIDTH
-    return extents, np.ones(n_mentions + 1, np.bool_)
+def list_runs(views, tokens):
+    """List the runs of tokens (K,)."""
+    starts, shift = np.zeros(len(tokens) + 1, np.int64), np.empty(len(tokens), np.int64)
+    for k in range(len(tokens)):
+        a, b = views.token_starts[tokens[k]], views.token_starts[tokens[k] + 1]
+        starts[k + 1], shift[k] = starts[k] + b - a, a - starts[k]
+    tiles, postings = np.empty(starts[-1], np.uint32), np.empty(starts[-1], np.uint32)
+    for k in range(len(tokens)):
+        tile, at = np.int64(-1), views.posting_starts[tokens[k]]
+        for i in range(starts[k], starts[k + 1]):
+            p = i + shift[k]
+            tile += 1 + ((np.int64(views.run_tiles[p]) - tile - 1) & (JUMP - 1))
+            tiles[i], postings[i] = tile, at
+            at += views.run_sizes[p]
+    return Runs(starts, shift, tiles, postings)
 
 
 @kernel(finite=True)
-def bound_views(statements, mentions, views, tiles, at, extents, there, bound):
+def bound_views(statements, mentions, views, runs, tiles, at, shares, there, bound):
     """Bound the viewpoints of tiles (ascending, at most `TILES_AT_ONCE`), slot by slot, in `bound`.
 
-    The bound is the likelihood ratio of the statements if every direction were right (less the share
-    that `noise` grants); 0 where not all objects of at least one statement are in sight. `at` holds
-    the position in the runs of each token. Returns whether any bound is above 0.
+    The bound is the likelihood ratio of the statements if all directions and distances were right; 0
+    where not all objects of at least one statement are in sight. `at` (K,) holds the position in the runs
+    of each token, `shares` (M + 1, n) has 0 for each mention, and 1 for the speaker, in the last row.
+    Returns whether any bound is above 0.
     """
     n = SLOTS * len(tiles)
     for m in range(len(mentions.starts) - 1):
-        there[m] = _sum_masses(extents[m], mentions, views, at, m, tiles)
-    is_possible = _bound_tiles(statements, extents, there, views, tiles, bound[:n])
+        there[m] = _sum_shares(shares[m], mentions, views, runs, at, m, tiles)
+    is_possible = _bound_tiles(statements, shares, there, views, tiles, bound[:n])
     for m in range(len(mentions.starts) - 1):
         if there[m]:
-            _clear(extents[m])
+            shares[m] = 0.0
     return is_possible
 
 
-@kernel(inline="always")
-def _clear(extents):
-    """Set the masses of a mention to 0, and its boxes to empty ones."""
-    extents[MASS] = 0.0
-    extents[WEST : SOUTH + 1] = FAR_AWAY
-    extents[EAST : NORTH + 1] = -FAR_AWAY
-
-
 @kernel(finite=True, _nrt=False)
-def skip_to_tile(views, p, end, tile):
+def skip_to_tile(tiles, p, end, tile):
     """Find the first of the runs from `p` on whose tile is not before `tile`."""
-    if p >= end or views.run_tiles[p] >= tile:
+    if p >= end or tiles[p] >= tile:
         return p
     step = 1
-    while p + step < end and views.run_tiles[p + step] < tile:
+    while p + step < end and tiles[p + step] < tile:
         p += step
         step += step
     high = min(end, p + step)
     while high - p > 1:
         middle = (p + high) >> 1
-        if views.run_tiles[middle] < tile:
+        if tiles[middle] < tile:
             p = middle
         else:
             high = middle
@@ -80,45 +97,56 @@ def skip_to_tile(views, p, end, tile):
 
 
 @kernel(finite=True, _nrt=False)
-def _sum_masses(extents, mentions, views, at, m, tiles):
-    """Sum the masses of a mention in sight of the viewpoints of tiles; return whether there is any."""
+def _sum_shares(shares, mentions, views, runs, at, m, tiles):
+    """Sum the shares of a mention in sight of the viewpoints of tiles; return whether there is any."""
     there = False
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
-        end, weight = views.token_starts[mentions.tokens[k] + 1], mentions.weights[k]
+        end, weight = runs.starts[k + 1], mentions.weights[k]
         p = at[k]
         for i in range(len(tiles)):
-            p = skip_to_tile(views, p, end, tiles[i])
+            p = skip_to_tile(runs.tiles, p, end, tiles[i])
             if p == end:
                 break
-            if views.run_tiles[p] == tiles[i]:
+            row = p + runs.shift[k]
+            if runs.tiles[p] == tiles[i] and views.run_sizes[row]:
                 there = True
-                _add_run(extents, views, p, i * SLOTS, views.present[tiles[i]], weight)
+                largest = weight * views.levels[views.run_total[row]]
+                first = np.int64(runs.postings[p])
+                last = min(len(views.postings), first + views.run_sizes[row])
+                _add_run(
+                    shares, views.postings, first, last, i * SLOTS, views.present[tiles[i]], largest
+                )
         at[k] = p
     return there
 
 
 @kernel(finite=True, _nrt=False)
-def _add_run(extents, views, p, base, present, weight):
-    """Add the postings of a run to the masses and boxes of its tile's viewpoints."""
-    bits, q = views.run_slots[p], np.int64(views.run_first[p])
-    bits = bits & present  # a forged map may have others, or too few postings
-    while bits != 0 and q < len(views.postings):
-        i = base + slot_of(bits)
-        grade, west, south, east, north = unpack(np.int64(views.postings[q]))
-        extents[WEST, i] = min(extents[WEST, i], west)
-        extents[SOUTH, i] = min(extents[SOUTH, i], south)
-        extents[EAST, i] = max(extents[EAST, i], east)
-        extents[NORTH, i] = max(extents[NORTH, i], north)
-        extents[MASS, i] += weight * views.levels[grade]
+def _add_run(shares, postings, q, end, base, present, largest):
+    """Add the postings of a run, from `q` to `end`, to the shares of its tile's viewpoints."""
+    if q >= end:  # a forged map
+        return
+    lines, bits, half = postings[q], present, 0
+    q += 1
+    if lines:
+        bits = np.int64(0)
+        for line in range(SIDE):
+            if lines >> line & 1 and q < end:
+                bits |= np.int64(postings[q]) << (SIDE * line)
+                q += 1
+        bits &= present
+    while bits != 0 and q < end:
+        shares[base + slot_of(bits)] += largest * FALLS[(postings[q] >> half) & 15]
         bits &= bits - 1
-        q += 1
+        q += half >> 2
+        half ^= 4
 
 
 @kernel(finite=True)
-def _bound_tiles(statements, extents, there, views, tiles, bound):
+def _bound_tiles(statements, shares, there, views, tiles, bound):
     """Bound the viewpoints of tiles, 0 where no statement can hold; return whether any can."""
     is_possible = False
-    total, pairs = np.ones(len(bound), np.float32), np.zeros(len(bound), np.float32)
+    total, pull = np.empty(len(bound), np.float32), np.empty(len(bound), np.float32)
+    part, ones = np.empty(len(bound), np.float32), np.ones(len(bound), np.float32)
     for s in range(len(statements.op)):
         a, b = find_bounded_ends(statements, s)
         if statements.negated[s] or a == b or not (there[a] and there[b]):
@@ -126,48 +154,37 @@ def _bound_tiles(statements, extents, there, views, tiles, bound):
         if not is_possible:
             bound[:] = 1.0
             is_possible = True
-            _count_in_sight(views, tiles, total, pairs)
+            _read_density(views, tiles, total, pull)
         gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
-        is_of_speaker = a == ME or b == ME
-        in_sight = total if is_of_speaker else pairs
-        smoothing = np.float32(0.0 if is_of_speaker else statements.pair_smoothing)
-        opposite = np.float32(1.0)
-        if statements.op[s] == DIRECTION and statements.distance[s] >= 0.0:
-            opposite = statements.table[s, TABLE // 2]
-        _multiply_by_gain(
-            bound,
-            extents[a],
-            extents[b],
-            in_sight,
-            smoothing,
-            gain,
-            statements.bearing[s],
-            opposite,
-        )
+        of = ones if a == ME or b == ME else pull
+        one, other = shares[a], shares[b]
+        for i in range(len(bound)):
+            part[i] = min(one[i] * other[i] * of[i], np.float32(1.0))
+        for i in range(len(bound)):  # a loop of its own, since its numbers are twice as wide
+            bound[i] = min(MAX_BOUND, bound[i] * (1.0 + gain * part[i]))
     if is_possible:
         for i in range(len(bound)):
             bound[i] = 0.0 if bound[i] == 1.0 else bound[i]
         for s in range(len(statements.op)):
-            a = statements.source[s]
-            if statements.negated[s] and statements.target[s] == ME and a != ME and there[a]:
-                in_any_direction = statements.op[s] != DIRECTION
-                _multiply_by_absence(
-                    bound, extents[a], statements.noise[s], statements.bearing[s], in_any_direction
-                )
+            a, noise = statements.source[s], statements.noise[s]
+            is_denied = statements.negated[s] and statements.op[s] != DIRECTION
+            if is_denied and statements.target[s] == ME and a != ME and there[a]:
+                for i in range(len(bound)):
+                    absent = np.exp(-2.0 * shares[a, i] * total[i])
+                    bound[i] *= (1.0 - noise) * absent + noise
     return is_possible
 
 
 @kernel(finite=True, _nrt=False)
-def _count_in_sight(views, tiles, total, pairs):
-    """Read how many objects, and pairs of them, are in sight of the viewpoints of tiles, slot by slot."""
-    grain = np.float32(1.0 / FINE)
+def _read_density(views, tiles, total, pull):
+    """Read how much is in sight of the viewpoints of tiles, and its square against pairs, slot by slot."""
     for k in range(len(tiles)):
         bits, row = views.present[tiles[k]], views.first[tiles[k]]
         for i in range(k * SLOTS, (k + 1) * SLOTS):
+            total[i], pull[i] = np.float32(0.0), np.float32(0.0)
             if bits & 1:
-                total[i] = views.levels[views.total[row]]
-                root = np.float32(views.pairs[row]) * grain
-                pairs[i] = root * root
+                density = views.density[row]
+                total[i], pull[i] = TOTALS[density], PULLS[density] * PULLS[density]
                 row += 1
             bits >>= 1
 
@@ -177,48 +194,6 @@ def find_bounded_ends(statements, s):
     """Return the two mentions that bound a statement: b and c for "I am between b and c"."""
     a, b = statements.source[s], statements.target[s]
     return (statements.target2[s], b) if statements.op[s] == BETWEEN and a == ME else (a, b)
-
-
-@kernel(finite=True, error_model="numpy")
-def _multiply_by_gain(bound, a, b, in_sight, smoothing, gain, towards, opposite):
-    """Multiply bounds by the largest likelihood ratio of a statement of mentions a and b.
-
-    `in_sight` counts the objects, or pairs, in sight. Where no object of a can lie near the direction
-    `towards` seen from b, the share is multiplied by `opposite`.
-    """
-    ux, uy = towards
-    part = np.empty(len(in_sight), np.float32)
-    for i in range(len(in_sight)):
-        west, east = a[WEST, i] - b[EAST, i], a[EAST, i] - b[WEST, i]
-        south, north = a[SOUTH, i] - b[NORTH, i], a[NORTH, i] - b[SOUTH, i]
-        ahead = max(west * ux, east * ux) + max(south * uy, north * uy)
-        left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
-        right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
-        aside = max(left, -right)
-        may = (ahead > 0.0) & (aside < np.float32(1.4) * ahead + np.float32(2.0))
-        of = a[MASS, i] * b[MASS, i] / (in_sight[i] + smoothing)
-        part[i] = min(of if may else of * opposite, np.float32(1.0))
-    for i in range(len(in_sight)):  # a loop of its own, since its numbers are twice as wide
-        bound[i] = min(MAX_BOUND, bound[i] * (1.0 + gain * part[i]))
-
-
-@kernel(finite=True, _nrt=False)
-def _multiply_by_absence(bound, extents, noise, towards, in_any_direction):
-    """Lower the bounds of viewpoints that have an object in sight, or in a direction, that is denied."""
-    ux, uy = towards
-    for i in range(len(bound)):
-        west, south, east, north = (
-            extents[WEST, i],
-            extents[SOUTH, i],
-            extents[EAST, i],
-            extents[NORTH, i],
-        )
-        ahead = min(west * ux, east * ux) + min(south * uy, north * uy)
-        left = min(-west * uy, -east * uy) + min(south * ux, north * ux)
-        right = max(-west * uy, -east * uy) + max(south * ux, north * ux)
-        if in_any_direction or (ahead > 8.0 and max(-left, right) < 0.7 * ahead):
-            absent = np.exp(-2.0 * extents[MASS, i])
-            bound[i] *= (1.0 - noise) * absent + noise
 
 
 FIRST_TILES = 64
@@ -244,7 +219,9 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
     come `drawn` samples of all others (`sample_systematic`); skipped tiles are represented by samples of
     tiles, drawn in proportion to their bounds.
     """
-    tile_bound = _bound_whole_tiles(statements, mentions, views, weights)
+    runs = list_runs(views, mentions.tokens)
+    query = statements, mentions, views, runs, weights
+    tile_bound = _bound_whole_tiles(*query)
     highest, n, floor = np.empty(2 * most + TILES_AT_ONCE * SLOTS), 0, least
     bounded = [(np.zeros(0, np.int32), np.zeros(0), np.zeros(0))]
     share = np.ones(len(tile_bound))
@@ -255,7 +232,7 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
             bar = np.partition(tile_bound[every], len(every) - size)[len(every) - size]
             first = every[tile_bound[every] > bar]
         found, n, least = _bound_single_views(
-            statements, mentions, views, weights, first, tile_bound, share, most, highest, n, least
+            *query, first, tile_bound, share, most, highest, n, least
         )
         bounded.append(found)
         if len(every) <= size:
@@ -268,17 +245,7 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
             sum(bounds.sum() for _, bounds, _ in bounded), max(1, drawn // SAMPLES_PER_TILE),
         )  # fmt: skip
         found, n, _ = _bound_single_views(
-            statements,
-            mentions,
-            views,
-            weights,
-            rest,
-            tile_bound,
-            share,
-            most,
-            highest,
-            n,
-            INFINITE,
+            *query, rest, tile_bound, share, most, highest, n, INFINITE
         )
         bounded.append(found)
     rows, bounds, multiplicity = map(np.concatenate, zip(*bounded, strict=True))
@@ -329,11 +296,11 @@ def sample_systematic(bounds, multiplicity, drawn):
 
 
 @kernel(finite=True)
-def _bound_whole_tiles(statements, mentions, views, weights):
+def _bound_whole_tiles(statements, mentions, views, runs, weights):
     """Bound all viewpoints of each tile (T,), times its largest weight; 0 where no statement can hold."""
     n_mentions = len(mentions.starts) - 1
     out = np.zeros(len(views.tiles))
-    at = views.token_starts[mentions.tokens]
+    at = runs.starts[:-1].copy()
     of_pairs = np.zeros((n_mentions + 1, TILES_PER_STRIP), np.float32)
     of_total = np.zeros((n_mentions + 1, TILES_PER_STRIP), np.float32)
     of_total[ME] = 1.0
@@ -341,8 +308,8 @@ def _bound_whole_tiles(statements, mentions, views, weights):
     for first in range(0, len(out), TILES_PER_STRIP):
         last = min(first + TILES_PER_STRIP, len(out))
         for m in range(n_mentions):
-            there[m] = _sum_tile_masses(
-                of_pairs[m], of_total[m], mentions, views, at, m, first, last
+            there[m] = _sum_tile_shares(
+                of_pairs[m], of_total[m], mentions, views, runs, at, m, first, last
             )
         bound = out[first:last]
         is_possible = False
@@ -375,17 +342,15 @@ def _bound_whole_tiles(statements, mentions, views, weights):
 
 
 @kernel(finite=True, _nrt=False)
-def _sum_tile_masses(of_pairs, of_total, mentions, views, at, m, first, last):
-    """Find the largest masses of a mention in tiles from `first` to `last`; return whether there is any."""
+def _sum_tile_shares(of_pairs, of_total, mentions, views, runs, at, m, first, last):
+    """Sum the largest shares of a mention in tiles from `first` to `last`; return whether there is any."""
     there = False
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
-        end, weight = views.token_starts[mentions.tokens[k] + 1], mentions.weights[k]
-        p = at[k]
-        while p < end and views.run_tiles[p] < last:
-            i = np.int64(views.run_tiles[p]) - first
-            if i >= 0:  # tiles of a forged map may not ascend
-                of_pairs[i] += weight * views.levels[views.run_pairs[p]]
-                of_total[i] += weight * views.levels[views.run_total[p]]
+        weight, p = mentions.weights[k], at[k]
+        while p < runs.starts[k + 1] and runs.tiles[p] < last:
+            i, row = np.int64(runs.tiles[p]) - first, p + runs.shift[k]
+            of_pairs[i] += weight * views.levels[views.run_pairs[row]]
+            of_total[i] += weight * views.levels[views.run_total[row]]
             p += 1
         there |= p > at[k]
         at[k] = p
@@ -394,16 +359,17 @@ def _sum_tile_masses(of_pairs, of_total, mentions, views, at, m, first, last):
 
 @kernel(finite=True)
 def _bound_single_views(
-    statements, mentions, views, weights, tiles, tile_bound, share, most, highest, n, least
+    statements, mentions, views, runs, weights, tiles, tile_bound, share, most, highest, n, least
 ):
     """Bound the viewpoints of tiles whose own bound exceeds `least`: rows, bounds, `share` of their tile.
 
     All tiles are bounded if they are samples (`least` is then `INFINITE`); else the `n` `highest` bounds
     are kept. The bound (`tile_bound`) of tiles that were bounded becomes 0. Also returns `n` and `least`.
     """
-    at = views.token_starts[mentions.tokens]
-    extents, there = allocate_sight(len(mentions.starts) - 1)
-    bound = np.empty(TILES_AT_ONCE * SLOTS)
+    at, bound = runs.starts[:-1].copy(), np.empty(TILES_AT_ONCE * SLOTS)
+    shares = np.zeros((len(mentions.starts), TILES_AT_ONCE * SLOTS), np.float32)
+    shares[ME] = 1.0
+    there = np.ones(len(mentions.starts), np.bool_)
     strip = np.empty(TILES_AT_ONCE, np.int64)
     drawn = least >= INFINITE
     n_views = k = size = count = 0
@@ -420,7 +386,7 @@ def _bound_single_views(
             if size < TILES_AT_ONCE and k < len(tiles):
                 continue
         if size and bound_views(
-            statements, mentions, views, strip[:size], at, extents, there, bound
+            statements, mentions, views, runs, strip[:size], at, shares, there, bound
         ):
             for i in range(size):
                 of_tile = bound[i * SLOTS : (i + 1) * SLOTS]

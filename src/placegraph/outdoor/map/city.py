@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from placegraph.core.graph import SceneGraph
 
 KIND = "city"
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class City(PickleFields):
             "cells": cells.points,
         }
         if len(objects) >= WORTH if index is None else index:
-            meta["views"] = list(self.views.grid)
+            meta["viewpoints"] = list(self.views.grid)
             arrays |= name_columns(self.views.arrays())
         write_map(path, KIND, VERSION, meta, arrays, MAPPED, quick=quick)
 

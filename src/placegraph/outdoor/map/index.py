@@ -2,7 +2,7 @@
 
 A sentence is spoken somewhere, not "in a tile". Every 20 m where anything is in sight there is a
 viewpoint. For each *token* (a label or a name) the index lists the viewpoints that have it in sight,
-tile by tile: in a tile of 8 times 8 viewpoints 64 bits tell which, and how much there is at most.
+tile by tile: which viewpoints of a tile of 8 times 8, and what share of all in sight it is at most.
 The index is built when a map is written, band after band of a large map, and read from the file in
 place: a search reads few tiles, and derives what is in sight of the few viewpoints that it compares.
 """
@@ -21,6 +21,7 @@ from placegraph.outdoor.map.cells import EACH, MOST, Grid, make_extent_error
 from placegraph.outdoor.map.index_kernels import (
     FADED,
     GRADES,
+    JUMP,
     LEAST,
     REACHED,
     SIDE,
@@ -30,6 +31,7 @@ from placegraph.outdoor.map.index_kernels import (
     mark_isolated,
     mark_viewpoints,
     runs_of,
+    sort_postings,
 )
 from placegraph.outdoor.map.objects import ends_of
 
@@ -46,23 +48,28 @@ ENOUGH = 2.0
 SECOND_LABEL = (1.0, 0.35, 0.2)
 """Probability that an object is called by its first, second, third ... label."""
 LEVELS = (LEAST * np.exp(STEP * np.arange(GRADES))).astype(np.float32)
-"""(GRADES,) mass of a grade."""
+"""(GRADES,) share of a grade."""
 WORTH = 10_000
 """Maps of fewer objects are stored without one: it is several times as large as they are, and derived
 in a fifth of a second."""
 PREFIX = "view_"
 DTYPES = {
-    "tiles": "<i8", "present": "<i8", "total": "|u1", "pairs": "<u2", "thing_counts": "<u4",
-    "things": "<i4", "run_counts": "<u4", "run_tiles": "<u4", "run_slots": "<i8",
-    "run_first": "<u4", "run_pairs": "|u1", "run_total": "|u1", "postings": "<u4", "share": "<f8",
+    "tiles": "<i8", "present": "<i8", "density": "|u1", "thing_bytes": "<u4", "things": "|u1",
+    "run_counts": "<u4", "run_bytes": "<u4", "run_tiles": "<u2", "run_sizes": "|u1", "run_pairs": "|u1",
+    "run_total": "|u1", "postings": "|u1", "share": "<f4",
 }  # fmt: skip
 MAPPED = frozenset(
     PREFIX + name
     for name in (
-        "run_slots", "run_tiles", "run_first", "postings", "things", "pairs", "total", "run_pairs",
+        "run_sizes",
+        "run_tiles",
+        "postings",
+        "things",
+        "density",
+        "run_pairs",
         "run_total",
     )
-)  # fmt: skip
+)
 """Columns that are read where they lie ..."""
 LARGE = 16 << 20
 """... where they have so many bytes together: what is read is held, whatever becomes of the file."""
@@ -183,17 +190,17 @@ def build(
         mark_isolated(tile_starts, around, keep, STRIDE, found)
         counted, many = _counted(grid, tiles, keep, core)
         viewpoints += many
-        runs, postings, (total, pairs, things, thing_counts), seen_ = runs_of(
+        runs, postings, (density, things, thing_counts), seen_ = runs_of(
             tile_starts, around, keep, counted, objects.kind, tokens, LEVELS, n_labels, mass
         )
         sums.append(seen_)
         there = keep != 0
-        token, tile, slots, size, grades = runs
+        token, tile, size, grades = runs
         parts.append({
-            "token": token, "run_tiles": (np.cumsum(there) - 1)[tile].astype(np.uint32),
-            "run_slots": slots, "size": size, "run_pairs": grades[:, 0], "run_total": grades[:, 1],
-            "postings": postings, "tiles": tiles[there], "present": keep[there], "total": total,
-            "pairs": pairs, "things": things, "thing_counts": thing_counts[there],
+            "token": token, "run_tiles": (np.cumsum(there) - 1)[tile].astype(np.int64),
+            "run_sizes": size, "run_pairs": grades[:, 0], "run_total": grades[:, 1],
+            "postings": postings, "tiles": tiles[there], "present": keep[there], "density": density,
+            "things": things, "thing_bytes": thing_counts[there],
         })  # fmt: skip
     if core is not None and not any(
         len(part["tiles"]) for part in parts
@@ -203,7 +210,9 @@ def build(
     masses, shares, peaks, sights, spreads, pulls = zip(*sums, strict=True)
     most = (np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls))
     seen_ = SightTotals(sum(masses), sum(shares), *most, viewpoints)
-    return _joined(parts, n_tokens) | {"share": mass[:-1] / max(mass[-1], 1e-30)}, seen_
+    return _joined(parts, n_tokens) | {
+        "share": (mass[:-1] / max(mass[-1], 1e-30)).astype(np.float32)
+    }, seen_
 
 
 def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) -> list[_Band]:
@@ -270,15 +279,27 @@ def _counted(
 def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, NDArray[Any]]:
     """Join bands; sort runs by token, and within a token by tile."""
     for part, tiles in zip(parts, np.cumsum([0, *(len(p["tiles"]) for p in parts)]), strict=False):
-        part["run_tiles"] = part["run_tiles"] + np.uint32(tiles)
+        part["run_tiles"] += tiles
     columns = {name: np.concatenate([p.pop(name) for p in parts]) for name in list(parts[0])}
-    token, size = columns.pop("token"), columns.pop("size")
-    first = np.cumsum(size, dtype=np.int64) - size
+    token, size, postings = (columns.pop(name) for name in ("token", "run_sizes", "postings"))
     order = np.argsort(token, kind="stable")
-    for name in ("run_tiles", "run_slots", "run_pairs", "run_total"):
-        columns[name] = columns[name][order]
-    columns["run_first"] = first[order].astype(np.uint32)
-    columns["run_counts"] = np.bincount(token, minlength=n_tokens).astype(np.uint32)
+    first = np.cumsum(size, dtype=np.int64) - size
+    columns["postings"] = sort_postings(postings, first, size, order)
+    token, size, tile = token[order], size[order], columns["run_tiles"][order]
+    before = np.where(np.diff(token, prepend=-1) != 0, -1, np.append(-1, tile[:-1]))
+    jumps = (tile - before - 1) // JUMP
+    rows = np.repeat(np.arange(len(tile)), 1 + jumps)
+    last = np.cumsum(1 + jumps) - 1
+    tile = tile[rows] % JUMP
+    steps = np.arange(len(rows)) - (last - jumps)[rows] + 1  # from the run before
+    is_jump = np.arange(len(rows)) != last[rows]
+    columns["run_tiles"] = np.where(is_jump, (before[rows] + JUMP * steps) % JUMP, tile)
+    columns["run_tiles"] = columns["run_tiles"].astype(np.uint16)
+    columns["run_sizes"] = np.where(is_jump, np.uint8(0), size[rows])
+    for name in ("run_pairs", "run_total"):
+        columns[name] = np.where(is_jump, np.uint8(0), columns[name][order][rows])
+    columns["run_counts"] = np.bincount(token[rows], minlength=n_tokens).astype(np.uint32)
+    columns["run_bytes"] = np.bincount(token, size, n_tokens).astype(np.uint32)
     return columns
 
 
@@ -300,10 +321,12 @@ _AROUND = 2
 """Points of the grid to every side among which the nearest viewpoint within `STRIDE` is."""
 
 
-_DERIVED = frozenset({"grid", "first", "thing_starts", "token_starts", "levels"})
-"""Fields of `ViewColumns` that are not stored as they are."""
-_STORED_AS = {"objects": "things"}
-"""Names in the file of fields that have another name here."""
+_DERIVED = {
+    "thing_starts": "thing_bytes",
+    "token_starts": "run_counts",
+    "posting_starts": "run_bytes",
+}
+"""Fields of `ViewColumns` that are stored as differences, and their names in the file."""
 
 
 class ViewColumns(NamedTuple):
@@ -317,32 +340,28 @@ class ViewColumns(NamedTuple):
     """(T,) which of its slots are viewpoints: 64 bits."""
     first: NDArray[np.int64]
     """(T + 1,) its first viewpoint; those of a tile are numbered by slot."""
-    total: NDArray[np.uint8]
-    """(W,) grade, rounded down, of the sum of `sight` of what a viewpoint has in sight."""
-    pairs: NDArray[np.uint16]
-    """(W,) root of its sum of products of `sight` over pairs of what one does not stand in, in steps
-    of 1 / 64, rounded down."""
+    density: NDArray[np.uint8]
+    """(W,) how much a viewpoint has in sight (`PULLS`, `TOTALS`)."""
     thing_starts: NDArray[np.int64]
     """(T + 1,)"""
-    objects: NDArray[np.int32]
-    """Rows of the objects in sight of any viewpoint of a tile, ascending."""
+    things: NDArray[np.uint8]
+    """Rows of the objects in sight of any viewpoint of a tile, ascending, as steps (`read_step`)."""
     token_starts: NDArray[np.int64]
     """(tokens + 1,) runs of a token: a run is a token in a tile."""
-    run_tiles: NDArray[np.uint32]
-    """(R,) its tile, ascending within a token."""
-    run_slots: NDArray[np.int64]
-    """(R,) which of the viewpoints have it in sight: 64 bits."""
-    run_first: NDArray[np.uint32]
-    """(R,) its first posting; they follow by slot."""
+    posting_starts: NDArray[np.int64]
+    """(tokens + 1,) postings of a token."""
+    run_tiles: NDArray[np.uint16]
+    """(R,) its tile, modulo `JUMP`, ascending within a token."""
+    run_sizes: NDArray[np.uint8]
+    """(R,) its postings, which follow those of the run before."""
     run_pairs: NDArray[np.uint8]
-    """(R,) grade of the largest mass over the root of pairs and crowd."""
+    """(R,) grade of the largest share of the root of pairs and `CROWDED`."""
     run_total: NDArray[np.uint8]
-    """(R,) grade of the largest mass over total."""
-    postings: NDArray[np.uint32]
-    """(P,) `decompress_array`: grade of the mass of a viewpoint's objects of the token (the sum of `sight`
-    times the token's weight), and the box that they lie in."""
+    """(R,) grade of the largest share of all in sight."""
+    postings: NDArray[np.uint8]
+    """Which viewpoints have the token in sight, and how large a share of all in sight it is (`runs_of`)."""
     levels: NDArray[np.float32]
-    """(GRADES,) mass of a grade."""
+    """(GRADES,) share of a grade."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,7 +369,7 @@ class ViewIndex:
     """Viewpoints (W) of a map, and where each of its tokens is in sight."""
 
     columns: ViewColumns
-    share: NDArray[np.float64]
+    share: NDArray[np.float32]
     """(tokens,) share of each in all that is in sight of all viewpoints."""
     watch: FileWatch | None = None
     """Watch on the map file that the columns are read from."""
@@ -367,30 +386,19 @@ class ViewIndex:
         """Make an index of the columns of `build`; raises `ValueError` where they contradict each other."""
         east, north, width = grid
         columns = {name: _locked(column) for name, column in columns.items()}
-        given = ViewColumns(
-            grid=(float(east), float(north), STRIDE, int(width)),
-            tiles=columns["tiles"],
-            present=columns["present"],
-            first=_starts(_ones(columns["present"])),
-            total=columns["total"],
-            pairs=columns["pairs"],
-            thing_starts=_starts(columns["thing_counts"]),
-            objects=columns["things"],
-            token_starts=_starts(columns["run_counts"]),
-            levels=LEVELS,
-            **{name: columns[name] for name in ViewColumns._fields if name.startswith("run_")},
-            postings=columns["postings"],
-        )
+        starts: dict[str, Any] = {name: _starts(columns[of]) for name, of in _DERIVED.items()}
+        first = _starts(_ones(columns["present"]))
+        stored = {name: columns[name] for name in ViewColumns._fields if name in columns}
+        place = (float(east), float(north), STRIDE, int(width))
+        given = ViewColumns(grid=place, first=first, levels=LEVELS, **starts, **stored)
         _check(given, columns["share"])
         return cls(given, columns["share"])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the columns that `of` takes."""
-        c = self.columns
-        stored = c._asdict().items()
-        own = {_STORED_AS.get(k, k): column for k, column in stored if k not in _DERIVED}
-        counts = {"thing_counts": c.thing_starts, "run_counts": c.token_starts}
-        sizes = {name: np.diff(starts).astype(np.uint32) for name, starts in counts.items()}
+        stored = self.columns._asdict()
+        own = {name: stored[name] for name in DTYPES if name in stored}
+        sizes = {name: np.diff(stored[of]).astype(np.uint32) for of, name in _DERIVED.items()}
         return own | sizes | {"share": self.share}
 
     @property
@@ -515,17 +523,18 @@ def _locked(column: NDArray[Any]) -> NDArray[Any]:
     return column
 
 
-def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
+def _check(c: ViewColumns, share: NDArray[np.float32]) -> None:
     """Raise `ValueError` where columns contradict each other, by what is short enough to be read whole.
 
     Compiled code checks what it reads of the rest: a run's tile and postings, and a tile's things.
     """
     lengths = (
         (c.present, len(c.tiles), "present"),
-        (c.thing_starts, len(c.tiles) + 1, "thing_counts"),
-        (c.total, c.first[-1], "total"),
-        (c.pairs, c.first[-1], "pairs"),
-        (c.objects, c.thing_starts[-1], "things"),
+        (c.thing_starts, len(c.tiles) + 1, "thing_bytes"),
+        (c.density, c.first[-1], "density"),
+        (c.things, c.thing_starts[-1], "things"),
+        (c.posting_starts, len(c.token_starts), "run_bytes"),
+        (c.postings, c.posting_starts[-1], "postings"),
         (share, len(c.token_starts) - 1, "share"),
         *(
             (getattr(c, name), c.token_starts[-1], name)
@@ -557,10 +566,10 @@ def index_in(file: MapFile, words: int) -> ViewIndex | None:
     Raises `MapError` where a column is missing, and what `store.sound` turns into one where columns
     contradict each other.
     """
-    if "views" not in file.meta:
+    if "viewpoints" not in file.meta:
         return None
     columns = {name: file.array(PREFIX + name, dtype) for name, dtype in DTYPES.items()}
-    east, north, width = file.meta["views"]
+    east, north, width = file.meta["viewpoints"]
     index = ViewIndex.of(columns, (float(east), float(north), int(width)))
     index = replace(index, watch=file.watch)
     if len(index.share) != words:

@@ -20,14 +20,19 @@ FADED, WIDTH, REACHED = 25.0, 3.5, 38.0
 """`SIGHT`, `FADE` and `REACH` of `index` [m]."""
 CROWDED = 30.0
 """Added to the pairs in sight of a viewpoint before masses are compared with them: `CROWD` of statements."""
-GRADES = 256
-"""A mass is kept as one of so many grades, always rounded up ..."""
-LEAST, STEP = 0.02, 0.037
-"""... the first of which is this much, and each this share more than the one below."""
-FINE = 64.0
-"""Totals, and roots of pairs, are kept in steps of one part in so many, rounded down."""
-EDGE, WIDE = 40.0, 1.25
-"""The ends of a box are kept as steps so wide from so far west, or south; rounded outwards [m]."""
+GRADES, LEAST, STEP = 256, 2e-4, 0.037
+"""The largest share of a run is stored as one of so many grades, rounded up: the least, and the step of
+the logarithm."""
+FALL = 0.15
+FALLS = np.exp(-FALL * np.arange(16)).astype(np.float32)
+"""Shares of the largest share of a run that are told apart, in 4 bits; rounded up."""
+LEAST_PULL, PULL_STEP, TOTAL_STEP = 0.1, 0.09, 0.66
+PULLS = (LEAST_PULL * np.exp(PULL_STEP * (np.arange(256) & 31))).astype(np.float32)
+"""(256,) all in sight over the root of pairs and `CROWDED`, by `density`; rounded up."""
+TOTALS = np.exp(TOTAL_STEP * (np.arange(256) >> 5)).astype(np.float32)
+"""(256,) all in sight, by `density`; rounded down."""
+JUMP = 1 << 16
+"""Tiles of runs are stored modulo this number; a run without postings stands at each larger step."""
 
 
 @kernel(inline="always")
@@ -54,29 +59,40 @@ def count_lower_bits(bits, slot):
 
 
 @kernel(inline="always")
-def grade_of(mass):
-    """Return the least grade whose mass is no smaller."""
-    return min(GRADES - 1, max(0, int(np.ceil(np.log(mass / LEAST) / STEP))))
+def grade_of(share):
+    """Return the least grade that stands for no smaller share."""
+    return min(GRADES - 1, max(0, int(np.ceil(np.log(share / LEAST) / STEP))))
 
 
 @kernel(inline="always")
-def pack(mass, west, south, east, north):
-    """Pack a posting: grade of a mass, and the ends of a box within `REACHED` [m], in 32 bits."""
-    low = (int(np.floor((west + EDGE) / WIDE)) << 18) | (int(np.floor((south + EDGE) / WIDE)) << 12)
-    high = (int(np.ceil((east + EDGE) / WIDE)) << 6) | int(np.ceil((north + EDGE) / WIDE))
-    return (grade_of(mass) << 24) | low | high
+def pack_density(total, pairs):
+    """Pack all in sight of a viewpoint, and its share of the root of pairs, in 8 bits."""
+    high = min(7, max(0, int(np.log(max(total, np.float32(1.0))) / TOTAL_STEP)))
+    pull = np.log(max(total, np.float32(1e-3)) / np.sqrt(pairs + CROWDED) / LEAST_PULL)
+    return (high << 5) | min(31, max(0, int(np.ceil(pull / PULL_STEP))))
 
 
 @kernel(inline="always")
-def unpack(posting):
-    """Unpack a posting: grade, and west, south, east and north end [m]."""
-    return (
-        posting >> 24,
-        np.float32(((posting >> 18) & 63) * WIDE - EDGE),
-        np.float32(((posting >> 12) & 63) * WIDE - EDGE),
-        np.float32(((posting >> 6) & 63) * WIDE - EDGE),
-        np.float32((posting & 63) * WIDE - EDGE),
-    )
+def write_step(things, n, step):
+    """Write a step from 1 on as 7 bits a byte, the lowest first; return where the next begins."""
+    step -= 1
+    while step > 127:
+        things[n] = (step & 127) | 128
+        step >>= 7
+        n += 1
+    things[n] = step
+    return n + 1
+
+
+@kernel(inline="always")
+def read_step(things, k):
+    """Read a step of `write_step`; return it, and where the next begins."""
+    step, shift = np.int64(things[k]) & 127, 7
+    while things[k] > 127 and k + 1 < len(things) and shift < 35:
+        k += 1
+        step |= (np.int64(things[k]) & 127) << shift
+        shift += 7
+    return step + 1, k + 1
 
 
 @kernel(_nrt=False)
@@ -125,12 +141,13 @@ def list_visible(scene, views, tile, slot, objects, offsets, visibility):
     pairs of what one does not stand in.
     """
     east, north = place_of(views, tile, slot)
-    n = 0
+    n, o, k = 0, np.int64(-1), views.thing_starts[tile]
     total = apart = squared = np.float32(0.0)
-    for k in range(views.thing_starts[tile], views.thing_starts[tile + 1]):
-        o = views.objects[k]
-        if o < 0 or o >= len(scene.kind):  # a forged map
-            continue
+    while k < views.thing_starts[tile + 1]:
+        step, k = read_step(views.things, k)
+        o += step
+        if o >= len(scene.kind):  # a forged map
+            break
         if (
             scene.box[o, 0] - east > REACHED
             or scene.box[o, 1] - north > REACHED
@@ -182,7 +199,7 @@ def tile_of(views, view):
 
 @kernel(_nrt=False)
 def most_objects(views):
-    """Return the largest number of things in sight of a tile."""
+    """Return a number of things no smaller than that in sight of any tile: the most bytes of one."""
     most = 0
     for tile in range(len(views.tiles)):
         most = max(most, views.thing_starts[tile + 1] - views.thing_starts[tile])
@@ -263,47 +280,45 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
 
     `keep` (T,) are the slots of viewpoints, `core` (T,) those of them that are counted, `visible` what tiles
     have in sight. Adds to `mass` (tokens + 1,) what of each is in sight of all viewpoints, and of all
-    things (the last). Returns columns of the runs (token, tile, slots, postings, grades of the largest
-    masses against pairs and totals), and the postings (`pack`); totals and pairs of viewpoints; things of
-    tiles, and how many; and what is counted: what `Seen` has of tokens and of all.
+    things (the last). Returns columns of the runs (token, tile, bytes, grades of the largest shares of the
+    root of pairs, and of all), and their postings; `density` of viewpoints; things of tiles, and their bytes;
+    and what is counted: what `Seen` has of tokens and of all.
+
+    Postings of a run: which lines of the tile have viewpoints with the token in sight, as bits of a byte;
+    a byte for each such line; and 4 bits for each viewpoint (`FALLS`). Where all viewpoints of the tile
+    have it in sight, the first byte is 0, and no others follow for lines.
     """
     token_starts, token_values, token_weights = tokens
     number, named = np.full(len(mass) - 1, -1, np.int64), np.empty(256, np.int32)
-    held, ends = np.zeros((256, SLOTS), np.float32), np.zeros((256, SLOTS, 4), np.float32)
+    held = np.zeros((256, SLOTS), np.float32)
     run_token, run_tile = np.empty(1024, np.int32), np.empty(1024, np.uint32)
-    run_slots, run_size = np.empty(1024, np.int64), np.empty(1024, np.uint8)
-    run_grades, posted = np.empty((1024, 2), np.uint8), np.empty(8192, np.uint32)
-    totals, roots, views = np.empty(1024, np.uint8), np.empty(1024, np.uint16), 0
-    things, n_things = np.empty(len(visible.objects), np.int32), 0
+    run_size, run_grades = np.empty(1024, np.uint8), np.empty((1024, 2), np.uint8)
+    posted, density, views = np.empty(8192, np.uint8), np.empty(1024, np.uint8), 0
+    things, n_things = np.empty(5 * len(visible.objects), np.uint8), 0
     thing_counts = np.zeros(len(keep), np.uint32)
     counted, shares = np.zeros(len(mass) - 1), np.zeros(len(mass) - 1)
     peak = np.zeros(len(mass) - 1, np.float32)
     in_sight = spread = pull = 0.0
-    # of each slot: all, apart from what one stands in, squares of that; divisors; shares of labels
-    sums, against = np.zeros((4, SLOTS), np.float32), np.empty((2, SLOTS), np.float32)
+    # of each slot: all, apart from what one stands in, squares of that; shares of labels
+    sums, pulls = np.zeros((4, SLOTS), np.float32), np.empty(SLOTS, np.float32)
     total, alone, squared, labelled = sums[0], sums[1], sums[2], sums[3]
-    where, at, visibility = (
-        np.empty(SLOTS, np.int64),
-        np.empty((SLOTS, 2), np.float32),
-        np.empty(SLOTS, np.float32),
-    )
+    where, visibility = np.empty(SLOTS, np.int64), np.empty(SLOTS, np.float32)
     runs = postings = 0
     for tile in range(len(keep)):
-        n = 0
+        n, last, begun = 0, -1, n_things
         sums[:] = 0.0
         for r in range(tile_starts[tile], tile_starts[tile + 1]):
             bits, e, o, many = visible.slots[r], visible.first[r], visible.objects[r], 0
             if not bits & keep[tile]:
                 continue
-            things[n_things] = o
-            n_things += 1
-            thing_counts[tile] += 1
+            n_things = write_step(things, n_things, o - last)
+            last = o
             while bits:
                 slot = count_bits((bits & -bits) - 1)
                 bits &= bits - 1
                 if keep[tile] >> slot & 1:
                     s, (x, y) = visible.visibility[e], visible.offsets[e]
-                    where[many], visibility[many], at[many, 0], at[many, 1] = slot, s, x, y
+                    where[many], visibility[many] = slot, s
                     many += 1
                     total[slot] += s
                     if (
@@ -318,31 +333,20 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
                     if n == len(named):
                         named = np.concatenate((named, named))
                         held = np.concatenate((held, held))
-                        ends = np.concatenate((ends, ends))
                     m = number[token_values[t]] = n
                     named[n] = token_values[t]
                     held[n] = 0.0
                     n += 1
                 for i in range(many):
-                    x, y, box = at[i, 0], at[i, 1], ends[m, where[i]]
-                    if held[m, where[i]] == 0.0:
-                        box[0], box[1], box[2], box[3] = x, y, x, y
-                    else:
-                        box[0], box[1] = min(box[0], x), min(box[1], y)
-                        box[2], box[3] = max(box[2], x), max(box[3], y)
                     held[m, where[i]] += visibility[i] * token_weights[t]
-        if views + SLOTS > len(totals):
-            totals = np.concatenate((totals, np.empty_like(totals)))
-            roots = np.concatenate((roots, np.empty_like(roots)))
+        thing_counts[tile] = n_things - begun
+        if views + SLOTS > len(density):
+            density = np.concatenate((density, np.empty_like(density)))
         for slot in range(SLOTS):
             if keep[tile] >> slot & 1:
-                grade = min(GRADES - 1, np.searchsorted(levels, total[slot], side="right") - 1)
                 pairs = max(alone[slot] * alone[slot] - squared[slot], np.float32(0.0))
-                totals[views] = max(0, grade)
-                roots[views] = min(65535.0, np.floor(np.sqrt(pairs) * FINE))
-                # as the search will reckon them: masses rounded up, totals and pairs down
-                against[0, slot] = 1.0001 / np.sqrt((roots[views] / FINE) ** 2 + CROWDED)
-                against[1, slot] = 1.0001 / levels[totals[views]]
+                density[views] = pack_density(total[slot], pairs)
+                pulls[slot] = PULLS[density[views]]
                 views += 1
                 mass[-1] += total[slot]
                 if core[tile] >> slot & 1:
@@ -352,49 +356,88 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
             more = max(n, len(run_token))
             run_token = np.concatenate((run_token, np.empty(more, np.int32)))
             run_tile = np.concatenate((run_tile, np.empty(more, np.uint32)))
-            run_slots = np.concatenate((run_slots, np.empty(more, np.int64)))
             run_size = np.concatenate((run_size, np.empty(more, np.uint8)))
             run_grades = np.concatenate((run_grades, np.empty((more, 2), np.uint8)))
         if postings + n * SLOTS > len(posted):
-            posted = np.concatenate((posted, np.empty(max(n * SLOTS, len(posted)), np.uint32)))
+            posted = np.concatenate((posted, np.empty(max(n * SLOTS, len(posted)), np.uint8)))
         for m in range(n):
             token = named[m]
             number[token] = -1
-            bits, size, of_pairs, of_total = np.int64(0), 0, np.float32(1e-9), np.float32(1e-9)
+            largest = np.float32(0.0)
+            for slot in range(SLOTS):
+                if held[m, slot] > 0.0:
+                    largest = max(largest, held[m, slot] / total[slot])
+            grade = grade_of(largest * 1.0001)
+            size = write_postings(posted, postings, held[m], total, keep[tile], levels[grade])
+            of_pairs = np.float32(1e-9)
             for slot in range(SLOTS):
                 much = held[m, slot]
                 if much == 0.0:
                     continue
-                bits |= np.int64(1) << slot
-                size += 1
-                box = ends[m, slot]
-                posting = pack(much, box[0], box[1], box[2], box[3])
-                posted[postings] = posting
-                postings += 1
-                kept = levels[posting >> 24]
-                of_pairs = max(of_pairs, kept * against[0, slot])
-                of_total = max(of_total, kept * against[1, slot])
+                share = much / total[slot]
+                of_pairs = max(of_pairs, round_share(share, levels[grade]) * pulls[slot])
                 mass[token] += much
                 if core[tile] >> slot & 1:
-                    share = much / total[slot]
                     counted[token] += much
                     shares[token] += share
                     peak[token] = max(peak[token], share)
                     labelled[slot] += share if token < n_labels else np.float32(0.0)
-            run_token[runs], run_tile[runs], run_slots[runs] = token, tile, bits
-            run_size[runs] = size
-            run_grades[runs, 0], run_grades[runs, 1] = grade_of(of_pairs), grade_of(of_total)
+            run_token[runs], run_tile[runs], run_size[runs] = token, tile, size
+            run_grades[runs, 0], run_grades[runs, 1] = grade_of(of_pairs), grade
+            postings += size
             runs += 1
         spread = max(spread, labelled.max())
-    columns = (
-        run_token[:runs],
-        run_tile[:runs],
-        run_slots[:runs],
-        run_size[:runs],
-        run_grades[:runs],
-    )
-    of_views = totals[:views], roots[:views], things[:n_things], thing_counts
+    columns = run_token[:runs], run_tile[:runs], run_size[:runs], run_grades[:runs]
+    of_views = density[:views], things[:n_things], thing_counts
     return columns, posted[:postings], of_views, (counted, shares, peak, in_sight, spread, pull)
+
+
+@kernel(inline="always")
+def fall_of(share, largest):
+    """Return the place of a share in `FALLS`, against the largest of the run."""
+    return min(15, max(0, int(-np.log(share / largest) / FALL)))
+
+
+@kernel(inline="always")
+def round_share(share, largest):
+    """Return a share as it is read: rounded up."""
+    return largest * FALLS[fall_of(share, largest)]
+
+
+@kernel(_nrt=False)
+def write_postings(posted, n, masses, total, present, largest):
+    """Write the postings of a run from `posted[n]` on; return their number of bytes."""
+    begun, bits = n, np.int64(0)
+    for slot in range(SLOTS):
+        bits |= np.int64(masses[slot] > 0.0) << slot
+    posted[n] = 0
+    n += 1
+    if bits != present:
+        for line in range(SIDE):
+            byte = (bits >> (SIDE * line)) & 255
+            if byte:
+                posted[begun] |= 1 << line
+                posted[n] = byte
+                n += 1
+    half = 0
+    for slot in range(SLOTS):
+        if bits >> slot & 1:
+            fall = fall_of(masses[slot] / total[slot], largest)
+            posted[n] = fall if half == 0 else posted[n] | fall << 4
+            n += half
+            half ^= 1
+    return n + half - begun
+
+
+@kernel
+def sort_postings(posted, first, size, order):
+    """Return postings of runs in another order; run i has `size[i]` bytes from `first[i]` on."""
+    out, n = np.empty_like(posted), 0
+    for i in order:
+        for k in range(first[i], first[i] + size[i]):
+            out[n] = posted[k]
+            n += 1
+    return out
 
 
 FAR = np.float32(1e30)
