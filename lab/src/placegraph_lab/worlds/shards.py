@@ -150,7 +150,7 @@ def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None
                 named = replace(like.objects, names=rename_copy(like.objects.names, k))
                 made = CityMap(plane, named, cells, city.source, {})
                 made.__dict__["_views"] = like.views
-                made.save(path, quick=True)
+                made.save(path)
                 continue
             rng = np.random.default_rng([seed, i, k])
             objects = city.objects if k == 0 else shuffle_objects(city.objects, _word(k), rng)

@@ -423,7 +423,7 @@ def build_tile(job: TileJob) -> TileDone:
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
     words = count_words(city, job.key)
-    city.save(out, quick=True)
+    city.save(out)
     made = TileDone(job.key, digest_of(out), out.stat().st_size, len(city.objects), len(city.cells))
     if job.counts:
         words.save(Path(job.counts), made.digest)

@@ -100,13 +100,11 @@ class City(PickleFields):
         cells = Cells(plane, grid, cell_size, edge_distance, occupied)
         return cls(plane, objects, cells, source, left_out)
 
-    def save(
-        self, path: str | PathLike[str], *, index: bool | None = None, quick: bool = False
-    ) -> None:
+    def save(self, path: str | PathLike[str], *, index: bool | None = None) -> None:
         """Write the map file (atomically, with checksums).
 
         `index`: with the index of its viewpoints, which makes the first question quick; None: where
-        the map is large. `quick`: a little larger, and written much sooner.
+        the map is large.
         """
         objects, cells = self.objects, self.cells
         meta = {
@@ -136,7 +134,7 @@ class City(PickleFields):
         if len(objects) >= WORTH if index is None else index:
             meta["viewpoints"] = list(self.views.grid)
             arrays |= name_columns(self.views.arrays())
-        write_map(path, KIND, VERSION, meta, arrays, MAPPED, quick=quick)
+        write_map(path, KIND, VERSION, meta, arrays, MAPPED)
 
     @classmethod
     def open(cls, path: str | PathLike[str], *, shard: bool = False) -> Self:

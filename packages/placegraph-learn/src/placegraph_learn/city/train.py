@@ -345,9 +345,7 @@ class Trainer:
             for moment in ("exp_avg", "exp_avg_sq"):
                 arrays[f"{moment}:{name}"] = state[moment].cpu().numpy()
             steps = int(state["step"])
-        write_map(
-            path, "training", VERSION, {"epoch": self.epochs, "steps": steps}, arrays, quick=True
-        )
+        write_map(path, "training", VERSION, {"epoch": self.epochs, "steps": steps}, arrays)
 
     def read(self, path: Path) -> None:
         """Restore the network, the optimizer and the number of finished epochs, if there is a file."""
@@ -508,7 +506,7 @@ def write_pool(path: Path, pool: ExamplePool) -> None:
     arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
     arrays |= {f"fit:{name}": column for name, column in pool.word_weights._asdict().items()}
     arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
-    write_map(path, "pool", VERSION, {}, arrays, quick=True)
+    write_map(path, "pool", VERSION, {}, arrays)
 
 
 def read_pool(path: Path) -> ExamplePool:

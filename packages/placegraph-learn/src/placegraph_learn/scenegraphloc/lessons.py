@@ -156,7 +156,7 @@ def write_lesson(path: Path, lesson: Lesson) -> None:
     arrays["grids"] = np.array([f.shape[:2] for f in lesson.features], np.int64)
     arrays["features"] = np.concatenate([f.reshape(-1, f.shape[2]) for f in lesson.features])
     arrays["marks"] = np.concatenate(lesson.marks)
-    write_map(path, KIND, VERSION, {"name": lesson.name}, arrays, quick=True)
+    write_map(path, KIND, VERSION, {"name": lesson.name}, arrays)
 
 
 def read_lesson(path: Path) -> Lesson:

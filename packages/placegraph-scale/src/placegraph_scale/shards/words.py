@@ -410,7 +410,7 @@ class WordCounts(NamedTuple):
         meta = {name: value for name, value in self._asdict().items() if np.ndim(value) == 0}
         arrays = {"labels": pack_strings(self.labels), "names": pack_strings(self.names)}
         arrays |= {name: getattr(self, name) for name in COUNTS}
-        write_map(path, "counts", VERSION, meta | {"digest": digest}, arrays, quick=True)
+        write_map(path, "counts", VERSION, meta | {"digest": digest}, arrays)
 
     @classmethod
     def load(cls, path: Path, digest: str) -> Self | None:
