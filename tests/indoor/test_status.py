@@ -35,7 +35,7 @@ def test_all_agrees():
     answer, reason = decide_fit(GOOD, modes(0.99, 0.01), TOLD)
     assert answer is Status.OK
     assert reason == (
-        "One place holds 99% of the probability within 0.3 m: 95% of the labelled patches, "
+        "One place holds 99% of the probability within 25 cm: 95% of the labelled patches, "
         "97% of the depth readings, the colours agree with the map."
     )
 
@@ -86,7 +86,7 @@ def test_rivals_make_it_ambiguous():
     answer, reason = decide_fit(GOOD, modes(0.55, 0.45), TOLD)
     assert answer is Status.AMBIGUOUS
     assert reason == (
-        "The first of 2 places holds 55% of the probability within 0.3 m; others fit as well."
+        "The first of 2 places holds 55% of the probability within 25 cm; others fit as well."
     )
     _, reason = decide_fit(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
     assert "The first of 3 places holds 40%" in reason
@@ -124,13 +124,13 @@ def test_a_place_known_to_a_metre_only_is_not_ok():
     answer, reason = decide_fit(GOOD, modes(1.0, spread=1.0), TOLD)
     assert answer is Status.AMBIGUOUS
     assert reason == (
-        "One place holds 100% of the probability within 2.5 m; a certain pose needs 0.5 m."
+        "One place holds 100% of the probability within 2.5 m; a certain pose needs 50 cm."
     )
     (best,) = modes(1.0)
     best.covariance[2, 2] = 0.3**2
     answer, reason = decide_fit(GOOD, [best], TOLD)
     assert answer is Status.AMBIGUOUS
-    assert "within 0.8 m, above all in height; a certain pose needs 0.5 m" in reason
+    assert "within 75 cm, above all in height; a certain pose needs 50 cm" in reason
 
 
 shares = st.floats(0, 1)

@@ -47,7 +47,7 @@ LOOSE = 0.2
 than the 0.5 m that `OK` promises."""
 CLAIMED = 2.5
 """Radius of a claim, in deviations of the least certain direction: with `LOOSE` the 0.5 m of `OK`."""
-_CLAIM = re.compile(r"^.*? holds \d+% of the probability within [\d.]+ m")
+_CLAIM = re.compile(r"^.*? holds \d+% of the probability within [\d.]+ c?m")
 ALONE = 0.98
 """Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
 the same differ by as much as their fits were lucky."""
@@ -240,7 +240,7 @@ def decide_fit(
         what = ", above all in height" if abs(axis[2]) > _UPRIGHT else ""
         return (
             Status.AMBIGUOUS,
-            f"{claim}{what}; a certain pose needs {CLAIMED * LOOSE:.1f} m.",
+            f"{claim}{what}; a certain pose needs {100 * CLAIMED * LOOSE:.0f} cm.",
         )
     if _is_sure(agreed, 1.0) and not _is_sure(agreed, best.probability):
         return Status.AMBIGUOUS, f"{claim}; others fit as well."
@@ -254,11 +254,12 @@ def state_claim(shares: Sequence[float], covariance: Floats, where: str = "") ->
 
     `shares`: probabilities of the modes, best first; `covariance`: (6, 6) of the best; `where`: its name.
     """
-    radius = np.ceil(10.0 * CLAIMED * least_certain(covariance)[0]) / 10.0
+    radius = CLAIMED * least_certain(covariance)[0]
+    held = f"{radius:.1f} m" if radius > 1.0 else f"{np.ceil(100.0 * radius):.0f} cm"
     rivals, first = sum(share > RIVAL for share in shares[1:]), where or "One place"
     if rivals:
         first = f"The first of {rivals + 1} places" + (f", {where}," if where else "")
-    return f"{first} holds {shares[0]:.0%} of the probability within {radius:.1f} m"
+    return f"{first} holds {shares[0]:.0%} of the probability within {held}"
 
 
 def restate_claim(reason: str, shares: Sequence[float], covariance: Floats, where: str = "") -> str:

@@ -76,21 +76,21 @@ class WorldQuery:
                     f"near is {self.near!r}; give longitude and latitude in degrees, in this order."
                 )
 
-    def answers_about(self, label: str) -> list[tuple[str, Answer]]:
-        """Return the answers yes and no about a `BUILDING` or `ROOM`, each with its name."""
+    def answers_about(self, label: str) -> list[Answer]:
+        """Return the answers yes and no about a `BUILDING` or `ROOM`; raise `OptionError` for no answers."""
         for answer in self.answers:
             if not isinstance(answer, Answer):
                 raise OptionError(
                     f"answers contains {answer!r}; create answers with `question.answer(option)`."
                 )
-        subjects = ((answer.question.subjects[0], answer) for answer in self.answers)
-        return [(s.words, a) for s, a in subjects if s.label == label and a.option in (YES, NO)]
+        about = [a for a in self.answers if a.question.subjects[0].label == label]
+        return [a for a in about if a.option in (YES, NO)]
 
     @property
     def spoken(self) -> str:
         """The text, and the names of buildings that the speaker is in by an answer."""
-        named = (name for name, a in self.answers_about(BUILDING) if a.option == YES)
-        return " | ".join([self.text or "", *named])
+        said = [a for a in self.answers_about(BUILDING) if a.option == YES]
+        return " | ".join([self.text or "", *(a.question.subjects[0].words for a in said)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,8 @@ def choose_question(
     buildings: dict[str, float] = defaultdict(float)
     rooms: dict[str, float] = defaultdict(float)
     for m in modes:
-        buildings[m.building or m.scene] += m.probability
+        if m.scene:
+            buildings[m.building or m.scene] += m.probability
         if m.scene == modes[0].scene:
             rooms[m.room] += m.probability
     for label, shares, words in ((BUILDING, buildings, "{}"), (ROOM, rooms, "the {}")):

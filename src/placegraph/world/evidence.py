@@ -17,7 +17,7 @@ from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Stateme
 from placegraph.indoor.map.floor import find_storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
-from placegraph.outdoor.search.ask import NO, YES, Answer, Subject
+from placegraph.outdoor.search.ask import NO, YES
 from placegraph.world.estimate import BUILDING, ROOM
 from placegraph.world.sentence import FloorStatement, ParsedSentence, compare_floors, parse_sentence
 
@@ -292,14 +292,8 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
             labels = tuple(every)
     towns = world.towns
     parsed = parse_sentence(query.text, towns, labels, query.heading, names, query.language)
-    # a building without a scene is in sight of who is in it
-    others = [a for name, a in query.answers_about(BUILDING) if name not in names]
-    in_sight = [
-        Answer(replace(a.question, subjects=(Subject(a.question.subjects[0].words),)), a.option)
-        for a in others
-    ]
     of_city = [a for a in query.answers if a.question.subjects[0].label not in (BUILDING, ROOM)]
-    query = replace(query, answers=(*of_city, *in_sight))
+    query = replace(query, answers=of_city)
     found: dict[str, TownMatch] = {}
     obstacles: dict[str, None] = {}
     for name, outside in parsed.outside.items():
@@ -366,7 +360,7 @@ class _SceneScorer:
         answers = tuple(
             Evidence(f"{a.question.text} {a.option}", "for" if a.option == YES else "against",
                      NAME_RATIO if a.option == YES else -NAME_RATIO)
-            for known, a in self.query.answers_about(BUILDING) if known in names
+            for a in self.query.answers_about(BUILDING) if a.question.subjects[0].words in names
         )  # fmt: skip
         answered = sum(e.weight for e in answers)
         inside = self.inside.scenes[name] if self.inside else 0.0
@@ -409,7 +403,8 @@ def add_room_answers(parsed: ParsedSentence | None, query: WorldQuery) -> Parsed
         return parsed
     parsed = parsed or ParsedSentence("", {}, None)
     sentence = parsed.inside or Sentence(query.text or "")
-    for name, answer in answers:
+    for answer in answers:
+        name = answer.question.subjects[0].words
         room = Mention(f"the {name}", name, room=room_kind(name))
         text = f"{answer.question.text} {answer.option}"
         row = (len(sentence.mentions),)

@@ -16,7 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
-from placegraph.outdoor.map.objects import LINE, POINT, find_hidden, find_labelled
+from placegraph.outdoor.map.objects import POINT, find_hidden, find_labelled
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -43,8 +43,8 @@ _REACH = {"city": 20_000.0, "district": 3000.0}
 """Largest distance from the point that stands for a place, to lie in it [m]."""
 CORNER = 30.0
 """Largest distance of a corner from both of its streets [m]."""
-_LANDMARKS = frozenset(("amenity", "building", "historic", "leisure", "office", "railway", "shop",
-                        "tourism"))  # fmt: skip
+_LANDMARKS = frozenset(("amenity", "building", "historic", "leisure", "office", "shop", "tourism"))
+_STOPS = frozenset(f"railway={v}" for v in ("halt", "station", "subway_entrance", "tram_stop"))
 """Keys of what is near a place; people stand in a park or on a square."""
 _GROUNDS = frozenset(("place=square", "leisure=park", "leisure=garden"))
 LEAST, SUGGESTED = 0.01, 0.05
@@ -103,17 +103,12 @@ class Gazetteer:
         """(N,) whether an object has a name that tells people where they are."""
         labels, firsts = self.city.objects.labels, self.city.objects.label_starts[:-1]
         known = [
-            label in _GROUNDS or label.partition("=")[0] in _LANDMARKS | {"highway"}
+            label in _GROUNDS | _STOPS or label.partition("=")[0] in _LANDMARKS | {"highway"}
             for label in labels
         ]
         found: NDArray[np.bool_] = np.array(known)[self.city.objects.label_values[firsts]]
-        found &= self.named
-        tracks = [label.startswith("railway=") for label in labels]
-        found &= ~np.array(tracks)[self.city.objects.label_values[firsts]] | (
-            self.city.objects.kind != LINE
-        )
         found[find_hidden(self.city.objects)] = False
-        return found
+        return found & self.named
 
     @cached_property
     def towns(self) -> dict[str, NDArray[np.int64]]:
@@ -248,7 +243,7 @@ class Gazetteer:
         grounds = [r for r in near if objects.label(r) in _GROUNDS and away[r] == 0.0]
         where = objects.name(grounds[0]) if grounds else where
         others = (objects.name(r) for r in near
-                  if objects.label(r).partition("=")[0] in _LANDMARKS
+                  if (objects.label(r).partition("=")[0] in _LANDMARKS or objects.label(r) in _STOPS)
                   and not objects.name(r)[0].isdigit())  # fmt: skip  # a house number
         beside = next((f"near {name}" for name in others if name not in {where, *names}), "")
         town = self.find_towns(at).get("city")
