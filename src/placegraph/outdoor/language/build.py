@@ -397,7 +397,7 @@ class GraphBuilder:
         first, alone = items[0], len(items) == 1
         if isinstance(first, PlacePhrase):
             leg = first.distance is not None and first.how in ("towards", "away")
-            further = bool(self.walk.way.said) and leg and not first.targets
+            further = bool(self.walk.way.statements) and leg and not first.targets
             if (self.walking or further) and not opens:  # "then west"
                 self.walk.go(items, "GO", context)
             else:  # "..., but not near the church"

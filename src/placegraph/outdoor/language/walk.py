@@ -37,7 +37,7 @@ class Way:
     """Node at which it starts."""
     legs: list[tuple[float, float | None]] = field(default_factory=list)
     """Bearing [rad] and length [m] of every leg; None where no length was said."""
-    said: list[Statement] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
     """Statements about it, which one about its end replaces."""
 
     def turn(self, direction: Direction) -> bool:
@@ -122,9 +122,9 @@ class Walk:
         start, sure = self.way.start, WALKED
         end: tuple[Direction, float | None] | None = self.way.find_end()
         if end is not None:
-            texts = dict.fromkeys((*[s.text for s in self.way.said], context.text))
+            texts = dict.fromkeys((*[s.text for s in self.way.statements], context.text))
             context = replace(context, text=", ".join(texts))
-            self.legs -= sum(s.distance is None for s in self.way.said)
+            self.legs -= sum(s.distance is None for s in self.way.statements)
         elif place.how == "away" or place.direction.facing:
             self.places.reason = INSTRUCTION
             return
@@ -138,18 +138,18 @@ class Walk:
             context, Relation.DIRECTION, SPEAKER, start,
             direction=end[0], distance=end[1], certainty=sure,
         )  # fmt: skip
-        if len(statements) > n and end[1] is not None and self.way.said:
-            self._replace_said(self.way.said, statements.pop())
+        if len(statements) > n and end[1] is not None and self.way.statements:
+            self._replace_statements(self.way.statements, statements.pop())
         else:
-            self.way.said += statements[n:]
+            self.way.statements += statements[n:]
 
-    def _replace_said(self, said: list[Statement], end: Statement) -> None:
+    def _replace_statements(self, old: list[Statement], end: Statement) -> None:
         """Let one statement about the end of the way stand for those about its legs."""
         statements = self.places.statements
-        statements[statements.index(said[0])] = end
-        for leg in said[1:]:
+        statements[statements.index(old[0])] = end
+        for leg in old[1:]:
             statements.remove(leg)
-        self.way.said = [end]
+        self.way.statements = [end]
 
     def join(self, first: int) -> None:
         """Join measured directions from one thing, from a statement on, as legs of one way.
@@ -169,7 +169,9 @@ class Walk:
             self.way = Way(legs[0].target, ways, [legs[0]])
             end = self.way.find_end()
             if len(legs) > 1 and end is not None:
-                self._replace_said(legs, replace(legs[0], bearing=end[0].bearing, distance=end[1]))
+                self._replace_statements(
+                    legs, replace(legs[0], bearing=end[0].bearing, distance=end[1])
+                )
 
     def _meet(self, noun: NounPhrase, travel: str, context: ClauseContext) -> None:
         """Relate a thing that is met on the way."""
