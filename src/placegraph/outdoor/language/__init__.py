@@ -2,12 +2,11 @@
 
 from placegraph.outdoor.language.build import describe
 from placegraph.outdoor.language.language_model import LanguageModelDescriber
-from placegraph.outdoor.language.words import NameFinder, Words, normalise, tokens
+from placegraph.outdoor.language.words import NameFinder, normalise, tokens
 
 __all__ = [
     "LanguageModelDescriber",
     "NameFinder",
-    "Words",
     "describe",
     "normalise",
     "tokens",

@@ -31,7 +31,7 @@ from placegraph.outdoor.language.statements import (
 )
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.walk import Walk
-from placegraph.outdoor.language.words import ROADS, NameFinder, Words, normalise, tokens
+from placegraph.outdoor.language.words import ROADS, NameFinder, normalise, tokens
 
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
@@ -49,7 +49,7 @@ _SUFFIX, _LABEL = re.compile(r"['’]\w+"), re.compile(r"\S*[=_]\S*")
 def describe(
     text: str,
     *,
-    vocabulary: Words | None = None,
+    vocabulary: Vocabulary | None = None,
     names: NameFinder | None = None,
     heading: float | None = None,
     language: str | None = None,
@@ -88,10 +88,8 @@ def describe(
     """
     check_text(text)
     vocabulary = vocabulary or Vocabulary.default()
-    sources = vocabulary.sources if isinstance(vocabulary, Vocabulary) else None
-    folder, things = (sources.folder, sources.words.english) if sources else (None, ())
-    cleaned = clean(text)
-    parts = find_stretches(cleaned, language, folder, things)
+    cleaned, sources = clean(text), vocabulary.sources
+    parts = find_stretches(cleaned, language, sources.folder, sources.words.english)
     sites = names.find_sites(cleaned) if names else []
     sentences = [
         (sentence, part.language)
@@ -221,9 +219,8 @@ class GraphBuilder:
 
         The place is near what no mention speaks of: "Marktplatzbrunnen", names in an unknown language.
         """
-        known, mentions = self.references.vocabulary, self.references.mentions
-        if isinstance(known, Vocabulary) and language.code != "en":
-            known = known.of(language)
+        vocabulary, mentions = self.references.vocabulary, self.references.mentions
+        known = vocabulary if language.code == "en" else vocabulary.of(language)
         lists = language.lists
         prefixes = lists.get("street_prefixes", ROADS) | lists.get("place_prefixes", ROADS)
         roads = lists["street_suffixes"] | lists["road_words"] | ROADS

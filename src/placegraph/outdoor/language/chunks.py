@@ -21,7 +21,7 @@ from placegraph.outdoor.language.scan import (
 )
 from placegraph.outdoor.language.vocabulary import LanguageWords, Vocabulary
 from placegraph.outdoor.language.word_order import order_chunks
-from placegraph.outdoor.language.words import NameFinder, Words, fold
+from placegraph.outdoor.language.words import NameFinder, fold
 
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")
@@ -53,7 +53,11 @@ class Chunker:
     """
 
     def __init__(
-        self, text: str, language: Language, vocabulary: Words, names: NameFinder | None
+        self,
+        text: str,
+        language: Language,
+        vocabulary: Vocabulary | LanguageWords,
+        names: NameFinder | None,
     ) -> None:
         self.text, self.vocabulary = text, vocabulary
         self.proper = ProperNames(text, language, vocabulary, names)
@@ -314,7 +318,7 @@ class InflectedChunker(Chunker):
 def find_sentences(
     text: str,
     part: Stretch,
-    vocabulary: Words,
+    vocabulary: Vocabulary,
     names: NameFinder | None,
     sites: Sequence[tuple[int, int]],
 ) -> Iterator[list[Chunk]]:
@@ -331,8 +335,7 @@ def find_sentences(
         for sentence in scan_english(text[: part.end], part.language, inside, sites, part.start):
             yield from map(chunker.chunks, chunker.split_label(sentence))
         return
-    known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
-    inflected = InflectedChunker(text, part.language, known.of(part.language), names)
+    inflected = InflectedChunker(text, part.language, vocabulary.of(part.language), names)
     span = (part.start, part.end)
     named = inflected.find_names(span)
     for sentence in scan_any(text, part.language, inflected.is_word, span, named, sites):

@@ -18,7 +18,8 @@ from placegraph.outdoor.language.description import (
     Statement,
     find_conflicts,
 )
-from placegraph.outdoor.language.words import NameFinder, Words
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.language.words import NameFinder
 
 LONGEST_ANSWER = 1_000_000
 """Bytes of the longest answer."""
@@ -111,7 +112,7 @@ class LanguageModelDescriber:
         self,
         text: str,
         *,
-        vocabulary: Words | None = None,
+        vocabulary: Vocabulary | None = None,
         names: NameFinder | None = None,
         heading: float | None = None,
     ) -> Description:
@@ -128,10 +129,6 @@ class LanguageModelDescriber:
         """
         del names
         check_text(text)
-        if vocabulary is None:
-            from placegraph.outdoor.language.vocabulary import Vocabulary
-
-            vocabulary = Vocabulary.default()
         facing = (
             'The speaker\'s heading is not known: put "left", "behind" and the like under "ignored".'
             if heading is None
@@ -155,7 +152,7 @@ class LanguageModelDescriber:
                 f"{self.base_url}: the language model's answer is not JSON ({error}). Ask "
                 f"again, or use a larger model than {self.model!r}."
             ) from error
-        return Answer(content, self.base_url).describe(text, vocabulary)
+        return Answer(content, self.base_url).describe(text, vocabulary or Vocabulary.default())
 
     def _post(self, body: bytes) -> bytes:
         from http.client import HTTPException
@@ -212,7 +209,7 @@ class Answer:
         self._check(content, SCHEMA, "answer")
         self.content: Any = content
 
-    def describe(self, text: str, vocabulary: Words) -> Description:
+    def describe(self, text: str, vocabulary: Vocabulary) -> Description:
         """Return the query graph that the answer stands for."""
         things = self.content["things"]
         nouns = ["", "", *(str(thing.get("noun", "")).lower() for thing in things)]

@@ -7,7 +7,8 @@ import re
 from placegraph.language.text import Terminal, Word
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.languages import Language
-from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
+from placegraph.outdoor.language.vocabulary import LanguageWords, Vocabulary
+from placegraph.outdoor.language.words import NameFinder, fold, tokens
 
 Known = tuple[int, tuple[Terminal, ...]]
 """Words of a phrase that the grammar knows, and its terminals."""
@@ -44,7 +45,11 @@ class ProperNames:
     """
 
     def __init__(
-        self, text: str, language: Language, vocabulary: Words, names: NameFinder | None
+        self,
+        text: str,
+        language: Language,
+        vocabulary: Vocabulary | LanguageWords,
+        names: NameFinder | None,
     ) -> None:
         self.text, self.vocabulary, self.names = text, vocabulary, names
         self.lexicon, self.lists = language, language.lists

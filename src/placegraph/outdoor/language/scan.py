@@ -15,7 +15,8 @@ from typing import NamedTuple
 from placegraph.core.cache import load_or_make
 from placegraph.language.text import Word, fold_case, scan_text
 from placegraph.outdoor.language.languages import Language, english, language, tables
-from placegraph.outdoor.language.words import NameFinder, Words, singular, spell_sounds, tokens
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.language.words import NameFinder, singular, spell_sounds, tokens
 
 VERSION = "2"
 """Version of the cached data."""
@@ -483,7 +484,7 @@ def is_shouting(sentence: list[Word]) -> bool:
 
 
 def find_labels(
-    text: str, vocabulary: Words, names: NameFinder | None
+    text: str, vocabulary: Vocabulary, names: NameFinder | None
 ) -> Iterator[tuple[int, int]]:
     """Find the labels of sentences of the paper's form: (start, end) of each, in order."""
     for sentence in _SENTENCE.finditer(text):
@@ -492,7 +493,7 @@ def find_labels(
                 yield sentence.span(end)
 
 
-def _is_label(label: str, vocabulary: Words, names: NameFinder | None) -> bool:
+def _is_label(label: str, vocabulary: Vocabulary, names: NameFinder | None) -> bool:
     if "_" in label or "=" in label:
         return " " not in label
     words = tokens(label)

@@ -19,7 +19,8 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.language.grammar import NounPhrase, Place
 from placegraph.outdoor.language.proper_names import LONGEST_NOUN
-from placegraph.outdoor.language.words import Words, normalise, singular, tokens
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.language.words import normalise, singular, tokens
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.languages import Language
@@ -46,7 +47,7 @@ class References:
     """
 
     def __init__(
-        self, text: str, language: Language, vocabulary: Words, sites: Collection[str] = ()
+        self, text: str, language: Language, vocabulary: Vocabulary, sites: Collection[str] = ()
     ) -> None:
         self.text, self.language, self.vocabulary = text, language, vocabulary
         self.sites = sites

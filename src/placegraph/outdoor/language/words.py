@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from placegraph.language.text import fold_case
-from placegraph.outdoor.language.description import Sense
 
 
 def _read_pairs(text: str) -> dict[str, str]:
@@ -176,27 +175,6 @@ def beginnings(phrases: Iterable[str]) -> frozenset[str]:
             found.add(phrase[:at])
             at = phrase.find(" ", at + 1)
     return frozenset(found)
-
-
-class Words(Protocol):
-    """Vocabulary, as far as the chunker needs it."""
-
-    def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Return labels a phrase may stand for, likeliest first."""
-
-    def longest_match(
-        self, tokens: Sequence[str], start: int = 0
-    ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Return the longest phrase that begins at `start`: number of words and senses.
-
-        There are none for a word that is known and that no map draws.
-        """
-
-    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Return the most similar known phrase and its similarity in [0, 1]."""
-
-    def explain_unknown(self, phrase: str) -> str:
-        """Say why a phrase has no senses."""
 
 
 class NameFinder(Protocol):

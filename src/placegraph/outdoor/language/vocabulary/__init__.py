@@ -44,7 +44,7 @@ class DictionaryEntry(NamedTuple):
 
 
 class LanguageWords:
-    """Words of one language, as far as the chunker needs them (`words.Words`).
+    """Words of one language, as far as the chunker needs them.
 
     Parameters
     ----------
@@ -107,16 +107,6 @@ class LanguageWords:
             if found is not None and found.senses[0].weight >= (_CLEAR if n == 1 else 0.0):
                 return n, found.senses
         return None
-
-    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Return the most similar known phrase; none is guessed in other languages than English."""
-        del phrase, cutoff
-        return None
-
-    def explain_unknown(self, phrase: str) -> str:
-        """Say why a phrase has no senses."""
-        del phrase
-        return "unknown word"
 
     def contains(self, word: str) -> bool:
         """Tell whether a word or phrase is one of things, in any form."""
