@@ -94,7 +94,7 @@ def folder_kind(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # what th
 
 
 def open_folder(path: str | os.PathLike[str], **options: Any) -> Any:  # noqa: ANN401  # of the plugin
-    """Open a sharded library (option `encoders`) or world (option `scheduler`) by its plugin."""
+    """Open a sharded library (option `encoders`) or world (`scheduler`, `memory`) by its plugin."""
     return folder_kind(path).open(path, **options)
 
 

@@ -53,7 +53,8 @@ def locate(
     budget: Annotated[
         float | None,
         Option(
-            help="World in shards: time limit [s], after which the best answer so far is returned."
+            help="World in shards: time limit [s], after which the best answer so far is returned; 2 s, "
+            "but at least 68 shards, if not given."
         ),
     ] = None,
     scheduler: Annotated[
@@ -62,6 +63,10 @@ def locate(
     ] = None,
     keep: Annotated[
         Path | None, Option(help="Local folder for the parts fetched from a world at a URL.")
+    ] = None,
+    memory: Annotated[
+        str | None,
+        Option(help="World in shards: memory of this process for open shards, such as 4GB."),
     ] = None,
     as_json: AsJson = False,
     quiet: NoProgress = False,
@@ -82,7 +87,7 @@ def locate(
         raise OptionError("--frames applies only to captures; give one with --capture.")
     with progress_of(hidden=quiet or as_json) as tell:
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
-        opened = open_world(world, scheduler=scheduler, keep=keep)
+        opened = open_world(world, scheduler=scheduler, keep=keep, memory=memory)
         estimate = opened.locate(
             text, shown, seed=seed, refine=refine, device=device, progress=tell, budget=budget,
             **location_prior(near, prior),

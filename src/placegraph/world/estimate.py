@@ -49,7 +49,7 @@ class WorldQuery:
     language: str | None = None
     progress: Progress | None = None
     budget: float | None = None
-    """Time budget of worlds in shards [s]."""
+    """Time budget of worlds in shards [s]; if not given, 2 s, and longer for the likeliest shards."""
 
     def __post_init__(self) -> None:
         if self.text is None and self.capture is None and self.near is None:

@@ -234,6 +234,7 @@ def open_world(
     opener: Callable[[Path], Any] | None = None,
     scheduler: str | None = None,
     keep: str | os.PathLike[str] | None = None,
+    memory: str | float | None = None,
 ) -> World:
     """Open the maps of a folder, or of several folders and files, as one world.
 
@@ -253,6 +254,9 @@ def open_world(
     keep
         Folder of this machine for the world in shards that lies at a URL (``s3://...``): what it does
         not hold yet is fetched into it first.
+    memory
+        Memory that open shards take in this process, such as ``"4GB"``: those not used for longest are
+        closed. Pages of memory-mapped files do not count.
 
     Raises
     ------
@@ -261,8 +265,8 @@ def open_world(
     MapError
         Map files are damaged or have one name: the message names all, each with its mend.
     OptionError
-        A place is a URL and `keep` is not given, or several are; `keep` or `scheduler` is given, and
-        nothing is there that takes it.
+        A place is a URL and `keep` is not given, or several are; `keep`, `scheduler` or `memory` is given,
+        and nothing is there that takes it; `memory` is no size.
     MissingExtraError, ServiceError
         The scheduler takes Dask, which is not installed; or it does not answer.
 
@@ -273,12 +277,13 @@ def open_world(
     if keep is not None or any(map(is_url, given)):
         given = load_module("placegraph_scale.folder", "scale").fetch_places(given, keep)
     found = check_map_files([Path(place) for place in given])
-    if scheduler is not None and not found.paths["world"]:
-        raise OptionError(
-            f"scheduler: it applies only to worlds in shards, but {given[0]} contains none; "
-            "remove it, or build one with `placegraph world build`."
-        )
-    opener = opener or partial(open_map_or_world, scheduler=scheduler)
+    for option, value in (("scheduler", scheduler), ("memory", memory)):
+        if value is not None and not found.paths["world"]:
+            raise OptionError(
+                f"{option}: it applies only to worlds in shards, but {given[0]} contains none; "
+                "remove it, or build one with `placegraph world build`."
+            )
+    opener = opener or partial(open_map_or_world, scheduler=scheduler, memory=memory)
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
@@ -300,6 +305,9 @@ def open_world(
     )  # fmt: skip
 
 
-def open_map_or_world(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
-    """Open a file or folder of `maps.find_map_files`; raises as `open_map` and `open_world`."""
-    return open_folder(path, scheduler=scheduler) if is_world(path) else open_map(path)
+def open_map_or_world(path: Path, **options: Any) -> Any:  # noqa: ANN401  # any map, or a planet
+    """Open a file or folder of `maps.find_map_files`; raises as `open_map` and `open_world`.
+
+    `options` are the `scheduler` and the `memory` of a world in shards.
+    """
+    return open_folder(path, **options) if is_world(path) else open_map(path)

@@ -129,13 +129,6 @@ def test_viewpoints_lie_on_a_grid_tile_by_tile(real_city):
     assert len(np.unique(positions, axis=0)) == len(positions)
 
 
-def test_positions_of_some_are_those_of_all(real_city, rng, monkeypatch):
-    rows = sample(real_city, rng, 40)
-    monkeypatch.setattr("placegraph.outdoor.map.index.FEW", 0)
-    few = ViewIndex(real_city.views.columns, real_city.views.share).positions_of(rows)
-    np.testing.assert_array_equal(few, real_city.views.positions[rows])
-
-
 def postings(views, token):
     """Viewpoint, run and share of every posting of a token."""
     c = views.columns

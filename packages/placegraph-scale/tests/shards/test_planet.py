@@ -189,6 +189,41 @@ def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, st
         assert "The time limit was reached" in found.reason
 
 
+def test_a_search_without_a_budget_ends_after_two_rounds(planet, monkeypatch):
+    whole = planet.locate(TEXTS[0])
+    for name in ("FIRST", "GROWTH"):
+        monkeypatch.setattr(f"placegraph_scale.shards.search.{name}", 2)
+    assert planet.locate(TEXTS[0]).reason == whole.reason
+    monkeypatch.setattr("placegraph_scale.shards.search.BUDGET", 0.0)
+    late = planet.locate(TEXTS[0])
+    assert late.status is not Status.OK
+    assert "The time limit was reached" in late.reason
+    assert late.reason.endswith("Searched 6 of 16 shards.")
+
+
+def test_memory_closes_shards(sharded):
+    roomy, tight = (pg.open_world(sharded, memory=memory) for memory in ("1 GB", 1e4))
+    assert tight.locate(TEXTS[4]).to_dict() == roomy.locate(TEXTS[4]).to_dict()
+    sizes = shards_of(roomy).pool.cache._sizes
+    assert len(sizes) > 1
+    assert all(1e4 < size < 1e7 for size in sizes.values())
+    assert len(shards_of(tight).pool.cache._open) == 1
+
+
+@pytest.mark.parametrize("memory", ["", "four", "-1GB", "0", "1.2.3MB", "4 GiB"])
+def test_a_memory_that_is_no_size_is_refused(sharded, memory):
+    with pytest.raises(OptionError, match="memory"):
+        pg.open_world(sharded, memory=memory)
+
+
+def test_memory_goes_with_this_process_and_with_shards(sharded, tmp_path):
+    with pytest.raises(OptionError, match="--memory-limit"):
+        pg.open_world(sharded, memory="1GB", scheduler="tcp://127.0.0.1:1")
+    (tmp_path / "none").mkdir()
+    with pytest.raises(OptionError, match="memory: it applies only to worlds in shards"):
+        pg.open_world([next(sharded.glob("shards/*.city"))], memory="1GB")
+
+
 def test_a_table_of_another_world_is_refused(world):
     path = world / "words.table"
     path.write_bytes(path.read_bytes() + b"x")

@@ -30,7 +30,7 @@ def serve(
     from placegraph_serve.app import serve as run
     from placegraph_serve.places import Places
 
-    found = Places(places, options.get("scheduler"))
+    found = Places(places, options.get("scheduler"), options.get("memory"))
 
     def ready(url: str) -> None:
         names = ", ".join(entry.name for entry in found.entries())

@@ -82,6 +82,12 @@ class ServeOptions:
         "the server searches them.",
         flag="--scheduler",
     )
+    memory: str | None = option(
+        None,
+        "Memory of each process of the server for open shards of worlds, such as 4GB; shards not "
+        "used for longest are closed.",
+        flag="--memory",
+    )
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -51,6 +51,8 @@ class Places:
         shards, with what else lies in their folders.
     scheduler
         Address of a Dask scheduler whose workers search worlds in shards; this process if not given.
+    memory
+        Memory of this process for open shards, as in `open_world`.
 
     Raises
     ------
@@ -59,20 +61,26 @@ class Places:
     MapError
         A file is no map.
     OptionError
-        A scheduler is given, and there is no world in shards.
+        A scheduler or a memory is given, and there is no world in shards.
 
     """
 
-    def __init__(self, paths: Sequence[str | PathLike[str]], scheduler: str | None = None) -> None:
+    def __init__(
+        self,
+        paths: Sequence[str | PathLike[str]],
+        scheduler: str | None = None,
+        memory: str | None = None,
+    ) -> None:
         self.paths = tuple(Path(path) for path in paths)
-        self.scheduler = scheduler
+        self.options = {"scheduler": scheduler, "memory": memory}
         self._cached: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
-        if not check_map_files(self.paths).paths["world"] and scheduler is not None:
-            raise OptionError(
-                "scheduler: it applies only to worlds in shards, but none is served; remove "
-                "it, or serve a world built with `placegraph world build`."
-            )
+        for option, value in self.options.items():
+            if value is not None and not check_map_files(self.paths).paths["world"]:
+                raise OptionError(
+                    f"{option}: it applies only to worlds in shards, but none is served; remove "
+                    "it, or serve a world built with `placegraph world build`."
+                )
         self._entries = self._find_entries()
 
     def entries(self) -> tuple[Entry, ...]:
@@ -104,7 +112,7 @@ class Places:
         cached = self._cached.get(path)
         if cached is None or cached[0] != state:
             try:
-                cached = self._cached[path] = state, open_map_or_world(path, self.scheduler)
+                cached = self._cached[path] = state, open_map_or_world(path, **self.options)
             except PlacegraphError as error:
                 raise type(error)(without_folder(error, path)) from error
         return cached[1]

@@ -96,7 +96,8 @@ def run(connection: Connection, setting: Setting) -> None:
     warnings.simplefilter("ignore")
     cache.FOLDERS.choose(setting.compiled)
     try:
-        dispatcher = Dispatcher(Places(setting.paths, setting.options.scheduler), setting.options)
+        options = setting.options
+        dispatcher = Dispatcher(Places(setting.paths, options.scheduler, options.memory), options)
         answer(dispatcher, setting.warm, None)
         connection.send((b"", None))
         while True:

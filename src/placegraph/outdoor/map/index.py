@@ -30,6 +30,7 @@ from placegraph.outdoor.map.index_kernels import (
     collect_visible,
     mark_isolated,
     mark_viewpoints,
+    place_views,
     runs_of,
     sort_postings,
 )
@@ -315,8 +316,6 @@ FADE = WIDTH
 """Width of the fall around `SIGHT` [m]."""
 REACH = REACHED
 """Beyond this distance a thing is not listed at a viewpoint [m]."""
-FEW = 500_000
-"""The positions of no more viewpoints than this are kept at hand."""
 _AROUND = 2
 """Points of the grid to every side among which the nearest viewpoint within `STRIDE` is."""
 
@@ -416,24 +415,12 @@ class ViewIndex:
     @cached_property
     def positions(self) -> NDArray[np.float32]:
         """(W, 2) east, north of all viewpoints [m]; tile after tile, and row by row within each."""
-        return self._at(*np.nonzero(_bits(self.columns.present)))
+        return self.positions_of(np.arange(len(self)))
 
     def positions_of(self, rows: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
         """Return the positions (K, 2) of viewpoints (K,), east and north [m]."""
-        if len(rows) > len(self) // 8 or len(self) <= FEW:
-            return self.positions[rows]
-        tile = np.searchsorted(self.columns.first, rows, side="right") - 1
-        rank = np.asarray(rows) - self.columns.first[tile]
-        upto = np.cumsum(_bits(self.columns.present[tile]), axis=1, dtype=np.int8)
-        return self._at(tile, np.argmax(upto > rank[:, None], axis=1))
-
-    def _at(
-        self, tile: NDArray[np.integer[Any]], slot: NDArray[np.integer[Any]]
-    ) -> NDArray[np.float32]:
-        east, north, stride, width = self.columns.grid
-        line, column = np.divmod(self.columns.tiles[tile], width)
-        x = east + (column * SIDE + slot % SIDE) * stride
-        return np.stack([x, north + (line * SIDE + slot // SIDE) * stride], 1).astype(np.float32)
+        found: NDArray[np.float32] = place_views(self.columns, np.asarray(rows, np.int64))
+        return found
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Return the share of tokens in all objects in sight, over all viewpoints."""
@@ -495,12 +482,6 @@ class ViewIndex:
 def _farther(delta: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Return the larger of the distances in east and in north of differences (..., 2)."""
     return np.maximum(np.abs(delta[..., 0]), np.abs(delta[..., 1]))
-
-
-def _bits(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Unpack bits (n, 64) of numbers (n,), the lowest first."""
-    in_bytes = numbers.astype("<i8").view(np.uint8).reshape(-1, 8)
-    return np.unpackbits(in_bytes, axis=1, bitorder="little")
 
 
 _IN_BYTE = np.array([i.bit_count() for i in range(256)], np.uint8)

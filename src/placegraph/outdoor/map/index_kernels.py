@@ -197,6 +197,16 @@ def tile_of(views, view):
     return low, slot_of(bits)
 
 
+@kernel
+def place_views(views, rows):
+    """Return east and north (K, 2) of viewpoints (K,) [m]."""
+    out = np.empty((len(rows), 2), np.float32)
+    for k in range(len(rows)):
+        tile, slot = tile_of(views, rows[k])
+        out[k, 0], out[k, 1] = place_of(views, tile, slot)
+    return out
+
+
 @kernel(_nrt=False)
 def most_objects(views):
     """Return a number of things no smaller than that in sight of any tile: the most bytes of one."""

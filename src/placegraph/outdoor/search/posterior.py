@@ -96,7 +96,7 @@ def find_candidates(request: Request, samples: int = MAX_SAMPLES, least: float =
     those, unless the text mentions objects out of sight, which add to the bound.
     """
     query, views, source = request.query, request.city.views, request.matching.source
-    weights = np.exp(request.log_prior - request.highest)
+    weights = np.exp(request.log_prior.astype(np.float64) - request.highest)
     if source == "sparse":
         most = MAX_DISTANT_CANDIDATES if query.distant else MAX_CANDIDATES
         rows, bounds, multiplicity = find_views_by_bound(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from placegraph.world.world import World
 
 ALONE = "one process"
+LONG = 1e6  # budget of a search that is to end by itself [s]
 
 
 WORKED = (
@@ -89,7 +90,7 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     """
     trips: list[int] = []
     for text in texts:
-        planet.locate(text).to_dict()
+        planet.locate(text, budget=LONG).to_dict()
     town: Any = planet.planets[name]
     crew = town.pool
     client: Any = getattr(crew, "client", None)
@@ -105,7 +106,7 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     for k, text in enumerate(texts):
         if killed and k == len(texts) // 2:
             os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
-        answers.append(planet.locate(text).to_dict())
+        answers.append(planet.locate(text, budget=LONG).to_dict())
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     after = client.run(time.process_time) if client else {}
     work = [now - before.get(worker, 0.0) for worker, now in after.items()]

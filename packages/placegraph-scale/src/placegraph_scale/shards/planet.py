@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.core.geometry import LocalPlane
-from placegraph.errors import MapError
+from placegraph.errors import MapError, OptionError
 from placegraph.outdoor.language.description import LISTENER, Description, ends
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.objects import LINE
@@ -50,7 +50,14 @@ from placegraph_scale.shards.steps import (
     distance,
 )
 from placegraph_scale.shards.words import WordTable
-from placegraph_scale.shards.workers import Cluster, LocalPool, ShardSource, WorkerPool
+from placegraph_scale.shards.workers import (
+    Cluster,
+    LocalPool,
+    ShardCache,
+    ShardSource,
+    WorkerPool,
+    parse_memory,
+)
 
 if TYPE_CHECKING:
     from placegraph.outdoor.search.ask import Question
@@ -281,10 +288,26 @@ class Planet:
         self.sources = _list_sources(file)
 
     @classmethod
-    def open(cls, folder: str | PathLike[str], scheduler: str | None = None) -> Planet:
-        """Open a folder, to be searched by this process or by the workers of a Dask scheduler."""
+    def open(
+        cls,
+        folder: str | PathLike[str],
+        scheduler: str | None = None,
+        memory: str | float | None = None,
+    ) -> Planet:
+        """Open a folder, to be searched in the `memory` of this process, or by workers of a scheduler.
+
+        Raises `OptionError`: `memory` is no size, or a scheduler is given as well.
+        """
+        if memory is not None and scheduler is not None:
+            raise OptionError(
+                "memory: it applies to this process, but the workers of a scheduler search the "
+                "shards; start them with `dask worker --memory-limit`."
+            )
+        size = np.inf if memory is None else parse_memory(memory)
         file = WorldFile.read(folder)
-        return cls(file, None if scheduler is None else Cluster.at(scheduler, _list_sources(file)))
+        if scheduler is not None:
+            return cls(file, Cluster.at(scheduler, _list_sources(file)))
+        return cls(file, LocalPool(ShardCache(memory=size)))
 
     @staticmethod
     def summarize(folder: str | PathLike[str]) -> dict[str, int]:

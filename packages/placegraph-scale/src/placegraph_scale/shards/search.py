@@ -67,6 +67,8 @@ NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""
 FIRST, GROWTH = 4, 16
 """Shards of the first round, and how many times as large every other one is at most."""
+BUDGET = 2.0
+"""Time after which a search without a budget ends [s], if two rounds of shards were looked into."""
 FEWEST_DRAWN, EVENLY = 64, 8.0
 """Viewpoints of each shard that stand for all others: so many at least, or so many times its share."""
 FAR_OFF = 6.0
@@ -379,6 +381,7 @@ class Search:
 
     def run(self, shard_query: ShardQuery, log_mass: Floats, cores: Floats) -> CandidatePool:
         """Score candidates of all shards that matter; `log_mass` (N,) is the shards' prior."""
+        begun = monotonic()
         self.reach = log_mass + bound_weights(
             shard_query.query, self.table, even=shard_query.fix is None
         )
@@ -407,6 +410,8 @@ class Search:
                 self.searched.add(row)
             self._compare(candidates, candidates.list_unscored(0))
             first, size = last, GROWTH * size
+            if self.deadline is None and first > FIRST:
+                self.deadline = begun + BUDGET
         late, self.deadline = self.deadline, None
         self._compare(
             candidates, candidates.list_unscored(candidates.drawn), candidates.list_best()

@@ -257,27 +257,40 @@ class Shard:
     requests: dict[str, Request] = field(default_factory=dict)
     """Request of the last query, by its key: other steps begin with that."""
 
+    @property
+    def places(self) -> Floats:
+        """(W, 2) east, north of all viewpoints [m]; not cached, since a process holds many shards."""
+        views = self.city.views
+        return views.positions_of(np.arange(len(views))).astype(np.float64)
+
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
         """Which viewpoints (W,) lie in the core."""
-        places = self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
-        return are_in_tile(places, self.key)
+        return are_in_tile(self.city.plane.to_lonlat(self.places), self.key)
 
     @cached_property
-    def texts(self) -> list[str]:
-        """Text of each token, as of `WordTable.text`."""
+    def _tokens(self) -> tuple[dict[str, int], dict[str, int]]:
+        """Tokens by label, and by name."""
         o = self.city.objects
-        return [*o.labels, *(f"~{name}" for name in o.names)]
+        return (
+            {label: i for i, label in enumerate(o.labels)},
+            {name: len(o.labels) + i for i, name in enumerate(o.names)},
+        )
 
-    @cached_property
-    def tokens(self) -> dict[str, int]:
-        """Tokens by text."""
-        return {word: i for i, word in enumerate(self.texts)}
+    def find_token(self, text: str) -> int:
+        """Return the token of a text, as of `WordTable.text`; -1 for none."""
+        labels, names = self._tokens
+        return names.get(text[1:], -1) if text[:1] == "~" else labels.get(text, -1)
+
+    def token_text(self, token: int) -> str:
+        """Return the text of a token, as of `WordTable.text`."""
+        o, n = self.city.objects, len(self.city.objects.labels)
+        return o.labels[token] if token < n else f"~{o.names[token - n]}"
 
     def request(self, shard_query: ShardQuery) -> Request:
         """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints."""
         if shard_query.key not in self.requests:
-            prior = np.full(len(self.inside), -np.inf)
+            prior = np.full(len(self.inside), -np.inf, np.float32)
             if shard_query.fix is None:
                 prior[self.inside] = -np.log(shard_query.viewpoints)
             else:
@@ -295,7 +308,7 @@ class Shard:
 class _GivenPrior(LocationPrior):
     """A prior that is known of every viewpoint: the world's, and none outside the core."""
 
-    given: Floats | None = None
+    given: NDArray[np.float32] | None = None
     """(W,)"""
 
     @property
@@ -318,14 +331,13 @@ def _log_prior(shard: Shard, fix: Fix) -> Floats:
     """Return the log weight (V,) of a fix at the viewpoints of the core; see `LocationPrior.evaluate`."""
     near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
     sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
-    positions = shard.city.views.positions[shard.inside].astype(np.float64)
-    return np.asarray(-0.5 * (((positions - near) / sigma) ** 2).sum(axis=1))
+    return np.asarray(-0.5 * (((shard.places[shard.inside] - near) / sigma) ** 2).sum(axis=1))
 
 
 def _translate(shard: Shard, shard_query: ShardQuery) -> tuple[City, Query]:
     """Return city and query with one another's tokens and objects."""
     query = shard_query.query
-    rows = np.array([shard.tokens.get(word, -1) for word in shard_query.words], np.int32)
+    rows = np.array([shard.find_token(word) for word in shard_query.words], np.int32)
     known = rows >= 0
     before = np.concatenate(([0], np.cumsum(known))).astype(np.int64)
     mentions = MentionTokens(
@@ -423,7 +435,7 @@ def _append(o: CityObjects, rare_objects: Sequence[RareObject], plane: LocalPlan
 
 def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
     """Return the objects that bear any of these words and have their centre in the core."""
-    city, tokens = shard.city, [shard.tokens[w] for w in words if w in shard.tokens]
+    city, tokens = shard.city, [token for token in map(shard.find_token, words) if token >= 0]
     rows = np.unique(np.concatenate([np.zeros(0, np.int64), *city.bearers(np.array(tokens, int))]))
     centers = city.plane.to_lonlat(city.objects.center[rows].astype(np.float64))
     starts, values, _ = city.tokens
@@ -431,7 +443,7 @@ def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
     return [
         RareObject(
             int(o.osm_type[i]), int(o.osm_id[i]), int(o.kind[i]), o.label(i), o.name(i),
-            tuple(shard.texts[t] for t in values[starts[i] : starts[i + 1]]),
+            tuple(map(shard.token_text, values[starts[i] : starts[i + 1]].tolist())),
             tuple(city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)), center,
             min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
         )
@@ -446,7 +458,7 @@ def weigh_fix(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
     if not len(off):
         return -np.inf, -np.inf, False
     east_north = shard.city.plane.to_plane((fix.longitude, fix.latitude))
-    delta = np.abs(shard.city.views.positions[shard.inside] - east_north).max(axis=1)
+    delta = np.abs(shard.places[shard.inside] - east_north).max(axis=1)
     reached = bool((delta <= 4.0 * fix.radius + REACH).any())
     return float(off.max()), float(np.logaddexp.reduce(off)), reached
 
@@ -476,7 +488,7 @@ def compare(shard: Shard, shard_query: ShardQuery, chosen: Proposal) -> Candidat
     """Score candidates."""
     some = chosen.candidates(len(shard_query.query.used))
     scores = score_of(shard.request(shard_query), some, NO_MARGIN).scores.astype(np.float64)
-    return CandidateScores(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
+    return CandidateScores(scores, shard.city.views.positions_of(chosen.rows).astype(np.float64))
 
 
 def refine_positions(

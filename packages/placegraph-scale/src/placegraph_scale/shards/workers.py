@@ -7,18 +7,29 @@ shards at once: a task by way of the scheduler takes several times as long as th
 from __future__ import annotations
 
 import asyncio
+import re
+import sys
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from mmap import mmap
 from pathlib import Path
 from threading import Lock
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 from zlib import crc32
 
-from placegraph.errors import MapError, MissingExtraError, PlacegraphError, ServiceError
+import numpy as np
+
+from placegraph.errors import (
+    MapError,
+    MissingExtraError,
+    OptionError,
+    PlacegraphError,
+    ServiceError,
+)
 from placegraph_scale.folder import check_digest
 from placegraph_scale.shards.steps import STEPS, Proposal, Shard, choose_best
 
@@ -75,7 +86,11 @@ class ShardCache:
     """
 
     most: int = OPEN
+    memory: float = np.inf
+    """Bytes that open shards take at most, apart from pages of files that are mapped."""
     _open: OrderedDict[Path, tuple[str, Shard]] = field(default_factory=OrderedDict)
+    _sizes: dict[Path, int] = field(default_factory=dict)
+    """Bytes of each open shard, after its first step."""
     _lock: Lock = field(default_factory=Lock)
 
     def work(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> list[Any]:
@@ -101,7 +116,8 @@ class ShardCache:
         """Return the result of a step, or `Failure` where the shard is missing, damaged or too large."""
         with self._lock:
             try:
-                return STEPS[task.step](self.shard(task.source), *task.arguments)
+                found = STEPS[task.step](self.shard(task.source), *task.arguments)
+                self._close_unused(task.source.path)
             except PlacegraphError as error:
                 return Failure(str(error))
             except MemoryError:
@@ -109,6 +125,8 @@ class ShardCache:
                     f"{task.source.path} does not fit into the memory of this process; use a "
                     "smaller part."
                 )
+            else:
+                return found
 
     def shard(self, source: ShardSource) -> Shard:
         """Open a shard; raises `InputError` or `MapError`."""
@@ -124,9 +142,48 @@ class ShardCache:
             raise MapError(f"{source.path} is empty; build it again.")
         shard = Shard(source.key, city)
         self._open[source.path] = source.digest, shard
-        while len(self._open) > self.most:
-            self._open.popitem(last=False)
+        self._sizes.pop(source.path, None)
         return shard
+
+    def _close_unused(self, path: Path) -> None:
+        """Close shards that were not used for longest until the others fit, the shard at `path` included."""
+        if path not in self._sizes and self.memory < np.inf:
+            self._sizes[path] = count_bytes(self._open[path], set())
+        while len(self._open) > max(
+            1, self.most if sum(self._sizes.values()) <= self.memory else len(self._open) - 1
+        ):
+            closed, _ = self._open.popitem(last=False)
+            self._sizes.pop(closed, None)
+
+
+def count_bytes(value: Any, counted: set[int]) -> int:  # noqa: ANN401  # whatever a shard holds
+    """Count bytes of the arrays and texts of a value that are not memory-mapped and not `counted` by id."""
+    if id(value) in counted or isinstance(value, type):
+        return 0
+    counted.add(id(value))
+    if isinstance(value, np.ndarray):
+        base: Any = value
+        while isinstance(base, np.ndarray | memoryview):
+            base = base.obj if isinstance(base, memoryview) else base.base
+        return 0 if isinstance(base, mmap) else value.nbytes
+    if isinstance(value, dict):
+        return sys.getsizeof(value) + sum(
+            count_bytes(v, counted) for kv in value.items() for v in kv
+        )
+    if isinstance(value, tuple | list):
+        return sys.getsizeof(value) + sum(count_bytes(v, counted) for v in value)
+    size = sys.getsizeof(value) if isinstance(value, str) else 0
+    return size + count_bytes(getattr(value, "__dict__", None), counted)
+
+
+def parse_memory(memory: str | float) -> float:
+    """Return the bytes of a size such as "500MB" or "4GB"; `OptionError` where it is none."""
+    found = re.fullmatch(r"([\d.]+) *([kMGT]?)B?", str(memory).strip())
+    with suppress(ValueError):
+        size = 1e3 ** " kMGT".index(found[2] or " ") * float(found[1]) if found else 0.0
+        if size > 0.0:
+            return size
+    raise OptionError(f'memory is {memory!r}; give a size such as "500MB" or "4GB".')
 
 
 class WorkerPool(Protocol):
@@ -155,7 +212,7 @@ class LocalPool:
 
     def close(self) -> None:
         """Close all shards."""
-        self.cache = ShardCache(self.cache.most)
+        self.cache = ShardCache(self.cache.most, self.cache.memory)
 
 
 def connect(address: str, timeout: float = TIMEOUT) -> Client:
