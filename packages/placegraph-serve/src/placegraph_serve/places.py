@@ -75,8 +75,9 @@ class Places:
         self.options = {"scheduler": scheduler, "memory": memory}
         self._cached: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
+        worlds = check_map_files(self.paths).paths["world"]
         for option, value in self.options.items():
-            if value is not None and not check_map_files(self.paths).paths["world"]:
+            if value is not None and not worlds:
                 raise OptionError(
                     f"{option}: it applies only to worlds in shards, but none is served; remove "
                     "it, or serve a world built with `placegraph world build`."

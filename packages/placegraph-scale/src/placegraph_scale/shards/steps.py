@@ -290,7 +290,7 @@ class Shard:
     def request(self, shard_query: ShardQuery) -> Request:
         """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints."""
         if shard_query.key not in self.requests:
-            prior = np.full(len(self.inside), -np.inf, np.float32)
+            prior: Any = np.full(len(self.inside), -np.inf, np.float32)
             if shard_query.fix is None:
                 prior[self.inside] = -np.log(shard_query.viewpoints)
             else:
@@ -308,8 +308,8 @@ class Shard:
 class _GivenPrior(LocationPrior):
     """A prior that is known of every viewpoint: the world's, and none outside the core."""
 
-    given: NDArray[np.float32] | None = None
-    """(W,)"""
+    given: Floats | None = None
+    """(W,) float32, since a process holds many."""
 
     @property
     def is_informative(self) -> bool:
