@@ -12,6 +12,7 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.status import decide_joined
 from placegraph.outdoor.search.ask import NO, YES
 from placegraph.world import World
 
@@ -205,6 +206,19 @@ def test_an_answer_about_a_building_decides_and_changes_no_language(world, text)
         assert any(question.text in e.statement for e in evidence) or option == NO
         again = found.next_question(world)
         assert again is None or question.text != again.text
+
+
+def test_other_images_make_a_pose_sure_that_only_another_scene_kept_from_it(world, films):
+    alone = world.locate(None, films["parlour"], refine=False)
+    left = [0.01] * (len(alone.modes) - 1)
+    joined = decide_joined(alone, [0.95, *left])
+    assert (alone.status, joined.status) == (Status.AMBIGUOUS, Status.OK)
+    assert "holds 95% of the probability" in joined.reason
+    assert "nearly as well" not in joined.reason
+    assert decide_joined(alone, [0.8, *left]).status is Status.AMBIGUOUS
+    denied = world.locate("I am in the bakery", films["parlour"], refine=False)
+    shares = [0.95] + [0.01] * (len(denied.modes) - 1)
+    assert decide_joined(denied, shares).status is Status.AMBIGUOUS
 
 
 def test_what_one_of_two_towns_says_of_itself_is_not_said_of_all(world):

@@ -273,8 +273,8 @@ AnyEstimate = TypeVar("AnyEstimate", bound=Estimate[Any])
 def decide_joined(estimate: AnyEstimate, shares: Sequence[float]) -> AnyEstimate:
     """Return the estimate of one image with the shares of its modes by all images of the room, best first.
 
-    In a scene map an image that only rivals kept from `OK` may become so; one whose best mode the other
-    images contradict is not `OK`.
+    An image that only rivals kept from `OK` may become so; one whose best mode the other images contradict
+    is not `OK`.
     """
     modes = [replace(m, probability=p) for m, p in zip(estimate.modes, shares, strict=True)]
     modes.sort(key=lambda mode: -mode.probability)
@@ -290,7 +290,13 @@ def decide_joined(estimate: AnyEstimate, shares: Sequence[float]) -> AnyEstimate
     reason = restate_claim(estimate.reason, ordered, pose.covariance, where)
     joined = replace(joined, reason=reason)
     if not isinstance(joined, PoseEstimate):
-        return joined
+        world: Any = joined
+        is_sure = shares[0] == ordered[0] >= SURE_SCENE and world.has_only_rivals
+        if joined.status is Status.OK or not is_sure:
+            return joined
+        alone = world.poses[modes[0].scene]
+        reason = restate_claim(alone.reason, ordered, pose.covariance, where)
+        return replace(joined, status=Status.OK, reason=f"{reason} The other images confirm it.")
     found = diagnostics_of(joined)
     joined = replace(joined, trajectory=pose.map_from_camera[None])
     if not found.undecided or found.agreement is None or shares[0] < ordered[0]:

@@ -159,6 +159,8 @@ class WorldEstimate(Estimate[WorldMode]):
     """Estimate of each city for the text's outside; of each shard, for a world in shards."""
     poses: dict[str, PoseEstimate] = field(default_factory=dict)
     """Estimate of the frames in each scene that was looked into."""
+    has_only_rivals: bool = False
+    """Whether nothing but another scene keeps the pose of the frames from `OK`."""
     notes: tuple[str, ...] = ()
     """Parts of the question that could not be used, and why."""
     answered: tuple[str, ...] = ()

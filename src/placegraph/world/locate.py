@@ -209,9 +209,10 @@ def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) 
     if modes[0].scene != scene_of(best):  # several poses share the scene where frames fit best
         likelier = next(a for a in kept if scene_of(a) == modes[0].scene)
         best = replace(likelier, status=best.status)
-    status, reason = decide_by_frames(best, modes, evidence, query)
+    status, reason, fits = decide_by_frames(best, modes, evidence, query)
+    fits &= poses[modes[0].scene].status is Status.OK and world.remaining is None
     return WorldEstimate(
-        status, _choose_modes(modes, query), reason, elsewhere=elsewhere,
+        status, _choose_modes(modes, query), reason, elsewhere=elsewhere, has_only_rivals=fits,
         understood=evidence.parsed, cities=evidence.parts, poses=poses,
     )  # fmt: skip
 

@@ -73,8 +73,11 @@ def decide_by_text(
 
 def decide_by_frames(
     best: PoseEstimate, modes: Sequence[WorldMode], evidence: WorldEvidence, query: WorldQuery
-) -> tuple[Status, str]:
-    """Decide on modes, best first: the status in the best scene, unless evidence contradicts it."""
+) -> tuple[Status, str, bool]:
+    """Decide on modes, best first: the status in the best scene, unless evidence contradicts it.
+
+    Returns status, reason, and whether no evidence contradicts the best.
+    """
     mode, shares = modes[0], [m.probability for m in modes]
     where = restate_claim(best.reason, shares, best.modes[0].covariance, mode.where)
     where = where if where != best.reason else f"In {mode.where}: {best.reason}"
@@ -83,9 +86,9 @@ def decide_by_frames(
     against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
     unmet = diagnostics_of(best).unmet
     if not against or (unmet and unmet in best.reason):
-        return best.status, where
+        return best.status, where, not against
     also = "But" if best.status is Status.OK else "And"
-    return Status.AMBIGUOUS, f"{where} {also} {' and '.join(against)}."
+    return Status.AMBIGUOUS, f"{where} {also} {' and '.join(against)}.", False
 
 
 def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -> list[str]:
