@@ -504,7 +504,9 @@ def find_contradiction(window: Window, frames: Floats) -> str:
         )
     depth, colour = frames[:, 1], frames[:, 2]
     by_images = np.isnan(depth) & np.isnan(frames[:, 0])
-    by_images &= [s.rgb is not None and not _is_blank(s.rgb) for s in window.observations]
+    for i in np.flatnonzero(by_images):
+        rgb = window.observations[i].rgb
+        by_images[i] = rgb is not None and not _is_blank(rgb)
     misses = np.where(by_images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
     fits = np.where(by_images, colour > SPEAK, depth > _FITS)
     few = misses.sum() < max(2, round(0.3 * len(depth)))
