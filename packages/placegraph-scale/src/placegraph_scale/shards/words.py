@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found")
 
-KIND, VERSION = "words", 3
+KIND, VERSION = "words", 4
 MEND = "Finish the world with `placegraph world build`."
 AROUND = 100.0
 """Shards have viewpoints so far around their cores [m], and more to the end of a tile: an object that
@@ -73,6 +73,8 @@ SOME = 1 << 16
 """Entries read at once."""
 ROOM = 1 << 20
 """Bytes of a column that wait until they are written."""
+SPARE = 32
+"""Bits of the hashes of names that are not stored: names are compared themselves."""
 REMEMBERED = 1 << 16
 """Words whose place is cached."""
 COUNTS = ("objects", "mass", "shares", "peak")
@@ -82,7 +84,7 @@ ENTRIES = {"starts": OFFSETS, "shards": "<i4", "objects": "<i4"} | dict.fromkeys
 OF_SHARDS = {"viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8"}
 """Columns with a row a shard."""
 OF_NAMES = {
-    "name_starts": OFFSETS, "name_text": "|u1", "said": "<u8", "said_rows": "<u4",
+    "name_starts": OFFSETS, "name_text": "|u1", "said": "<u4", "said_rows": "<u4",
     "first": "<u8", "first_longest": "|u1", "stem_starts": OFFSETS, "stem_text": "|u1",
     "posting_starts": OFFSETS, "postings": "<u4",
 }  # fmt: skip
@@ -205,7 +207,7 @@ def write_names(
     for rows in sort_rows(keys, at_once):
         first = np.flatnonzero(_is_new(keys[rows]))
         fresh[entry[rows[first]]] = True
-        made.add("said", "<u8", keys[rows])
+        made.add("said", "<u4", keys[rows] >> np.uint64(SPARE))
         made.add("said_rows", "<u4", entry[rows] >> 1)
         ways += len(first)
     begin, many = made.open("begin", "<u8"), made.open("many", "|u1")
@@ -356,7 +358,7 @@ def _find_called(
     names: PagedTexts, columns: Mapping[str, PagedColumn], words: str
 ) -> list[int] | None:
     """Return the rows of names that are called so."""
-    key, by = _hash(words), columns["said_rows"]
+    key, by = _hash(words) >> SPARE, columns["said_rows"]  # others are told apart by what is written
     first, last = (columns["said"].find(k) for k in (key, key + 1))
     found = [
         row for row in by[first:last].tolist()
