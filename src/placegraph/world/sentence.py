@@ -37,6 +37,7 @@ from placegraph.outdoor.language.description import (
     ends,
 )
 from placegraph.outdoor.language.description import Statement as OutdoorStatement
+from placegraph.outdoor.language.words import COMPASS
 from placegraph.outdoor.search.request import parse as read_outside
 
 if TYPE_CHECKING:
@@ -91,9 +92,6 @@ _INSIDE_WORDS = {"der": "in der", "in der": "in der", "des": "im", "of": "in"}
 
 _ARTICLES = frozenset(
     ("a", "an", "the", "my", "our", "one", "two", "three", "some", "this", "that")
-)
-_WINDS = frozenset(
-    ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
 )
 
 
@@ -256,7 +254,7 @@ def parse_sentence(
     if left and objects:
         inside = read_inside(left) if foreign is None else convert_to_indoor(foreign)
     parts = {word for name in own for word in name.split()}
-    sentence = None if inside is None else _keep_inside(inside, spoken | _WINDS | parts)
+    sentence = None if inside is None else _keep_inside(inside, spoken | COMPASS | parts)
     ignored = tuple(dict.fromkeys(i for d in full.values() for i in d.ignored))
     if not towns and inside is not None:
         ignored = inside.ignored
@@ -327,7 +325,7 @@ def _find_outdoors(
         s
     ) in description.statements:  # what both have is outside where it lies north, or by a church
         beside = bool(_list_ends(s) & out) and SPEAKER not in ends(s)
-        if beside or _WINDS.intersection(_split_words(s.text)):
+        if beside or COMPASS.intersection(_split_words(s.text)):
             out |= either & _list_ends(s)
     return out if objects else out | either  # where no room is mapped, what is known is outside
 

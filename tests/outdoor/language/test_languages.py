@@ -225,6 +225,12 @@ def test_the_ends_of_a_text_make_no_name():
     assert not any(m.name == "elms hill" for m in description.mentions)
 
 
+def test_no_name_is_cut_out_of_a_tag():
+    names = NameIndex.build(Names(("Men",)))
+    description = describe("花屋はamenity=spaの西にあります。", names=names)
+    assert [m.words for m in description.mentions[2:]] == ["花屋", "amenity=spa"]
+
+
 @pytest.mark.parametrize("text", ["Park Avenue", "180 West 11th Avenue"])
 def test_an_english_avenue_is_not_french(text):
     assert describe(text).language == "en"

@@ -15,6 +15,7 @@ from placegraph.outdoor.language.description import (
     Description,
     Mention,
     Relation,
+    ends,
     find_conflicts,
 )
 from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place, cut_clauses, parser
@@ -198,15 +199,11 @@ class GraphBuilder:
                 head=chunk.words, name=chunk.value.name,
             )  # fmt: skip
             node = self.references.resolve(noun)
-            known = self.places.statements
-            linked = {
-                n
-                for s in known
+            if node is None or any(
+                SPEAKER in ends(s) and node in (*ends(s), s.target2)
+                for s in self.places.statements
                 if s.relation is not Relation.BETWEEN
-                if SPEAKER in (s.source, s.target)
-                for n in (s.source, s.target, s.target2)
-            }
-            if node is None or node in linked:
+            ):
                 continue
             context = ClauseContext(self.references.text[chunk.start : chunk.end])
             if noun.name:

@@ -53,7 +53,7 @@ class ProperNames:
     ) -> None:
         self.text, self.vocabulary, self.names = text, vocabulary, names
         self.lexicon, self.lists = language, language.lists
-        self.is_cased = language.code == "en" and _CASED.search(text) is not None
+        self.is_cased = _CASED.search(text) is not None
         """Whether the text writes names with capitals."""
 
     def take(self, sentence: list[Word], *, shouting: bool) -> None:
@@ -265,6 +265,11 @@ class InflectedNames(ProperNames):
         """Go on to a sentence; a short one that is all capitals is no name either."""
         written = self.text[sentence[0].start : sentence[-1].end]
         super().take(sentence, shouting=shouting or (len(sentence) > 2 and written.isupper()))
+
+    def _mapped(self, i: int) -> int:
+        """Return 0: names as on the map were found in the raw text (`InflectedChunker.find_names`)."""
+        del i
+        return 0
 
     def length(self, i: int, entry: Known | None, n_known: int, n_noun: int) -> int:
         """Return the length [words] of a proper name at word i: one on the map, or one in capitals."""
