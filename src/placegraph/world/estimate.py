@@ -77,14 +77,19 @@ class WorldQuery:
                 )
 
     def answers_about(self, label: str) -> list[Answer]:
-        """Return the answers yes and no about a `BUILDING` or `ROOM`; raise `OptionError` for no answers."""
+        """Return the answers yes and no about a `BUILDING` or `ROOM`, or (empty label) those of a city.
+
+        Raises `OptionError` for what is no answer.
+        """
         for answer in self.answers:
             if not isinstance(answer, Answer):
                 raise OptionError(
                     f"answers contains {answer!r}; create answers with `question.answer(option)`."
                 )
-        about = [a for a in self.answers if a.question.subjects[0].label == label]
-        return [a for a in about if a.option in (YES, NO)]
+        own = [(a, a.question.subjects[0].label) for a in self.answers]
+        if not label:
+            return [a for a, known in own if known not in (BUILDING, ROOM)]
+        return [a for a, known in own if known == label and a.option in (YES, NO)]
 
     @property
     def spoken(self) -> str:

@@ -292,8 +292,7 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
             labels = tuple(every)
     towns = world.towns
     parsed = parse_sentence(query.text, towns, labels, query.heading, names, query.language)
-    of_city = [a for a in query.answers if a.question.subjects[0].label not in (BUILDING, ROOM)]
-    query = replace(query, answers=of_city)
+    query = replace(query, answers=query.answers_about(""))
     found: dict[str, TownMatch] = {}
     obstacles: dict[str, None] = {}
     for name, outside in parsed.outside.items():
