@@ -1,4 +1,4 @@
-# mypy: disable-error-code="attr-defined, no-untyped-call, no-any-return"
+# mypy: disable-error-code="attr-defined, no-untyped-call, no-any-return, method-assign"
 """Compiled kernels, whose machine code is cached for later processes.
 
 `kernel` replaces `numba.njit`. Only its cache differs; it starts a command in two thirds of the time:
@@ -41,6 +41,7 @@ from numba.core import config, sigutils
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.cpu import CPUContext
 from numba.core.environment import lookup_environment
 from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
@@ -109,8 +110,16 @@ def defer_signals() -> Iterator[None]:
             handlers[number](number, None)
 
 
-class _Part(JITCodeLibrary):
+class _CalleeCode(JITCodeLibrary):
     """Code of a function that kernels call; they optimize and translate it with their own."""
+
+    def _optimize_functions(self, module: Any) -> None:  # noqa: ANN401  # LLVM's
+        """Shorten the code, so that it is linked sooner."""
+        module.data_layout = self._codegen._data_layout  # noqa: SLF001
+        passes, builder = self._codegen._function_pass_manager(opt=1)  # noqa: SLF001
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
 
     def finalize(self) -> None:
         """Keep the code as it is; numba optimizes and translates it here."""
@@ -144,7 +153,7 @@ class _Part(JITCodeLibrary):
         return self.name, "bitcode", self._get_module_for_linking().as_bitcode()
 
     @classmethod
-    def _unserialize(cls, codegen: Any, state: tuple[str, str, bytes]) -> _Part:  # noqa: ANN401
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, bytes]) -> _CalleeCode:  # noqa: ANN401
         name, _, code = state
         self = cls(codegen, name)
         self._final_module = llvmlite.binding.parse_bitcode(code)
@@ -152,7 +161,7 @@ class _Part(JITCodeLibrary):
         return self
 
 
-class _Whole(JITCodeLibrary):
+class _LinkedCode(JITCodeLibrary):
     """Code of a kernel that Python calls, and of all functions that it calls."""
 
     def finalize(self) -> None:
@@ -175,7 +184,7 @@ def _link_callees(library: CodeLibrary, module: Any) -> None:  # noqa: ANN401  #
                 continue
             visited.add(callee)
             library._reload_init.update(callee._reload_init)  # noqa: SLF001
-            if isinstance(callee, _Part):
+            if isinstance(callee, _CalleeCode):
                 pending.append(callee)
                 module.link_in(callee.own_module(), preserve=True)
             else:
@@ -183,14 +192,15 @@ def _link_callees(library: CodeLibrary, module: Any) -> None:  # noqa: ANN401  #
 
 
 @contextmanager
-def _libraries_of(kind: type[JITCodeLibrary], context: Any) -> Iterator[None]:  # noqa: ANN401
-    """Make numba create libraries of a kind for all code; needs its compiler lock."""
+def _libraries_of(kind: type[JITCodeLibrary], context: CPUContext) -> Iterator[None]:
+    """Make numba create libraries of a kind, without wrappers for C; needs its compiler lock."""
     codegen = context.codegen()
-    before, codegen._library_class = codegen._library_class, kind  # noqa: SLF001
+    before = codegen._library_class, CPUContext.create_cfunc_wrapper  # noqa: SLF001
+    codegen._library_class, CPUContext.create_cfunc_wrapper = kind, lambda *_: None  # noqa: SLF001
     try:
         yield
     finally:
-        codegen._library_class = before  # noqa: SLF001
+        codegen._library_class, CPUContext.create_cfunc_wrapper = before  # noqa: SLF001
 
 
 class _KernelCompiler(Compiler):
@@ -199,9 +209,9 @@ class _KernelCompiler(Compiler):
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
         context = self.state.targetctx
         if not self.state.flags.no_cpython_wrapper:
-            self.state.library = _Whole(context.codegen(), func.__qualname__)
+            self.state.library = _LinkedCode(context.codegen(), func.__qualname__)
             self.state.library.enable_object_caching()
-        with defer_signals(), _libraries_of(_Part, context):
+        with defer_signals(), _libraries_of(_CalleeCode, context):
             return super().compile_extra(func)
 
 
@@ -318,7 +328,7 @@ class _Cache:
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
                 # numba's own format; compiled code has to be trusted anyway
                 code = pickle.loads(file.read_bytes())  # noqa: S301
-                kind = _Whole if isinstance(self._dispatcher, Kernel) else _Part
+                kind = _LinkedCode if isinstance(self._dispatcher, Kernel) else _CalleeCode
                 with defer_signals(), _libraries_of(kind, target_context):
                     return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None

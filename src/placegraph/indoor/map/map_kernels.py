@@ -27,7 +27,9 @@ from placegraph.indoor.rays.trace_kernels import (
 @kernel
 def label_charts(triangles, vertices):
     """Return lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
-    root = np.arange(vertices)
+    root = np.empty(vertices, np.int64)
+    for v in range(vertices):
+        root[v] = v
     for t in range(len(triangles)):
         for k in range(2):
             a, b = triangles[t, k], triangles[t, k + 1]
@@ -285,12 +287,13 @@ def scan_headings(panoramas, bins, colour_weight):
     count = len(panoramas.objects)
     out = np.empty((len(bins.ends), count, HEADINGS), np.float32)
     beside = Panoramas(*(np.moveaxis(a, 0, -1) for a in panoramas))
-    run_parallel(_scan_headings, -(-count // _BLOCK), beside, bins, colour_weight, out)
+    sums = np.stack([part.sum(axis=0) for part in np.split(bins.colour, bins.ends[:-1])])
+    run_parallel(_scan_headings, -(-count // _BLOCK), beside, bins, sums, colour_weight, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _scan_headings(panoramas, bins, colour_weight, out, first, last):
+def _scan_headings(panoramas, bins, view_sums, colour_weight, out, first, last):
     """Fill blocks `first` to `last` of positions of out (T, K, HEADINGS).
 
     `panoramas`: positions are their last axis. Loops run along it, as what a bin meets lies there in a row.
@@ -301,7 +304,7 @@ def _scan_headings(panoramas, bins, colour_weight, out, first, last):
         count = np.uint64(min(_BLOCK, out.shape[1] - block * _BLOCK))
         places, begin = (start, count), 0
         for t in range(len(bins.ends)):
-            rows, view_sums = (begin, bins.ends[t]), bins.colour[begin : bins.ends[t]].sum(axis=0)
+            rows = begin, bins.ends[t]
             for a in range(HEADINGS):
                 total[:] = 0.0
                 if bins.semantic.size:
@@ -310,7 +313,7 @@ def _scan_headings(panoramas, bins, colour_weight, out, first, last):
                     _look_up(total, bins.depth, panoramas.ranges, bins, a, rows, places)
                 if bins.colour.size:
                     _sum_colours(moments, panoramas, bins, a, rows, places)
-                    _add_correlation(total, moments, view_sums, colour_weight)
+                    _add_correlation(total, moments, view_sums[t], colour_weight)
                 for k in range(count):
                     out[t, start + k, a] = total[k]
             begin = bins.ends[t]

@@ -52,7 +52,9 @@ def align_poses(tracer, normals, poses, rig, deviations):
 @kernel(error_model="numpy")
 def _invert(h, out):
     """Invert a positive definite matrix h (4, 4), which is used up, by Gauss-Jordan; no SciPy needed."""
-    out[:] = np.eye(4)
+    out[:] = 0.0
+    for i in range(4):
+        out[i, i] = 1.0
     for i in range(4):
         scale = 1.0 / h[i, i]
         for b in range(4):

@@ -27,7 +27,7 @@ BLUR = 1.5
 """Square of the distance below which directions blur [m^2]."""
 
 
-@kernel(finite=True, inline="always")
+@kernel(finite=True, _nrt=False)
 def distance_fit(stated, d):
     """Return the agreement of a distance d with the stated one [m]; 1 where none is stated.
 
@@ -44,12 +44,27 @@ def distance_fit(stated, d):
     return np.exp(-0.5 * z * z)
 
 
-@kernel(finite=True, inline="always")
-def _near_fit(stated, d):
-    """Return the agreement of a distance d [m] with "near"."""
-    if stated != 0.0:
+@kernel(finite=True, _nrt=False)
+def place_fit(op, stated, d, kind, of_speaker):
+    """Return the agreement of a distance d [m] from an object of a kind with a relation of no direction."""
+    if (op == NEAR and stated != 0.0) or (op == VISIBLE and of_speaker):
         return distance_fit(stated, d)
-    return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
+    share, reach = 1.0, np.float64(d)
+    if op == ACROSS:
+        share, reach = min(1.0, d / 8.0), max(0.0, d - 25.0)
+    elif op == INSIDE and kind == AREA:
+        if of_speaker and d < 1.0:
+            return 1.0
+        share, reach = 0.3 if of_speaker else 1.0, 2.0 * d
+    elif op == INSIDE:
+        share = 0.2
+    elif op == ALONG and kind == POINT:
+        share = 0.3
+    elif op == ALONG:
+        reach = 1.5 * d
+    elif op == SAME and of_speaker:
+        reach = 2.0 * d
+    return share * (1.0 / (1.0 + np.exp((reach - 25.0) / 6.0)))
 
 
 @kernel(finite=True, _nrt=False)
@@ -59,15 +74,7 @@ def pair_fit(op, table, ux, uy, stated, ax, ay, bx, by, kind_b):
     d = np.sqrt(dx * dx + dy * dy)
     if op == DIRECTION:
         return direction_fit(table, ux, uy, dx, dy, BLUR) * distance_fit(stated, d)
-    if op == NEAR:
-        return _near_fit(stated, d)
-    if op == ACROSS:
-        return _near_fit(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)
-    if op == INSIDE:
-        return _near_fit(0.0, 2.0 * d) if kind_b == AREA else 0.2 * _near_fit(0.0, d)
-    if op == ALONG:
-        return _near_fit(0.0, 1.5 * d) if kind_b != 0 else 0.3 * _near_fit(0.0, d)
-    return _near_fit(0.0, d)
+    return place_fit(op, stated, d, kind_b, False)
 
 
 @kernel(finite=True, _nrt=False)
@@ -78,19 +85,7 @@ def speaker_fit(op, table, ux, uy, stated, x, y, kind, forward, blurred):
         if not forward:
             ux, uy = -ux, -uy
         return direction_fit(table, ux, uy, x, y, blurred) * distance_fit(stated, d)
-    if op == VISIBLE:
-        return distance_fit(stated, d)
-    if op == NEAR:
-        return _near_fit(stated, d)
-    if op == SAME:
-        return _near_fit(0.0, 2.0 * d)
-    if op == INSIDE:
-        if kind != AREA:
-            return 0.2 * _near_fit(0.0, d)
-        return 1.0 if d < 1.0 else 0.3 * _near_fit(0.0, 2.0 * d)
-    if op == ALONG:
-        return _near_fit(0.0, 1.5 * d) if kind != 0 else 0.3 * _near_fit(0.0, d)
-    return _near_fit(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
+    return place_fit(op, stated, d, kind, True)
 
 
 MAX_OBJECTS = 96
@@ -451,8 +446,8 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     `REJECTED`, whatever their order; with the best bounds first most of them are rejected early.
     """
     n_statements = len(statements.op)
-    scores = np.full(len(chosen), REJECTED, np.float32)
-    sums = np.full(len(chosen), REJECTED)
+    scores, sums = np.empty(len(chosen), np.float32), np.empty(len(chosen))
+    scores[:] = sums[:] = REJECTED
     each = np.empty(n_statements, np.float32)
     nothing = np.empty((0, 2), np.int64)
     noise = 0.0
@@ -568,8 +563,9 @@ def score_distant(statements, scene, far, positions):
     them is taken to be at the position itself.
     """
     out = np.zeros((len(positions), len(statements.op)), np.float32)
-    mention, forward = np.full(len(out[0]), ME), np.zeros(len(out[0]), np.bool_)
+    mention, forward = np.empty(len(out[0]), np.int64), np.zeros(len(out[0]), np.bool_)
     for s in range(len(mention)):
+        mention[s] = ME
         a, b = statements.source[s], statements.target[s]
         n_a = far.starts[a + 1] - far.starts[a] if a != ME else 0
         n_b = far.starts[b + 1] - far.starts[b] if b != ME else 0

@@ -89,7 +89,7 @@ def _boxes(part_starts, point_starts, points):
         for i in range(a + 1, b):
             west, east = min(west, points[i, 0]), max(east, points[i, 0])
             south, north = min(south, points[i, 1]), max(north, points[i, 1])
-        box[row] = west, south, east, north
+        box[row, 0], box[row, 1], box[row, 2], box[row, 3] = west, south, east, north
     return box
 
 

@@ -205,7 +205,9 @@ def score_positions(
     nearby = np.unique(city.in_sight(around).objects)
     added = np.zeros((len(positions), len(query.used)), np.float32)
     if query.distant is not None:
-        added = score_distant(query.statements, city.columns, query.distant, positions)
+        added = score_distant(
+            query.statements, city.columns, query.distant, positions.astype(np.float32)
+        )
     _, ratios, served = score_exact(
         query.statements, city.columns, query.token_weights(len(views.share)), positions[None],
         (np.array([0, len(nearby)]), nearby), added[None], PRIOR_ASSIGNED, True,

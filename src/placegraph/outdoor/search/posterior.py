@@ -515,7 +515,7 @@ def find_peaks(  # noqa: C901, PLR0912  # one compiled loop
                 smooth[h] = 0.0
         if total <= 0.0:
             continue
-        place[n] = east / total, north / total
+        place[n, 0], place[n, 1] = east / total, north / total
         for i in range(len(left)):
             if _is_near(positions[i], middle, separation):
                 x, y = positions[i, 0] - place[n, 0], positions[i, 1] - place[n, 1]
