@@ -432,11 +432,10 @@ class _Run:
 
     def _choose_readings(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Choose some of a view's used readings, spread over it (N, 3) [m, map]."""
-        v, u = np.nonzero(facets[..., 4])
-        chosen = np.unique(
-            np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64)
-        )
-        v, u = v[chosen], u[chosen]
+        used = np.flatnonzero(facets[..., 4] > 0.0)
+        last, count = max(len(used) - 1, 0), min(self.each, len(used))
+        chosen = np.unique(np.linspace(0, last, count).astype(np.int64))
+        v, u = np.divmod(used[chosen], facets.shape[1])
         fx, fy, cx, cy = view.eyes[0]
         z = facets[v, u, 4].astype(np.float64)
         points: Floats = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z], axis=1)

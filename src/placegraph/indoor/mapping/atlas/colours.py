@@ -70,14 +70,17 @@ def build_keyframes(
     total, done = sum(len(g) for g in groups), 0
     first = _make_pinhole(frames[groups[0][0]].camera)
 
-    def view(group: Sequence[int]) -> tuple[int, Bytes, NDArray[np.float32], NDArray[np.float32]]:
+    def view(
+        group: Sequence[int],
+    ) -> tuple[int, tuple[Bytes, ...], NDArray[np.float32], NDArray[np.float32]]:
         colours = [frames[i].rgb() for i in group]
-        best = int(np.argmax([measure_sharpness(c) for c in colours]))
+        sharp = [measure_sharpness(c) for c in colours] if len(group) > 1 else [0.0]
+        best = int(np.argmax(sharp))
         row, frame = group[best], frames[group[best]]
         depth, sure = _read_depth(frame, poses[row], caster, first)
         return (
             row,
-            _undistort_image(colours[best], frame.camera, first),
+            _build_pyramid(_undistort_image(colours[best], frame.camera, first)),
             kernels.bound_depth(depth),
             sure,
         )
@@ -89,14 +92,14 @@ def build_keyframes(
             done += len(group)
             if progress:
                 progress(done, total)
-    rows, images, depths, trust = (list(column) for column in zip(*found, strict=True))
+    rows, pyramids, depths, trust = (list(column) for column in zip(*found, strict=True))
     map_from_camera = poses[rows]
     pinhole = np.array([first.fx, first.fy, first.cx, first.cy])
     return kernels.Keyframes(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
         pinholes=np.tile(pinhole, (len(rows), 1)),
-        levels=_build_pyramid(np.stack(images)),
+        levels=tuple(np.stack(images) for images in zip(*pyramids, strict=True)),
         bounds=np.stack(depths),
         weights=np.stack(trust),
         gains=np.ones((len(rows), 3), np.float32),
@@ -159,17 +162,15 @@ def _read_depth(
     scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
     width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
     small = plain.resize(width, height)
-    hits = caster.cast(
-        pose[:3, 3], _pixel_rays(small) @ pose[:3, :3].T
-    )  # z is 1: distance is depth
-    out = hits.distance.reshape(height, width)
-    trust = np.ones((height, width), np.float32)
+    out, trust = (np.full((height, width), value, np.float32) for value in (np.nan, 1.0))
     reading = frame.depth()
     if reading is not None and frame.depth_camera is not None:
         row, column, inside = _map_readings(small, frame.depth_camera)
-        measured = np.where(inside, reading[row, column], np.nan)
-        trust[~np.isfinite(measured)] = UNREAD
-        out = np.where(np.isfinite(measured), measured, out)
+        out = np.where(inside, reading[row, column], np.float32(np.nan))
+        trust[~np.isfinite(out)] = UNREAD
+    bare = ~np.isfinite(out)
+    rays = _pixel_rays(small)[bare.ravel()] @ pose[:3, :3].T  # z is 1: distance is depth
+    out[bare] = caster.cast(pose[:3, 3], rays).distance
     return np.ascontiguousarray(out, np.float32), trust
 
 
@@ -192,17 +193,17 @@ def _map_readings(
     return row, column, inside
 
 
-def _build_pyramid(images: Bytes) -> tuple[Bytes, ...]:
-    """Build the pyramid of images (K, H, W, 3): halves, quarters, ... as long as they have pixels."""
-    out = [np.ascontiguousarray(images)]
+def _build_pyramid(image: Bytes) -> tuple[Bytes, ...]:
+    """Build the pyramid of an image (H, W, 3): halves, quarters, ... as long as they have pixels."""
+    out = [np.ascontiguousarray(image)]
     for _ in range(LEVELS - 1):
-        h, w = out[-1].shape[1:3]
+        h, w = out[-1].shape[:2]
         if min(h, w) < 4:
             out.append(out[-1])
             continue
-        large = out[-1][:, : h // 2 * 2, : w // 2 * 2]
-        pairs = large[:, ::2].astype(np.uint16) + large[:, 1::2]
-        out.append(((pairs[:, :, ::2] + pairs[:, :, 1::2] + 2) // 4).astype(np.uint8))
+        large = out[-1][: h // 2 * 2, : w // 2 * 2]
+        pairs = large[::2].astype(np.uint16) + large[1::2]
+        out.append(((pairs[:, ::2] + pairs[:, 1::2] + 2) // 4).astype(np.uint8))
     return tuple(out)
 
 
