@@ -42,14 +42,11 @@ def list_calls() -> dict[str, list[str]]:
 
 
 def calls_with(kernel: str, words: Collection[str]) -> list[str]:
-    """Return the calls of the simplest kind of the command in `words` that needs a kernel.
-
-    The demo runs all commands. The list is empty where the kernel is not listed.
-    """
+    """Return the calls of the simplest kind of the command in `words` that needs a kernel, if listed."""
     kinds = [
         calls
         for command, calls in list_calls().items()
-        if ("demo" in words or set(command.partition(",")[0].split()) <= set(words))
+        if set(command.partition(",")[0].split()) <= set(words)
         and any(call.startswith(f"{kernel.removeprefix(_ROOT)}(") for call in calls)
     ]
     return min(kinds, key=len, default=[])

@@ -32,6 +32,7 @@ QUERIES = (
 )
 FIRST, LATER = "house/seq00 --frames 0:10", "house/seq02 --frames 10:20"
 RUNS = {
+    "demo": ["--out demo"],
     "city build": [
         "{data}/osm/monaco_2025.osm.pbf -o m.city",
         "{data}/osm/toronto_downtown_2020.osm.bz2 -o t.city",
