@@ -185,9 +185,9 @@ _TYPES: dict[str, Callable[[Chunk, str, str], str | None]] = {
     ),
     # "N" is north where it is a capital or stands before "of"
     "SHORT": lambda chunk, _, after: "DIR" if chunk.capital or after == "OF" else "WORD",
-    # "the opposite"
+    # "the opposite", "the adjacent block"
     "PREP": lambda chunk, before, _: (
-        "WORD" if chunk.value == "opposite" and before in ("DET", "A") else None
+        "WORD" if chunk.words in ("opposite", "adjacent") and before in ("DET", "A") else None
     ),
     # "over the road" is across the road, "head over to" is not
     "ACROSS": lambda chunk, _, after: (
