@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood import bound_kernels as promise_kernels
-from placegraph.outdoor.likelihood.bound_kernels import find_views_by_bound
+from placegraph.outdoor.likelihood.bound_kernels import TILE_SLACK, find_views_by_bound
 from placegraph.outdoor.likelihood.match_kernels import BOUND_SLACK, REJECTED, score_views
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.search.request import parse
@@ -47,9 +47,8 @@ def test_the_heaviest_are_found(query, monaco, rng, most, weighed):
     most = min(most, len(every))
     assert len(np.unique(every)) == len(every)
     assert len(np.unique(rows)) == len(rows) == most
-    np.testing.assert_allclose(bounds, of_every[:most], rtol=1e-6)
-    # of equal bounds any may be among them
-    assert set(every[of_every > bounds[-1] * 1.000001]) <= set(rows)
+    assert bounds.sum() >= 0.97 * of_every[:most].sum()
+    assert set(every[of_every > bounds[-1] * TILE_SLACK * 1.000001]) <= set(rows)
 
 
 @pytest.mark.parametrize("weighed", [False, True])
@@ -76,9 +75,10 @@ def test_of_small_bounds_some_stand_for_all(query, monaco, rng, weighed, drawn):
     _, of_every, _ = promising(query, monaco, weights, len(monaco.views))
     least = float(of_every[min(20, len(of_every) // 2)]) * 1.000001
     _, bounds, stands = promising(query, monaco, weights, 60, drawn, least)
-    count = int((of_every >= least).sum())
-    np.testing.assert_allclose(bounds[stands == 0.0], of_every[:count], rtol=1e-6)
-    rest = of_every[count:].sum()
+    found = bounds[stands == 0.0]
+    assert found.min(initial=np.inf) >= least
+    assert found.sum() >= of_every[of_every > TILE_SLACK * least].sum() * 0.999999
+    rest = of_every.sum() - found.sum()
     assert stands @ bounds == pytest.approx(rest, rel=0.1 if drawn == MANY else 0.4)
 
 

@@ -17,7 +17,6 @@ from placegraph.outdoor.map.index_kernels import (
     SIDE,
     SLOTS,
     TOTALS,
-    count_lower_bits,
     slot_of,
 )
 
@@ -197,8 +196,11 @@ def find_bounded_ends(statements, s):
 
 
 FIRST_TILES = 64
-"""Number of tiles of largest bound whose viewpoints are bounded first; then four times as many, and so
+"""Number of tiles of largest bound whose viewpoints are bounded first; then 16 times as many, and so
 on, as long as others may matter."""
+TILE_SLACK = 2.7
+"""Bound of a tile, against the least of the `most` best, from which on its viewpoints are bounded: tiles
+hold none of these mostly, but 1 % of their weight, where they promise less than 1 nat more."""
 SAMPLES_PER_TILE = 4
 """Number of samples for each tile that is sampled from those that cannot matter."""
 NEGLIGIBLE = 1e-4
@@ -214,10 +216,10 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
 
     Viewpoints need all objects of at least one statement in sight. The bound (`bound_views`) is of the
     likelihood ratio, times the prior `weights` (W,), all equal where empty. First come the `most`
-    viewpoints of largest bound of the whole map, if it is at least `least`; these represent none. A tile
-    is skipped only where the bound of the whole tile is below theirs, or no larger than `least`. Then
-    come `drawn` samples of all others (`sample_systematic`); skipped tiles are represented by samples of
-    tiles, drawn in proportion to their bounds.
+    viewpoints of largest bound, if it is at least `least`; these represent none. A tile is skipped where
+    its bound is no larger than `TILE_SLACK` times theirs, or `least`. Then come `drawn` samples of all
+    others (`sample_systematic`); skipped tiles are represented by samples of tiles, drawn in proportion to
+    their bounds.
     """
     runs = list_runs(views, mentions.tokens)
     query = statements, mentions, views, runs, weights
@@ -237,8 +239,8 @@ def find_views_by_bound(statements, mentions, views, weights, most, drawn, least
         bounded.append(found)
         if len(every) <= size:
             break
-        every = every[(tile_bound[every] > least) & (tile_bound[every] > 0.0)]
-        size *= 4
+        every = every[(tile_bound[every] > TILE_SLACK * least) & (tile_bound[every] > 0.0)]
+        size *= 16
     if drawn:
         rest = _sample_tiles(
             views, np.flatnonzero(tile_bound > 0.0), tile_bound, share,
@@ -278,7 +280,9 @@ def sample_systematic(bounds, multiplicity, drawn):
     weights, step = np.empty(len(bounds) if drawn else 0), 0.0
     for i in range(len(weights)):
         weights[i] = multiplicity[i] * np.sqrt(bounds[i] * np.sqrt(bounds[i]))
-        step += weights[i] / drawn
+    for i in range(len(weights)):  # apart, so that roots are computed several at once
+        step += weights[i]
+    step /= max(1, drawn)
     if step <= 0.0:
         return np.zeros(0, np.int64), np.zeros(0)
     rows, cumulative, i = np.empty(drawn, np.int64), weights[0], 0
@@ -379,7 +383,7 @@ def _bound_single_views(
     bounds, multiplicity = np.empty(n_views), np.empty(n_views)
     while k < len(tiles) or size > 0:
         if k < len(tiles):
-            if tile_bound[tiles[k]] > least or drawn:
+            if tile_bound[tiles[k]] > TILE_SLACK * least or drawn:
                 strip[size] = tiles[k]
                 size += 1
             k += 1
@@ -395,12 +399,13 @@ def _bound_single_views(
                     _multiply_by_prior(of_tile, bits, row, weights)
                 for slot in range(SLOTS):
                     if of_tile[slot] > 0.0 and count < n_views:  # a forged map may have more
-                        rows[count] = row + count_lower_bits(bits, slot)
-                        bounds[count], multiplicity[count] = of_tile[slot], share[strip[i]]
+                        rows[count], bounds[count] = row, of_tile[slot]
+                        multiplicity[count] = share[strip[i]]
                         count += 1
                         if of_tile[slot] > least:
                             highest[n] = of_tile[slot]
                             n += 1
+                    row += (bits >> slot) & 1
             if n > 2 * most:
                 n, least = most, keep_largest(highest[:n], most)
         for i in range(size):
