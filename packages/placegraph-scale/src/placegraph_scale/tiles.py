@@ -54,7 +54,7 @@ from placegraph_scale.shards.words import count_words
 HEAD = struct.Struct("<4sQIIII")
 """Magic, bytes that follow, crc32 of these and of the numbers behind it: objects, parts, points."""
 _SIZES = struct.Struct("<III")
-MAGIC = b"PGS2"
+MAGIC = b"PGS3"
 ROOM = 64 << 20
 """Bytes that wait in memory until they are written."""
 MANY = 16
@@ -71,10 +71,9 @@ def pack_frame(objects: ElementTable) -> bytes:
     columns = (
         objects.osm_type, objects.kind, objects.osm_id.astype("<i8"),
         np.diff(objects.part_starts).astype("<u4"), np.diff(objects.point_starts).astype("<u4"),
-        objects.steps.astype("<i4"),
     )  # fmt: skip
     data = b"".join([c.tobytes() for c in columns] + [THING.join(objects.texts).encode()])
-    data = zlib.compress(data, 1)
+    data = objects.steps.astype("<i4").tobytes() + zlib.compress(data, 1)  # steps hardly shrink
     sizes = len(objects), len(objects.point_starts) - 1, len(objects.steps)
     return HEAD.pack(MAGIC, len(data), _crc(data, *sizes), *sizes) + data
 
@@ -84,12 +83,12 @@ def _crc(data: bytes, *sizes: int) -> int:
 
 
 def _unpack_frame(data: bytes, n: int, parts: int, points: int) -> ElementTable:
-    data, at, columns = zlib.decompress(data), 0, []
-    counts = (n, n, n, n, parts, 2 * points)
-    for dtype, count in zip(("u1", "u1", "<i8", "<u4", "<u4", "<i4"), counts, strict=True):
+    steps = np.frombuffer(data, "<i4", 2 * points)
+    data, at, columns = zlib.decompress(memoryview(data)[steps.nbytes :]), 0, []
+    for dtype, count in zip(("u1", "u1", "<i8", "<u4", "<u4"), (n, n, n, n, parts), strict=True):
         columns.append(np.frombuffer(data, dtype, count, at))
         at += columns[-1].nbytes
-    osm_type, kind, osm_id, n_parts, n_points, steps = columns
+    osm_type, kind, osm_id, n_parts, n_points = columns
     texts = str(data[at:], "utf-8").split(THING)
     return ElementTable(
         osm_type,

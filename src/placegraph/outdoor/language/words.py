@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Protocol
 
 from placegraph.language.text import fold_case
@@ -251,6 +252,7 @@ _DOUBLED = re.compile(r"([יו])\1")
 _NAME_WORD = re.compile(r"[^\W_]+(?:(?:['’`´׳״]|(?<=[\u05d0-\u05ea])(?:\"|''))[^\W_]+)*|&")
 
 
+@lru_cache(maxsize=1 << 16)
 def fold(word: str) -> str:
     """Return the normal form of one word of a name: "Theatre" -> "theater", "N" -> "north"."""
     if word == "&":
