@@ -132,6 +132,16 @@ def test_a_new_text_selects_its_best_place_and_something_moves_at_once(browser, 
         assert not page.evaluate(BUSY, "")
 
 
+def test_a_tab_that_is_clicked_early_stays(browser, url):
+    with opened(browser, "about:blank") as page:
+        page.route("**/drawing", lambda route: page.wait_for_timeout(500) or route.continue_())
+        page.goto(f"{url}#map=hafenstadt", wait_until="commit")
+        page.click("#tab-walk")
+        page.wait_for_selector("#source:not(:empty)")
+        still(page)
+        assert page.get_attribute("#tab-walk", "aria-selected") == "true"
+
+
 def test_nothing_covers_a_pin(browser, url):
     for link in (
         f"#q={KITCHEN}",

@@ -69,7 +69,7 @@ class App {
     $("tab-walk").hidden = !cities.length;
     const city = cities.find(({ name }) => name === hash.get("map"));
     await this.choose(city?.name ?? (everywhere.length ? "" : this.maps[0]?.name), { told: hash });
-    const wanted = hash.get("tab");
+    const wanted = new URLSearchParams(location.hash.slice(1)).get("tab"); // it may have been clicked meanwhile
     this.open(Object.hasOwn(this.tabs, wanted) && !$(`tab-${wanted}`).hidden ? wanted : "here");
     this.write();
   }
