@@ -54,7 +54,7 @@ TEXTS = (
     "Rex is north of me. A bench is east of me.",
     "The Museum of Salt is on the west of a tree. A cafe is south of the tree.",
     "I am on Long Street. A playground is north of me.",
-    "A bench is north of me. A tree is east of me. There is no cafe.",
+    "A post box is north of me. A playground is east of me. A bakery is south of me. There is no cafe.",
     "The Old Light is 300 m west of me. A bakery is north of me.",
     # 350 m and more, where shards overlap by 150 m: whoever asks reads the neighbours' rare things
     "The Museum of Salt is far away in the east. A bakery is north of me. A cafe is east of me.",
