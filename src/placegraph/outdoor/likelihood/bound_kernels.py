@@ -269,33 +269,24 @@ def _select_best(rows, bounds, multiplicity, highest, least, most, drawn):
     return rows[every], bounds[every], np.concatenate([np.zeros(len(best)), stand])
 
 
-@kernel(finite=True)
 def sample_systematic(bounds, multiplicity, drawn):
     """Sample rows (`drawn`,) systematically; return these, and how many each represents.
 
     `multiplicity` (N,) are the numbers that rows represent before. Rows of larger bound are drawn more often.
-    The first half, quarter and so on of the sample are as even as all of it: each then represents twice,
-    or four times, as many.
+    The first half, quarter and so on of the sample, a power of two, are as even as all of it: each then
+    represents twice, or four times, as many.
     """
-    weights, step = np.empty(len(bounds) if drawn else 0), 0.0
-    for i in range(len(weights)):
-        weights[i] = multiplicity[i] * np.sqrt(bounds[i] * np.sqrt(bounds[i]))
-    for i in range(len(weights)):  # apart, so that roots are computed several at once
-        step += weights[i]
-    step /= max(1, drawn)
-    if step <= 0.0:
+    weights = multiplicity * np.sqrt(bounds * np.sqrt(bounds))
+    cumulative = np.cumsum(weights)
+    if not drawn or not len(weights) or cumulative[-1] <= 0.0:
         return np.zeros(0, np.int64), np.zeros(0)
-    rows, cumulative, i = np.empty(drawn, np.int64), weights[0], 0
-    for j in range(drawn):
-        while cumulative < (j + 0.5) * step and i + 1 < len(weights):
-            i += 1
-            cumulative += weights[i]
-        at, left, half = 0, j, drawn // 2  # `j` with its bits reversed
-        while half:
-            at += half * (left & 1)
-            left >>= 1
-            half //= 2
-        rows[at] = i
+    step = cumulative[-1] / drawn
+    ascending = np.searchsorted(cumulative, step * (np.arange(drawn) + 0.5))
+    order = np.zeros(1, np.int64)
+    while len(order) < drawn:  # the bits of 0, 1, 2 and so on reversed
+        order = np.concatenate([2 * order, 2 * order + 1])
+    rows = np.empty(drawn, np.int64)
+    rows[order] = np.minimum(ascending, len(weights) - 1)
     return rows, multiplicity[rows] * step / np.maximum(weights[rows], 1e-300)
 
 
