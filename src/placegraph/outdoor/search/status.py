@@ -368,17 +368,20 @@ def find_uncertainty(
     names = [mention.name for mention in query.description.mentions]
     wide: dict[int, float] = {}
     narrow = False
+    here = find_speaker_nodes(query.used)
     for s, evidence in zip(query.used, best.evidence, strict=False):
         if s.negated or s.far:
             continue
+        names_area = is_binding(s) or s.relation is Relation.NEAR
         extents = {
             node: query.find_extent(node, position, city)
             for node in query.unique.intersection(ends(s)) - query.sites
+            if names_area or node not in here
         }
         if max(extents.values(), default=0.0) <= max(MAX_EXTENT, diagnostics.claim.radius):
             told = not any(names[node][:1].isdecimal() for node in ends(s))
             narrow |= told and evidence.weight > TELLING
-        elif is_binding(s) or s.relation is Relation.NEAR:
+        elif names_area:
             wide |= extents
     if not wide or narrow:
         return ""
