@@ -13,8 +13,10 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.status import decide_joined
+from placegraph.outdoor.city import build_city
 from placegraph.outdoor.search.ask import NO, YES
 from placegraph.world import World
+from placegraph_lab.worlds.town.town import Town
 
 OUTSIDE = "A church is south of me and Lange Straße is south of me. A bakery is east of me."
 
@@ -219,6 +221,21 @@ def test_other_images_make_a_pose_sure_that_only_another_scene_kept_from_it(worl
     denied = world.locate("I am in the bakery", films["parlour"], refine=False)
     shares = [0.95] + [0.01] * (len(denied.modes) - 1)
     assert decide_joined(denied, shares).status is Status.AMBIGUOUS
+
+
+def test_a_street_of_another_town_speaks_against_rooms_of_this_one(world, tmp_path):
+    drawing = "[town]\ncenter = 7.4 43.7\n[drawing]\n--1-----\n  b\n[legend]\n"
+    legend = "1 road: highway=residential name=Corniche Road\nb: amenity=cafe\n"
+    osm = Town.parse(drawing + legend).write_osm(tmp_path / "south.osm")
+    south = build_city(osm, tmp_path / "south.city")
+    three = World({**world.cities, "south": south}, world.scenes)
+    text = "I am in a hotel on Corniche Road."
+    before, after = world.locate(text), three.locate(text)
+    rooms = [sum(m.probability for m in e.modes if m.scene) for e in (before, after)]
+    assert rooms[0] > 0.5
+    assert rooms[1] < 0.5
+    assert not any(re.search(r"\d\.\d", e.reason) for e in (before, after))  # no coordinates
+    assert after.best.longitude == pytest.approx(7.4, abs=0.1)
 
 
 def test_what_one_of_two_towns_says_of_itself_is_not_said_of_all(world):

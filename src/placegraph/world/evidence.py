@@ -20,6 +20,7 @@ from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.search.ask import NO, YES
 from placegraph.world.estimate import BUILDING, ROOM
 from placegraph.world.sentence import FloorStatement, ParsedSentence, compare_floors, parse_sentence
+from placegraph.world.towns import MISSING_NAME
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, SceneMode
@@ -301,6 +302,11 @@ def match_outdoors(world: World, query: WorldQuery) -> OutdoorSearch:
             obstacles[match] = None
         else:
             found[name] = match
+    names = {m.name for d in parsed.outside.values() for m in d.mentions if m.name}
+    known = {t: {n for n in names if towns[t].words.name_index.find_rows(n)} for t in found}
+    for town, match in found.items():
+        missing = len(set().union(*known.values()) - known[town])
+        found[town] = replace(match, missing=missing)
     return OutdoorSearch(parsed, found, " ".join(filter(None, obstacles)))
 
 
@@ -328,7 +334,7 @@ def collect_evidence(world: World, query: WorldQuery, text: OutdoorSearch) -> Wo
         for k, match in zip(
             left, town.match_buildings([every[k].corners for k in left]), strict=True
         ):
-            buildings[k] = match
+            buildings[k] = match and match.add_ratio(MISSING_NAME * town.missing)
     rest = iter(buildings)
     scorer = _SceneScorer(query, floors, inside, spoken, "|".join(denied))
     found = {n: scorer.score(n, s, [next(rest) for _ in s], above[n]) for n, s in scenes.items()}

@@ -66,8 +66,10 @@ def decide_by_text(
             share.replace(f"{best.probability:.0%}", f"{of_scene:.0%}"),
         )
         return Status.AMBIGUOUS, f"{where} {share}, but the text does not identify the room."
-    rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
-    others = f"; it may also be {'; '.join(rivals)}" if rivals else ""
+    likely = [m for m in modes[1:4] if m.probability > 0.1 * best.probability]
+    rivals = filter(None, dict.fromkeys(m.where if m.scene else m.building for m in likely))
+    others = "; ".join(rivals)
+    others = f"; it may also be {others}" if others else ""
     return Status.AMBIGUOUS, f"{where} {share}{others}."
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -59,6 +59,8 @@ MAX_CITY_DISTANCE = 100.0
 """A scene so far off a city's map is in another town [m]."""
 SAME_BUILDING = 30.0
 """A building is the one that the speaker is in where its point is this near its middle [m]."""
+MISSING_NAME = -5.0
+"""Log-likelihood ratio of a town for each name of the text that another town has and this one lacks."""
 MAX_RATIO_OUTSIDE = -2.0
 """Largest log-likelihood ratio of a building that the speaker is not in, by the text."""
 
@@ -110,6 +112,10 @@ class BuildingMatch:
     explain: Callable[[], tuple[Evidence, ...]]
     """Evidence of the statements at the middle of the building."""
 
+    def add_ratio(self, ratio: float) -> BuildingMatch:
+        """Return the match with a log-likelihood ratio added to its score."""
+        return replace(self, score=self.score._replace(ratio=self.score.ratio + ratio))
+
     @property
     def evidence(self) -> tuple[Evidence, ...]:
         """Evidence of each statement for the building."""
@@ -135,13 +141,16 @@ class TownMatch:
     """The estimate, or the parts of it that questions can be asked of, by name of the map."""
     gap: str
     """Which part of the town was not searched, and why; empty where all that matters was."""
+    missing: int = field(default=0, kw_only=True)
+    """Number of names of the text that another town has and this one lacks."""
 
     @cached_property
     def gain(self) -> float:
         """Log-likelihood ratio of this town, wherever in it, against anywhere else."""
         here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
         ratio = (here + 1e-9) / (off + 1e-9) * PRIOR_ELSEWHERE / (1.0 - PRIOR_ELSEWHERE)
-        return infer_claim(self.query.description).of_radius.slope * float(np.log(ratio))
+        slope = infer_claim(self.query.description).of_radius.slope
+        return slope * float(np.log(ratio)) + MISSING_NAME * self.missing
 
     @property
     def cost(self) -> str:
