@@ -16,7 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
-from placegraph.outdoor.map.objects import POINT, find_hidden, find_labelled
+from placegraph.outdoor.map.objects import POINT, find_labelled
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -107,8 +107,7 @@ class Gazetteer:
             for label in labels
         ]
         found: NDArray[np.bool_] = np.array(known)[self.city.objects.label_values[firsts]]
-        found[find_hidden(self.city.objects)] = False
-        return found & self.named
+        return found & self.named & ~self.city.hidden
 
     @cached_property
     def towns(self) -> dict[str, NDArray[np.int64]]:

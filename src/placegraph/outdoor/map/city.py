@@ -45,6 +45,7 @@ from placegraph.outdoor.map.objects import (
     centers,
     columns_of,
     ends_of,
+    find_hidden,
     index_of,
     of_name,
 )
@@ -215,6 +216,11 @@ class City(PickleFields):
         points = np.asarray(rows, np.int64)
         starts, objects, offsets, _ = list_visible_each(self.columns, self.views.columns, points)
         return VisibleObjects(points, starts, objects, offsets)
+
+    @cached_property
+    def hidden(self) -> NDArray[np.bool_]:
+        """(N,) whether nobody sees an object (`find_hidden`); derived on first use."""
+        return np.isin(np.arange(len(self.objects)), find_hidden(self.objects))
 
     @cached_property
     def name_index(self) -> NameIndex:

@@ -35,7 +35,6 @@ from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.likelihood.match_kernels import score_exact
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.objects import find_hidden
 
 YES, NO, UNKNOWN = "yes", "no", "don't know"
 NONE = "none of these"
@@ -244,7 +243,7 @@ class _Surroundings:
         views, objects = city.views, city.objects
         nearest = np.maximum(views.nearest(positions), 0)
         seen = city.in_sight(nearest)
-        shown = np.isin(seen.objects, find_hidden(objects), invert=True)
+        shown = ~city.hidden[seen.objects]
         place = np.repeat(np.arange(len(positions)), np.diff(seen.starts))[shown]
         rows = seen.objects[shown]
         delta = (views.positions_of(nearest) - positions)[place] + seen.offsets[shown]
