@@ -276,7 +276,8 @@ def sample_systematic(bounds, multiplicity, drawn):
     The first half, quarter and so on of the sample, a power of two, are as even as all of it: each then
     represents twice, or four times, as many.
     """
-    weights = multiplicity * np.sqrt(bounds * np.sqrt(bounds))
+    root = np.sqrt(bounds)  # bounds of hundreds of statements are huge
+    weights = multiplicity * (root * np.sqrt(root))
     cumulative = np.cumsum(weights)
     if not drawn or not len(weights) or cumulative[-1] <= 0.0:
         return np.zeros(0, np.int64), np.zeros(0)
