@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.mapfile import MapFile
+from placegraph.core.mapfile import MapFile, gather_spans, offsets_of
 from placegraph.outdoor.map.cells import EACH, MOST, Grid, make_extent_error
 from placegraph.outdoor.map.index_kernels import (
     FADED,
@@ -32,7 +32,6 @@ from placegraph.outdoor.map.index_kernels import (
     mark_viewpoints,
     place_views,
     runs_of,
-    sort_postings,
 )
 from placegraph.outdoor.map.objects import ends_of
 
@@ -284,8 +283,7 @@ def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, ND
     columns = {name: np.concatenate([p.pop(name) for p in parts]) for name in list(parts[0])}
     token, size, postings = (columns.pop(name) for name in ("token", "run_sizes", "postings"))
     order = np.argsort(token, kind="stable")
-    first = np.cumsum(size, dtype=np.int64) - size
-    columns["postings"] = sort_postings(postings, first, size, order)
+    columns["postings"] = postings[gather_spans(offsets_of(size), order)[1]]
     token, size, tile = token[order], size[order], columns["run_tiles"][order]
     before = np.where(np.diff(token, prepend=-1) != 0, -1, np.append(-1, tile[:-1]))
     jumps = (tile - before - 1) // JUMP
@@ -385,8 +383,8 @@ class ViewIndex:
         """Make an index of the columns of `build`; raises `ValueError` where they contradict each other."""
         east, north, width = grid
         columns = {name: _locked(column) for name, column in columns.items()}
-        starts: dict[str, Any] = {name: _starts(columns[of]) for name, of in _DERIVED.items()}
-        first = _starts(_ones(columns["present"]))
+        starts: dict[str, Any] = {name: offsets_of(columns[of]) for name, of in _DERIVED.items()}
+        first = offsets_of(_ones(columns["present"]))
         stored = {name: columns[name] for name in ViewColumns._fields if name in columns}
         place = (float(east), float(north), STRIDE, int(width))
         given = ViewColumns(grid=place, first=first, levels=LEVELS, **starts, **stored)
@@ -491,10 +489,6 @@ def _ones(bits: NDArray[np.int64]) -> NDArray[np.int64]:
     """Count the bits that are set."""
     in_bytes = _IN_BYTE[np.ascontiguousarray(bits)[..., None].view(np.uint8)]
     return in_bytes.sum(axis=-1, dtype=np.int64)
-
-
-def _starts(counts: NDArray[Any]) -> NDArray[np.int64]:
-    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
 
 
 def _locked(column: NDArray[Any]) -> NDArray[Any]:

@@ -53,12 +53,6 @@ def count_bits(x):
 
 
 @kernel(inline="always")
-def count_lower_bits(bits, slot):
-    """Count the bits that are set below a slot."""
-    return count_bits(bits & ((np.int64(1) << slot) - 1))
-
-
-@kernel(inline="always")
 def grade_of(share):
     """Return the least grade that stands for no smaller share."""
     return min(GRADES - 1, max(0, int(np.ceil(np.log(share / LEAST) / STEP))))
@@ -385,7 +379,8 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
                 if much == 0.0:
                     continue
                 share = much / total[slot]
-                of_pairs = max(of_pairs, round_share(share, levels[grade]) * pulls[slot])
+                kept = levels[grade] * FALLS[fall_of(share, levels[grade])]
+                of_pairs = max(of_pairs, kept * pulls[slot])
                 mass[token] += much
                 if core[tile] >> slot & 1:
                     counted[token] += much
@@ -404,14 +399,8 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
 
 @kernel(inline="always")
 def fall_of(share, largest):
-    """Return the place of a share in `FALLS`, against the largest of the run."""
+    """Return the place in `FALLS` of a share of all in sight, against the largest of its run."""
     return min(15, max(0, int(-np.log(share / largest) / FALL)))
-
-
-@kernel(inline="always")
-def round_share(share, largest):
-    """Return a share as it is read: rounded up."""
-    return largest * FALLS[fall_of(share, largest)]
 
 
 @kernel(_nrt=False)
@@ -437,17 +426,6 @@ def write_postings(posted, n, masses, total, present, largest):
             n += half
             half ^= 1
     return n + half - begun
-
-
-@kernel
-def sort_postings(posted, first, size, order):
-    """Return postings of runs in another order; run i has `size[i]` bytes from `first[i]` on."""
-    out, n = np.empty_like(posted), 0
-    for i in order:
-        for k in range(first[i], first[i] + size[i]):
-            out[n] = posted[k]
-            n += 1
-    return out
 
 
 FAR = np.float32(1e30)
