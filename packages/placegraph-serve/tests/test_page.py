@@ -136,6 +136,7 @@ def test_a_tab_that_is_clicked_early_stays(browser, url):
     with opened(browser, "about:blank") as page:
         page.route("**/drawing", lambda route: page.wait_for_timeout(500) or route.continue_())
         page.goto(f"{url}#map=hafenstadt", wait_until="commit")
+        page.wait_for_selector("#city option", state="attached")
         page.click("#tab-walk")
         page.wait_for_selector("#source:not(:empty)")
         still(page)
