@@ -113,14 +113,6 @@ def defer_signals() -> Iterator[None]:
 class _CalleeCode(JITCodeLibrary):
     """Code of a function that kernels call; they optimize and translate it with their own."""
 
-    def _optimize_functions(self, module: Any) -> None:  # noqa: ANN401  # LLVM's
-        """Shorten the code, so that it is linked sooner."""
-        module.data_layout = self._codegen._data_layout  # noqa: SLF001
-        passes, builder = self._codegen._function_pass_manager(opt=1)  # noqa: SLF001
-        for function in module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
-
     def finalize(self) -> None:
         """Keep the code as it is; numba optimizes and translates it here."""
         self._finalize_dynamic_globals()
@@ -183,7 +175,8 @@ def _link_callees(library: CodeLibrary, module: Any) -> None:  # noqa: ANN401  #
             if callee in visited:
                 continue
             visited.add(callee)
-            library._reload_init.update(callee._reload_init)  # noqa: SLF001
+            if hasattr(library, "_reload_init"):  # numba 0.61 and later
+                library._reload_init.update(callee._reload_init)  # noqa: SLF001
             if isinstance(callee, _CalleeCode):
                 pending.append(callee)
                 module.link_in(callee.own_module(), preserve=True)
