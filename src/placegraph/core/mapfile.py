@@ -201,7 +201,7 @@ FILTERS = frozenset({"none", "shuffle", "delta"})
 """``shuffle`` groups the bytes of words by significance; ``delta`` takes differences before."""
 
 _LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 6},)
-_SAMPLE = 1 << 14
+_SAMPLE = 1 << 16
 """Bytes of a column that decide its filter."""
 
 
