@@ -1,6 +1,5 @@
 """`placegraph scene build` and `info`: one sentence for people, JSON for machines, nothing half done."""
 
-import os
 import resource
 
 import numpy as np
@@ -119,7 +118,11 @@ def test_a_disk_that_is_full(run, ply, tmp_path):
 
 def test_ctrl_c_leaves_the_old_map_and_no_lock(tmp_path, interrupted):
     source, out, lock = (tmp_path / n for n in ("room.ply", "a.scene", ".a.scene.lock"))
-    os.mkfifo(source)  # reading waits for who writes: nobody
+    x, y = np.meshgrid(np.linspace(0, 9, 500), np.linspace(0, 9, 500))  # takes seconds to simplify
+    corner = np.arange(500 * 499).reshape(499, 500)[:, :-1].ravel()[:, None]
+    faces = np.vstack([corner + np.array(c) for c in ((0, 1, 500), (1, 501, 500))])
+    corners = np.stack([x, y, 1 + 0.1 * np.sin(9 * x) * np.cos(7 * y)], axis=-1).reshape(-1, 3)
+    write_ply(source, corners, faces, objects=np.ones(len(faces), int))
     out.write_bytes(b"old")
     ended = interrupted("scene", "build", source, "-o", out, once=lock.exists)
     assert (ended.code, ended.out, ended.err) == (130, "", "")

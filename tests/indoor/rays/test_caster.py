@@ -242,7 +242,7 @@ def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):
     monkeypatch.setattr(embree, "explain_unavailable", lambda: "It rains.")
     room = RayCaster(*cuboid((0, 0, 0), (4, 4, 3)))
     assert (room.backend, room.backend_note) == ("bvh", "It rains.")
-    assert room.cast([[1, 1, 1]], [[1, 0, 0]]).distance == [3.0]
+    assert room.cast([[1, 1, 1]], [[1, 0, 0]]).distance == pytest.approx(3.0)
     with pytest.raises(MissingExtraError, match=r"It rains\. Install `embreex"):
         RayCaster(*cuboid((0, 0, 0), (4, 4, 3)), backend="embree")
 

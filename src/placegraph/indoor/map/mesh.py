@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import OptionError
 
 GRAIN = 2.0**-13
@@ -27,7 +28,7 @@ WHITE.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Mesh:
+class Mesh(PickleFields):
     """V vertices, T triangles and K textures; arrays are read-only and checked.
 
     Raises `OptionError`: arrays do not fit each other, a row points nowhere, a number is not
