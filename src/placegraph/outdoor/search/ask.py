@@ -157,14 +157,14 @@ def next_question(estimate: CityEstimate, city: City) -> Question | None:
     found = list(itertools.islice(rank_questions(estimate, city), MAX_TRIED))
     found.sort(key=lambda q: (q.gain, q.text), reverse=True)
     good = itertools.takewhile(lambda q: q.gain > MIN_GAIN, found)
-    return next((q for q in good if measure_change(estimate, city, q) >= MIN_CHANGE), None)
+    return next((q for q in good if moves_posterior(estimate, city, q)), None)
 
 
-def measure_change(estimate: CityEstimate, city: City, question: Question) -> float:
-    """Compute the share of the probability that an answer moves between the likeliest places, in the mean.
+def moves_posterior(estimate: CityEstimate, city: City, question: Question) -> bool:
+    """Return whether an answer moves `MIN_CHANGE` of the probability between the likeliest places.
 
-    Total variation distance between the posterior and those given each answer, by the likelihood of the
-    search.
+    In the mean of the answers, as total variation distance between the posterior and that given the answer,
+    by the likelihood of the search.
     """
     from placegraph.outdoor.search.posterior import PRIOR_COHERENT  # which imports answers
 
@@ -172,7 +172,7 @@ def measure_change(estimate: CityEstimate, city: City, question: Question) -> fl
     weights = estimate.support[heaviest, 2] / estimate.support[heaviest, 2].sum()
     positions = city.plane.to_plane(estimate.support[heaviest, :2])
     seen = city.in_sight(np.maximum(city.views.nearest(positions), 0))
-    changes = []
+    change = 0.0
     for option in question.options:
         query = compile_query(Answer(question, option).added_to(Description("")), city)
         added = np.zeros((len(positions), 1, len(query.used)), np.float32)
@@ -181,8 +181,10 @@ def measure_change(estimate: CityEstimate, city: City, question: Question) -> fl
             positions[:, None], (seen.starts, seen.objects), added, PRIOR_COHERENT, False,
         )  # fmt: skip
         posterior = weights * np.exp(ratios[:, 0] - ratios.max())
-        changes.append(0.5 * np.abs(posterior / posterior.sum() - weights).sum())
-    return float(np.mean(changes))
+        change += 0.5 * np.abs(posterior / posterior.sum() - weights).sum()
+        if change >= MIN_CHANGE * len(question.options):
+            return True
+    return False
 
 
 def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
