@@ -197,7 +197,10 @@ def _libraries_of(kind: type[JITCodeLibrary], context: CPUContext) -> Iterator[N
 
 
 class _KernelCompiler(Compiler):
-    """Numba's compiler, which no exception of a signal handler interrupts."""
+    """Numba's compiler, which leaves callees to the kernels that Python calls.
+
+    No exception of a signal handler interrupts it.
+    """
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
         context = self.state.targetctx

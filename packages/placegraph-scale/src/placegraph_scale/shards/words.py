@@ -358,10 +358,8 @@ def _find_called(
     names: PagedTexts, columns: Mapping[str, PagedColumn], words: str
 ) -> list[int] | None:
     """Return the rows of names that are called so."""
-    key, by = (
-        _hash(words) >> SPARE,
-        columns["said_rows"],
-    )  # others are told apart by what is written
+    # names of equal bits are told apart by what is written
+    key, by = _hash(words) >> SPARE, columns["said_rows"]
     first, last = (columns["said"].find(k) for k in (key, key + 1))
     found = [
         row for row in by[first:last].tolist()

@@ -149,8 +149,8 @@ class ShardCache:
         """Close shards that were not used for longest until the others fit, the shard at `path` included."""
         if path not in self._sizes and self.memory < np.inf:
             self._sizes[path] = count_bytes(self._open[path], set())
-        while len(self._open) > max(
-            1, self.most if sum(self._sizes.values()) <= self.memory else len(self._open) - 1
+        while len(self._open) > 1 and (
+            len(self._open) > self.most or sum(self._sizes.values()) > self.memory
         ):
             closed, _ = self._open.popitem(last=False)
             self._sizes.pop(closed, None)
