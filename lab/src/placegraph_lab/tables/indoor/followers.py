@@ -29,7 +29,7 @@ ALPHA = 0.2  # all five shares of motion's noise
 MOVED, TURNED = 0.25, 0.2  # way [m] and turn [rad] after which a scan is looked at
 BAND = 0.3  # points so far above and below the laser make the grid [m]
 SLICE = 0.1  # ... and these the scan [m]
-"""Defaults of Nav2's AMCL; the scan is made as `pointcloud_to_laserscan` makes it."""
+"""Nav2's defaults of AMCL's field, motion and updates; the scan is that of `pointcloud_to_laserscan`."""
 
 
 def depth_points(frame: Frame) -> Floats:
