@@ -17,7 +17,8 @@ from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.extract import TOLERANCE, clip, list_names
-from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
+from placegraph.outdoor.map.geometry_kernels import compute_centers
+from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, simplify
 from placegraph_lab.worlds.town.town import Town
 
 MORE = (
@@ -44,7 +45,7 @@ def names(city, osm):
 
 def columns(city):
     """Everything an open map holds, as arrays."""
-    found = dict(vars(city.objects))
+    found = {**vars(city.objects), "center": city.objects.center}
     found["labels"], found["names"] = map(np.array, (city.objects.labels, city.objects.names))
     found["cells"] = city.cells.points
     return found
@@ -404,7 +405,7 @@ def test_stored_shapes_are_those_of_the_extract(build_world, rng):
 
 def center(kind, *lines):
     flat, starts = parts_of(lines)
-    return centers(
+    return compute_centers(
         np.array([kind], np.uint8),
         np.array([0, len(lines)], np.int32),
         starts.astype(np.int32),

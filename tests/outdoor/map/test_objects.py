@@ -19,7 +19,7 @@ def grid(north, east, turned, n=8):
         kind=np.full(2 * n, LINE, np.uint8), label_starts=rows,
         label_values=np.zeros(2 * n, np.int32), name_starts=rows, name_values=rows[:-1],
         part_starts=rows, point_starts=2 * np.arange(2 * n + 1, dtype=np.int32),
-        points=(points @ turn).astype(np.float32), center=np.zeros((2 * n, 2), np.float32),
+        points=(points @ turn).astype(np.float32),
         labels=("highway=residential",), names=tuple(f"Street {i}" for i in range(2 * n)),
     )  # fmt: skip
 

@@ -82,7 +82,6 @@ def part_of(objects: CityObjects, rows: Rows, extra: NDArray[np.float64]) -> Cit
         part_starts=np.append(part.part_starts, part.part_starts[-1] + one),
         point_starts=np.append(part.point_starts, part.point_starts[-1] + one),
         points=np.concatenate([part.points, at]),
-        center=np.concatenate([part.center, at]),
     )
 
 
@@ -97,7 +96,7 @@ def take_objects(objects: CityObjects, rows: Rows) -> CityObjects:
     return CityObjects(
         objects.osm_type[rows], objects.osm_id[rows], objects.kind[rows],
         label_starts, label_values, name_starts, name_values, part_starts, point_starts,
-        objects.points[points], objects.center[rows], labels, names,
+        objects.points[points], labels, names,
     )  # fmt: skip
 
 

@@ -42,7 +42,6 @@ from placegraph.outdoor.map.objects import (
     LINE,
     CityColumns,
     CityObjects,
-    centers,
     columns_of,
     ends_of,
     find_hidden,
@@ -170,12 +169,10 @@ class City(PickleFields):
                 part_starts=part_starts,
                 point_starts=point_starts,
                 points=points,
-                center=np.zeros((0, 2), np.float32),
                 labels=file.strings("labels", max_count=len(label_values)),
                 names=file.strings("names", max_count=len(name_values)),
             )
             objects.check()
-            center = centers(kind, part_starts, point_starts, points)
             east, north, grid_stride, columns, rows = meta["grid"]
             grid = Grid(float(east), float(north), float(grid_stride), int(columns), int(rows))
             sizes = float(meta["cell_size"]), float(meta["edge_distance"])
@@ -184,7 +181,7 @@ class City(PickleFields):
             source = str(meta["source"])
             left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             index = index_in(file, len(objects.labels) + len(objects.names))
-        city = cls(plane, replace(objects, center=center), cells, source, left_out)
+        city = cls(plane, objects, cells, source, left_out)
         object.__setattr__(city, "index", index)
         return city
 

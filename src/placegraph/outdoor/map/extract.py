@@ -26,7 +26,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import EACH, MOST
 from placegraph.outdoor.map.geometry_kernels import along_curve
 from placegraph.outdoor.map.index import STRIDE
-from placegraph.outdoor.map.objects import AREA, GRAIN, CityObjects, centers, simplify
+from placegraph.outdoor.map.objects import AREA, GRAIN, CityObjects, simplify
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping
@@ -422,7 +422,6 @@ def make_objects(elements: ElementTable, plane: LocalPlane) -> CityObjects:
         part_starts=parts,
         point_starts=ends,
         points=points,
-        center=centers(kind, parts, ends, points),
         labels=label_table,
         names=name_table,
     )

@@ -41,7 +41,8 @@ def _keep(points, starts, tolerance):
 
 
 @kernel
-def _centers(kind, part_starts, point_starts, points):
+def compute_centers(kind, part_starts, point_starts, points):
+    """Return points, middles of lines and centroids of areas: (N, 2) east, north [m]."""
     n = len(kind)
     out = np.zeros((n, 2), np.float32)
     for row in range(n):

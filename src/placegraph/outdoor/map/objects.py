@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.core.pickling import PickleFields
-from placegraph.outdoor.map.geometry_kernels import _boxes, _centers, _keep
+from placegraph.outdoor.map.geometry_kernels import _boxes, _keep, compute_centers
 
 Rows = NDArray[np.int64]
 
@@ -50,15 +51,23 @@ class CityObjects(PickleFields):
     """(P + 1,) points of a part."""
     points: NDArray[np.float32]
     """(V, 2) east, north [m]. Rings are closed: the first point is the last."""
-    center: NDArray[np.float32]
-    """(N, 2) east, north [m]: the point, the middle of the line, the centroid of the area."""
     labels: tuple[str, ...]
     """``key=value``, sorted."""
     names: tuple[str, ...]
     """Names as written, sorted."""
 
+    def __post_init__(self) -> None:
+        kind = self.kind.view()
+        kind.flags.writeable = False  # as in a map file: kernels are compiled for each of the two
+        object.__setattr__(self, "kind", kind)
+
     def __len__(self) -> int:
         return len(self.osm_id)
+
+    @cached_property
+    def center(self) -> NDArray[np.float32]:
+        """(N, 2) east, north [m]: the point, the middle of the line, the centroid of the area."""
+        return compute_centers(self.kind, self.part_starts, self.point_starts, self.points)
 
     def check(self) -> None:
         """Raise `ValueError` where columns contradict each other (a damaged or hand-made map)."""
@@ -145,23 +154,12 @@ def index_of(labels: tuple[str, ...]) -> dict[str, list[int]]:
     return index
 
 
-def centers(
-    kind: NDArray[np.uint8],
-    part_starts: NDArray[np.int32],
-    point_starts: NDArray[np.int32],
-    points: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """Compute centres (N, 2) [m] of objects: the point, the middle of the line, the area's centroid."""
-    return _centers(kind, part_starts, point_starts, points)
-
-
 def columns_of(
     o: CityObjects, tokens: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]
 ) -> CityColumns:
     """Return the columns of objects and their tokens (starts, values, weights) for compiled code."""
-    kind, box = o.kind.view(), _boxes(o.part_starts, o.point_starts, o.points)
-    kind.flags.writeable = False  # as of a map that was opened: compiled code tells the two apart
-    return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, box, *tokens)
+    box = _boxes(o.part_starts, o.point_starts, o.points)
+    return CityColumns(o.kind, o.part_starts, o.point_starts, o.points, o.center, box, *tokens)
 
 
 def ends_of(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -363,7 +363,6 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
         offsets_of(np.tile(np.diff(o.part_starts), copies)).astype(np.int32),
         offsets_of(np.tile(np.diff(o.point_starts), copies)).astype(np.int32),
         np.concatenate([o.points + shift for shift in shifts]).astype(np.float32),
-        np.concatenate([o.center + shift for shift in shifts]).astype(np.float32),
         o.labels, o.names,
     )  # fmt: skip
     return CityMap.create(

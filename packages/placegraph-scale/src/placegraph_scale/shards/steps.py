@@ -412,7 +412,6 @@ def _append(o: CityObjects, rare_objects: Sequence[RareObject], plane: LocalPlan
         return np.append(starts, starts[-1] + np.cumsum(counts)).astype(starts.dtype)
 
     parts = [plane.to_plane(part) for thing in rare_objects for part in thing.parts]
-    centers = plane.to_plane(np.array([thing.center for thing in rare_objects]))
     named = np.array([bool(thing.name) for thing in rare_objects])
     n = len(rare_objects)
     return replace(
@@ -427,7 +426,6 @@ def _append(o: CityObjects, rare_objects: Sequence[RareObject], plane: LocalPlan
         part_starts=extend(o.part_starts, np.array([len(thing.parts) for thing in rare_objects])),
         point_starts=extend(o.point_starts, np.array([len(part) for part in parts])),
         points=np.concatenate([o.points, *parts]).astype(np.float32),
-        center=np.concatenate([o.center, centers]).astype(np.float32),
         labels=(*o.labels, *(t.label for t in rare_objects)),
         names=(*o.names, *(t.name for t in rare_objects if t.name)),
     )  # fmt: skip
