@@ -45,7 +45,7 @@ def label_charts(triangles, vertices):
     return root
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def sample_colour(surface, triangle, u, v, footprint):
     """Return colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
 
@@ -79,7 +79,7 @@ def sample_colour(surface, triangle, u, v, footprint):
     )
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def opponent_colour(red, green, blue):
     """Return lightness and two chromaticities (3 floats) that a lamp's brightness leaves alone."""
     total = red + green + blue
@@ -219,7 +219,7 @@ def render_panoramas(tracer, surface, points, directions, objects):
         len(points),
         tracer,
         surface,
-        points,
+        np.array(points),  # a writeable copy: kernels are compiled anew for read-only arrays
         directions,
         hit_objects,
         ranges,

@@ -102,8 +102,9 @@ class RayCaster:
         or has no direction hits nothing. Neighbouring rays are fastest where they are alike.
         """
         with np.errstate(over="ignore"):
-            along = np.ascontiguousarray(directions, np.float32)
-            start = np.ascontiguousarray(np.broadcast_to(origins, along.shape), np.float32)
+            # writeable copies: kernels are compiled anew for read-only arrays
+            along = np.array(directions, np.float32, order="C")
+            start = np.array(np.broadcast_to(origins, along.shape), np.float32, order="C")
         count = len(along)
         hits = Hits(
             np.full(count, trace.NONE, np.int32), np.full(count, np.inf, np.float32),

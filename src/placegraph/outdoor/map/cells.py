@@ -349,7 +349,7 @@ def _relations(
             objects.point_starts,
             objects.points,
             kind,
-            rows[target],
+            int(rows[target]),
             *(objects.center[rows[source]] if areas else at[source]),
         )
         if kind == AREA and d2 == 0.0 and not _holds(objects, rows[source], rows[target]):
