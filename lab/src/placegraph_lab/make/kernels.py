@@ -36,8 +36,10 @@ RUNS = {
     "city build": [
         "{data}/osm/monaco_2025.osm.pbf -o m.city",
         "{data}/osm/toronto_downtown_2020.osm.bz2 -o t.city",
+        "{data}/osm/vancouver_2015.osm.pbf -o v.city",
     ],
-    "city locate": [
+    "city locate": [f"v.city {shlex.quote(text)}" for text in QUERIES],
+    "city locate, without an index": [
         *(f"{city}.city {shlex.quote(text)}" for text in QUERIES for city in "mt"),
         f"m.city {shlex.quote(QUERIES[0])} --near 7.4277,43.7394 --radius 300",
         f"m.city {shlex.quote(QUERIES[0])} --matcher relational",
