@@ -64,7 +64,8 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     `options` are those of `numba.njit`, with ``nogil=True`` as the default. ``finite=True`` promises
     finite numbers, which makes comparisons quick; unlike ``fastmath=True`` it keeps the order of sums,
     so that answers do not depend on the compiler. ``_nrt=False`` makes a small function that allocates
-    nothing faster: references to its array arguments are not counted.
+    nothing faster: references to its array arguments are not counted. ``inline=True`` does so, too, and
+    LLVM puts the function into its callers; numba's own inlining takes longer to compile.
     """
     if function is None:
         return lambda given: kernel(given, **options)
@@ -72,6 +73,8 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
         return function
     if options.pop("finite", False):
         options["fastmath"] = {"nnan", "ninf", "nsz"}
+    if options.pop("inline", False):
+        options |= {"forceinline": True, "_nrt": False, "error_model": "numpy"}
     defaults = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "nogil": True}
     compiled = Kernel(function, locals={}, targetoptions=defaults | options)
     compiled.enable_caching()

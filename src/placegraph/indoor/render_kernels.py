@@ -111,7 +111,7 @@ def shade(world, eye, packet, ints, places, width, colours):
         colours[lane, 2] *= blue
 
 
-@kernel(inline="always", error_model="numpy")
+@kernel(inline=True)
 def cross(ax, ay, az, bx, by, bz):
     """Return product of two vectors."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

@@ -14,7 +14,7 @@ from placegraph.core.jit import kernel
 _FAST = {"reassoc", "contract", "nsz"}  # sums in any order; infinity keeps its meaning
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def _dot(row, query):
     total = np.float32(0.0)
     for d in range(len(query)):
@@ -22,7 +22,7 @@ def _dot(row, query):
     return total
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def _inside(position, box):
     """Tell whether longitude and latitude lie in west, south, east, north, edges included."""
     west, south, east, north = box

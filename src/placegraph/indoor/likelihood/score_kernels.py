@@ -125,7 +125,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
             scores[k, TONE] = np.float32(noise.tone_weight) * _tone(tones) / samples
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def aim(packet, pose, directions, first):
     """Fill a packet with the rays of one tile from one pose."""
     c, s = np.float32(np.cos(pose[3])), np.float32(np.sin(pose[3]))
@@ -140,7 +140,7 @@ def aim(packet, pose, directions, first):
         packet[FAR, lane] = np.inf
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _semantic(patch_sums, count, weight):
     """Sum over patches of the log of their mean ratio: a patch sees its objects by their shares."""
     total = np.float32(0.0)
@@ -178,7 +178,7 @@ def _patch_similarity(votes, ray_objects, view):
     return np.float32(total / max(1, patches))
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _depth(expected, measured, noise):
     """One reading: the paper's error (Sec. 3.4), or a log-likelihood with Cauchy's tails."""
     if noise.gaussian:
@@ -194,7 +194,7 @@ def _depth(expected, measured, noise):
     return good * np.float32(noise.depth_gain) - (np.float32(1.0) - good) * cost
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _show(tile, packet, ints, surface, view, map_colours, hit):
     """Fill the map's colours (16, 3) at the samples of a tile, where `hit` (16,)."""
     for lane in range(LANES):
@@ -205,7 +205,7 @@ def _show(tile, packet, ints, surface, view, map_colours, hit):
             map_colours[lane, 0], map_colours[lane, 1], map_colours[lane, 2] = red, green, blue
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _tones(tile, view, map_colours, hit, moments):
     """Add the colours of a tile to a frame's moments (3, 6) of each channel."""
     for lane in range(LANES):
@@ -221,7 +221,7 @@ def _tones(tile, view, map_colours, hit, moments):
             moments[c, 5] += 1.0
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _steps(tile, view, map_colours, hit, moments):
     """Add steps of colour between neighbours of a tile to a frame's moments.
 
@@ -253,13 +253,13 @@ def _steps(tile, view, map_colours, hit, moments):
     moments[4] += qr
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _step(here, there, steepest):
     """A step as a share of the steepest that counts, in [-1, 1]."""
     return min(max((there - here) / steepest, np.float32(-1.0)), np.float32(1.0))
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _map_colour(packet, ray, triangle, surface, view):
     """`opponent_colour` of what one ray hits."""
     width = packet[FAR, ray] * np.float32(view.footprint)
@@ -267,7 +267,7 @@ def _map_colour(packet, ray, triangle, surface, view):
     return opponent_colour(red, green, blue)
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _ssim(tile, packet, ints, surface, view):
     """SSIM of a tile's lightness (Sec. 3.4), times its samples that hit."""
     hits = 0
@@ -291,7 +291,7 @@ def _ssim(tile, packet, ints, surface, view):
     return n * (2 * mq * mr + c1) * (2 * cov + c2) / ((mq * mq + mr * mr + c1) * (vq + vr + c2))
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _correlation(moments):
     """-log(1 - rho^2) / 2 of the steps of colour: what one pair of neighbours tells [nat].
 
@@ -307,7 +307,7 @@ def _correlation(moments):
     return np.float32(-0.5 * np.log(1.0 - rho * rho) * both / pairs)
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _tone(moments):
     """-log(1 - rho^2) / 2 of colours, the mean of their channels, times the samples that hit [nat].
 

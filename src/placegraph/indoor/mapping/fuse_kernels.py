@@ -38,13 +38,13 @@ class Blocks(NamedTuple):
     truncation: float  # Distances beyond this are cut [m]
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def key_of(x, y, z):
     """Return key of the block at whole coordinates."""
     return ((x + RANGE) << 42) | ((y + RANGE) << 21) | (z + RANGE)
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def transform(pose, x, y, z):
     """Return point as three numbers after a rigid motion (4, 4)."""
     return (

@@ -357,7 +357,7 @@ def _intersect_box(s, nodes, at, row):
     return number
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline=True)
 def _left_first(s):
     votes = 0
     for i in range(LANES):
@@ -372,7 +372,7 @@ def _edge_function(px, py, qx, qy):
     return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline=True)
 def _intersect_triangle(s, corners, at):
     """Write into T, OUT_U, OUT_V where each lane meets a triangle; return how many do nearer than BEST."""
     px, py, pz = corners[at], corners[at + 1], corners[at + 2]
@@ -436,7 +436,7 @@ def new_packet() -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int
     return packet, ints, valid
 
 
-@kernel(inline="always")
+@kernel
 def trace16(
     tracer: Tracer, packet: NDArray[np.float32], ints: NDArray[np.int32], valid: NDArray[np.int32]
 ) -> None:

@@ -116,7 +116,7 @@ def read(depth, rays, v, u, reach):
     return directions, read, normals
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def subtract_points(depth, rays, row, column, other, beside):
     """Return way (3 floats) from the point that a pixel shows to that of another."""
     near, far = depth[row, column], depth[other, beside]
@@ -127,7 +127,7 @@ def subtract_points(depth, rays, row, column, other, beside):
     )
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def at_edge(depth, row, column):
     """Return whether depth jumps from a pixel to a neighbour by more than a slanted wall's would."""
     z = depth[row, column]
@@ -141,7 +141,7 @@ def at_edge(depth, row, column):
     return False
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def add_row(h, g, j, e, w):
     """Add one residual with its derivatives (6,) to the upper half of normal equations."""
     for a in range(6):
@@ -150,7 +150,7 @@ def add_row(h, g, j, e, w):
             h[a, b] += w * j[a] * j[b]
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def aim_rotated(packet, rotation, position, directions, first):
     """Fill a packet with the rays of one tile from one pose of six degrees of freedom."""
     for lane in range(LANES):
@@ -367,7 +367,7 @@ def search(view, mask, query, at, half, radius, peak):
     return out
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _correlate_row(query, top, left, patch, patch_mask, area, rows, width):
     """Return sums, sums of squares and products with a patch (3, width) at `width` places in a row.
 
@@ -387,7 +387,7 @@ def _correlate_row(query, top, left, patch, patch_mask, area, rows, width):
                     rows[2, i] += q * p
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _peaks(scores, peak):
     """Return best score, the best farther than `peak` from it, and the row and column of the first."""
     best, rival, row, column = np.float32(-1.0), np.float32(-1.0), 0, 0
@@ -402,7 +402,7 @@ def _peaks(scores, peak):
     return best, rival, row, column
 
 
-@kernel(inline="always", fastmath=True)
+@kernel(inline=True, fastmath=True)
 def _template(view, mask, row, column, half, patch, patch_mask):
     """Copy a patch less its mean, and which of it is seen; its number of pixels, and its energy."""
     side = 2 * half + 1
@@ -422,7 +422,7 @@ def _template(view, mask, row, column, half, patch, patch_mask):
     return area, energy
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def _vertex(before, at, after):
     """Return place of a parabola's top through three scores, from the middle one [-0.5 to 0.5]."""
     bend = before - np.float32(2.0) * at + after

@@ -13,7 +13,7 @@ VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
 """Wire types of a field in protocol buffers."""
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def decode_varint(data, at, end):
     """Return an integer of up to 64 bits and the next position; -1 where it is cut off or longer."""
     value, shift = np.int64(0), np.int64(0)
@@ -28,7 +28,7 @@ def decode_varint(data, at, end):
     return value, np.int64(-1)
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def decode_zigzag(value):
     """Decode a zigzag number, whose sign is its lowest bit."""
     return ((value >> 1) & 0x7FFFFFFFFFFFFFFF) ^ -(value & 1)
@@ -76,7 +76,7 @@ def read_fields(data, at, end):
     return found[:n], True
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def read_numbers(data, number, value, at, out, used):
     """Append a field's numbers, packed or single, to the `used` ones; return the new count, or -1."""
     if number < 0:
@@ -91,7 +91,7 @@ def read_numbers(data, number, value, at, out, used):
     return used
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def read_version(data, at, end):
     """Return the version in an element's `Info`; -1 where it is damaged."""
     found = np.int64(0)

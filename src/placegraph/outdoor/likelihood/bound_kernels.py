@@ -188,7 +188,7 @@ def _read_density(views, tiles, total, pull):
             bits >>= 1
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def find_bounded_ends(statements, s):
     """Return the two mentions that bound a statement: b and c for "I am between b and c"."""
     a, b = statements.source[s], statements.target[s]

@@ -609,11 +609,13 @@ def score_distant(statements, scene, far, positions):
     return out
 
 
-@kernel(finite=True, inline="always")
+@kernel(finite=True, inline=True)
 def _distant_fit(statements, s, d, dx, dy, scale, forward):
     """Return the agreement of an object out of sight, d = (dx, dy) away [m], with a statement."""
     fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
     if statements.op[s] == DIRECTION:
-        ux, uy = statements.bearing[s] if forward else -statements.bearing[s]
+        ux, uy = statements.bearing[s]
+        if not forward:
+            ux, uy = -ux, -uy
         fit *= direction_fit(statements.table[s], ux, uy, dx, dy, VIEW_BLUR)
     return fit

@@ -95,7 +95,7 @@ def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
     return ((1.0 - slip) * inside + slip * 0.25).astype(np.float32)
 
 
-@kernel(finite=True, inline="always")
+@kernel(finite=True, inline=True)
 def direction_fit(table, ux, uy, dx, dy, blurred):
     """Return P(direction said) for a vector [m]; within `blurred` [m^2] it points nowhere."""
     d2 = dx * dx + dy * dy

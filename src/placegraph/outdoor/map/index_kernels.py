@@ -35,14 +35,14 @@ JUMP = 1 << 16
 """Tiles of runs are stored modulo this number; a run without postings stands at each larger step."""
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def slot_of(bits):
     """Return the slot of the lowest bit that is set."""
     x = (bits & -bits) - 1
     return count_bits(x)
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def count_bits(x):
     """Count the bits that are set in a whole number from 0 on."""
     x = x - ((x >> 1) & 0x5555555555555555)
@@ -52,13 +52,13 @@ def count_bits(x):
     return ((x * 0x0101010101010101) >> 56) & 0x7F
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def grade_of(share):
     """Return the least grade that stands for no smaller share."""
     return min(GRADES - 1, max(0, int(np.ceil(np.log(share / LEAST) / STEP))))
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def pack_density(total, pairs):
     """Pack all in sight of a viewpoint, and its share of the root of pairs, in 8 bits."""
     high = min(7, max(0, int(np.log(max(total, np.float32(1.0))) / TOTAL_STEP)))
@@ -66,7 +66,7 @@ def pack_density(total, pairs):
     return (high << 5) | min(31, max(0, int(np.ceil(pull / PULL_STEP))))
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def write_step(things, n, step):
     """Write a step from 1 on as 7 bits a byte, the lowest first; return where the next begins."""
     step -= 1
@@ -78,7 +78,7 @@ def write_step(things, n, step):
     return n + 1
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def read_step(things, k):
     """Read a step of `write_step`; return it, and where the next begins."""
     step, shift = np.int64(things[k]) & 127, 7
@@ -166,7 +166,7 @@ def list_visible(scene, views, tile, slot, objects, offsets, visibility):
     return n, total, max(apart * apart - squared, np.float32(0.0))
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def place_of(views, tile, slot):
     """Return east and north of a slot of a tile [m]."""
     east0, north0, stride, columns = views.grid
@@ -175,7 +175,7 @@ def place_of(views, tile, slot):
     return east, north0 + (row * SIDE + (slot >> 3)) * stride
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def tile_of(views, view):
     """Return tile and slot of a viewpoint."""
     low, high = 0, len(views.tiles)
@@ -397,7 +397,7 @@ def runs_of(tile_starts, visible, keep, core, kind, tokens, levels, n_labels, ma
     return columns, posted[:postings], of_views, (counted, shares, peak, in_sight, spread, pull)
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def fall_of(share, largest):
     """Return the place in `FALLS` of a share of all in sight, against the largest of its run."""
     return min(15, max(0, int(-np.log(share / largest) / FALL)))

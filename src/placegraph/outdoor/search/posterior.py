@@ -535,7 +535,7 @@ def find_peaks(  # noqa: C901, PLR0912  # one compiled loop
     return place[:n], covariance[:n], mass[:n]
 
 
-@kernel(inline="always")
+@kernel(inline=True)
 def _is_near(a: Floats, b: Floats, reach: float) -> bool:
     """Whether two points (2,) lie within a distance."""
     east, north = a[0] - b[0], a[1] - b[1]
