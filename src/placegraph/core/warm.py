@@ -1,8 +1,9 @@
 # mypy: disable-error-code="attr-defined"
 """Compilation of all kernels of a command, in parallel processes, before they are needed.
 
-`kernels.txt` lists by command the kernels that Python calls, and the types of their arguments. Kernels
-missing from the list only cost time: they are compiled at their first call.
+`kernels.txt` lists the kernels that Python calls, the types of their arguments, and by letters the
+commands that need them. Kernels missing from the list only cost time: they are compiled at their first
+call.
 """
 
 from __future__ import annotations
@@ -33,11 +34,15 @@ _STALE_ENTRY = AttributeError, ImportError, NameError
 def list_calls() -> dict[str, list[str]]:
     """Return calls ``KERNEL(TYPE, ...)`` by command and kind, in the order to compile them in."""
     found: dict[str, list[str]] = {}
+    commands: dict[str, str] = {}
     for line in _lines():
-        if line.startswith("["):
-            calls = found[line.strip("[]")] = []
+        if ": " in line[:3]:
+            letter, _, command = line.partition(": ")
+            commands[letter], found[command] = command, []
         elif " = " not in line:
-            calls.append(line)
+            letters, _, call = line.partition(" ")
+            for letter in letters:
+                found[commands[letter]].append(call)
     return found
 
 

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from string import ascii_lowercase
 from types import FunctionType
 from typing import cast
 
@@ -21,8 +22,8 @@ from placegraph.core.jit import Kernel
 from placegraph.errors import InputError
 
 HEAD = """\
-# What each command compiles: the kernels that Python calls, and the types of their arguments; those
-# that take longest come first, those that share parts with these last. Written by
+# The kernels that Python calls: the letters of the commands that need them, and the types of their
+# arguments; those that take longest come first, those that share parts with these last. Written by
 # `placegraph-lab kernels`; read by `placegraph.core.warm`.
 """
 QUERIES = (
@@ -103,13 +104,12 @@ def list_kernels(data: Path, report: Callable[[str], None]) -> str:
             tuple_names, found = _called(words, Path(folder))
             _merge(tuple_names, found, names, calls.setdefault(label, {}))
             report(f"{len(found):4} {label}")
-    lines = [f"{name} = {text}" for text, name in names.items()]
-    for label, found in calls.items():
-        lines += [
-            "",
-            f"[{label}]",
-            *sort_calls(sorted(found, key=lambda call: (-found[call], call))),
-        ]
+    lines = [f"{letter}: {label}" for letter, label in zip(ascii_lowercase, calls, strict=False)]
+    lines += [f"{name} = {text}" for text, name in names.items()]
+    sizes = {call: size for found in calls.values() for call, size in found.items()}
+    for call in sort_calls(sorted(sizes, key=lambda call: (-sizes[call], call))):
+        needed = zip(ascii_lowercase, calls.values(), strict=False)
+        lines.append(f"{''.join(letter for letter, found in needed if call in found)} {call}")
     return HEAD + "\n".join(lines) + "\n"
 
 
