@@ -447,9 +447,10 @@ def map_writer(path: Path_) -> Iterator[Write]:
 
 
 def read_map(
-    path: Path_, kind: str, max_version: int, mapped: Collection[str] = (), min_mapped: int = 0
-) -> MapFile:
-    """Read a map file and check all of it.
+    path: Path_, kind: str, max_version: int, mapped: Collection[str] = (), min_mapped: int = 0,
+    skipped: Collection[str] = (),
+) -> MapFile:  # fmt: skip
+    """Read a map file and check all of it; columns named in `skipped` are left out.
 
     Raw columns named in `mapped` are memory-mapped, if they have `min_mapped` bytes together; they hold
     two file descriptors. Shortening the file in place would then end this process: ask
@@ -475,21 +476,23 @@ def read_map(
                 "this version."
             )
         start, watch = file.tell(), FileWatch(file, path) if mapped else None
-        windows = [b for b in header.blocks if b.name in mapped and is_mappable(b, start)]
+        blocks = [b for b in header.blocks if b.name not in skipped]
+        windows = [b for b in blocks if b.name in mapped and is_mappable(b, start)]
         windows = windows if sum(b.length for b in windows) >= min_mapped else []
-        others = sorted((b for b in header.blocks if b not in windows), key=lambda b: -b.length)
+        others = sorted((b for b in blocks if b not in windows), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
-            hashed = pool.submit(_has_valid_digest, file, header.file_size)
+            apply: Any = pool.map if header.file_size > CHUNK else map
+            hashed = apply(_has_valid_digest, [file], [header.file_size])
             # The blocks' own checksums come first: they name the damaged column.
-            decoded = pool.map(partial(read_block, file, start, path), others)
+            decoded = apply(partial(read_block, file, start, path), others)
             arrays = dict(zip(others, decoded, strict=True))
-            is_intact = hashed.result()
+            (is_intact,) = hashed
         arrays |= map_blocks(file, windows, start) if windows else {}
         if not is_intact:
             for b in windows:
                 read_block(file, start, path, b)
             raise damage_error(path, "its contents do not match its checksum")
-    return MapFile(header, {b.name: arrays[b] for b in header.blocks}, watch if windows else None)
+    return MapFile(header, {b.name: arrays[b] for b in blocks}, watch if windows else None)
 
 
 @contextmanager

@@ -340,6 +340,7 @@ def test_a_forged_index_is_searched_without_harm(harbour, make_description, seed
 @pytest.fixture
 def stored(harbour, tmp_path, monkeypatch):
     monkeypatch.setattr("placegraph.core.mapfile.ALIGNMENT", 1)
+    monkeypatch.setattr("placegraph.outdoor.map.city.LARGE", 1000)
     path = tmp_path / "harbour.city"
     harbour.save(path, index=True)
     return path
@@ -347,7 +348,7 @@ def stored(harbour, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("how", ["is truncated", "written to"])
 def test_a_file_that_is_changed_while_its_index_is_used_is_refused(how, harbour, stored):
-    city = City.open(stored, shard=True)
+    city = City.open(stored)
     assert isinstance(city.views.columns.postings.base.base, mmap)
     sent = pickle.loads(pickle.dumps(city))  # noqa: S301  # our own
     if how == "is truncated":
@@ -362,19 +363,16 @@ def test_a_file_that_is_changed_while_its_index_is_used_is_refused(how, harbour,
 
 
 def test_a_file_may_be_replaced_or_removed_while_its_index_is_used(harbour, stored):
-    city = City.open(stored, shard=True)
+    city = City.open(stored)
     harbour.save(stored, index=False)
     np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
     stored.unlink()
     np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
 
 
-def test_an_index_that_is_not_large_is_read_and_its_file_may_be_cut_short(
-    harbour, stored, monkeypatch
-):
-    city = City.open(stored)
-    os.truncate(stored, 100)
+def test_an_index_that_is_not_large_is_read_and_its_file_may_be_cut_short(harbour, tmp_path):
+    path = tmp_path / "harbour.city"
+    harbour.save(path, index=True)
+    city = City.open(path)
+    os.truncate(path, 100)
     np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
-    harbour.save(stored, index=True)
-    monkeypatch.setattr("placegraph.outdoor.map.city.LARGE", 1000)
-    assert isinstance(City.open(stored).views.columns.postings.base.base, mmap)

@@ -217,7 +217,7 @@ def city(path: Path) -> Callable[[], Any]:
     """Open a city map; return a function that locates a sentence."""
     from placegraph.outdoor.city import CityMap
 
-    found = CityMap.open(path, shard=True)
+    found = CityMap.open(path)
     return lambda: found.locate(SENTENCE)
 
 

@@ -189,7 +189,7 @@ def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, st
         assert "The time limit was reached" in found.reason
 
 
-def test_a_search_without_a_budget_ends_after_two_rounds(planet, monkeypatch):
+def test_a_search_without_a_budget_ends_after_one_round(planet, monkeypatch):
     whole = planet.locate(TEXTS[0])
     for name in ("FIRST", "GROWTH"):
         monkeypatch.setattr(f"placegraph_scale.shards.search.{name}", 2)
@@ -198,16 +198,22 @@ def test_a_search_without_a_budget_ends_after_two_rounds(planet, monkeypatch):
     late = planet.locate(TEXTS[0])
     assert late.status is not Status.OK
     assert "The time limit was reached" in late.reason
-    assert late.reason.endswith("Searched 6 of 16 shards.")
+    assert late.reason.endswith("Searched 2 of 16 shards.")
 
 
 def test_memory_closes_shards(sharded):
     roomy, tight = (pg.open_world(sharded, memory=memory) for memory in ("1 GB", 1e4))
-    assert tight.locate(TEXTS[4]).to_dict() == roomy.locate(TEXTS[4]).to_dict()
-    sizes = shards_of(roomy).pool.cache._sizes
-    assert len(sizes) > 1
-    assert all(1e4 < size < 1e7 for size in sizes.values())
+    small, large = (world.locate(TEXTS[4], budget=1e6).to_dict() for world in (tight, roomy))
+    assert small == large
+    cache = shards_of(roomy).pool.cache
+    assert len(cache._open) > 1
+    assert all(1e4 < size < 1e7 for size in cache._sizes.values())
     assert len(shards_of(tight).pool.cache._open) == 1
+    cache.memory = cache._size / 2  # viewpoints are kept as long as they fit
+    roomy.locate(TEXTS[3])
+    assert cache._size == sum(shard.count_bytes() for shard in cache._open.values())
+    assert cache._size <= cache.memory
+    assert any(shard.city_map is None for shard in cache._open.values())
 
 
 @pytest.mark.parametrize("memory", ["", "four", "-1GB", "0", "1.2.3MB", "4 GiB"])
@@ -241,14 +247,15 @@ def test_localizing_never_writes(world):
 
 
 def test_shards_are_closed_again(sharded, monkeypatch):
-    planet, opened, shard = pg.open_world(sharded), [], workers.Shard
-    shards_of(planet).pool.cache.most = 2
+    planet, opened, known = pg.open_world(sharded), [], workers.Shard.open
+    shards_of(planet).pool.cache.memory = 1e4
 
-    def noted(key, city, *rest):
-        opened.append(weakref.ref(city))
-        return shard(key, city, *rest)
+    def noted(source):
+        found = known(source)
+        opened.extend([weakref.ref(found.sight), weakref.ref(found.city_map)])
+        return found
 
-    monkeypatch.setattr(workers, "Shard", noted)
+    monkeypatch.setattr(workers.Shard, "open", noted)
     found = planet.locate(TEXTS[4])
     assert np.isfinite(found.best.probability)
     gc.collect()

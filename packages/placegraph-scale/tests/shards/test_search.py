@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 import placegraph as pg
 from placegraph.core.geo import tile_bounds
-from placegraph.outdoor.city import CityMap
 from placegraph_scale.shards import search
 from placegraph_scale.shards.search import CandidatePool
-from placegraph_scale.shards.steps import RareObject, add_objects
+from placegraph_scale.shards.steps import RareObject, Shard, add_objects
 from shards_world import shards_of
 
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30)
@@ -55,8 +54,7 @@ def test_no_shard_weighs_more_than_its_bound(sharded, monkeypatch):
 
 @pytest.fixture(scope="module")
 def shard(sharded):
-    source = pg.open_world(sharded).planets["WORLD"].sources[0]
-    return source.key, CityMap.open(source.path)
+    return Shard.open(pg.open_world(sharded).planets["WORLD"].sources[0])
 
 
 def thing_at(longitude, latitude, osm_id):
@@ -66,17 +64,16 @@ def thing_at(longitude, latitude, osm_id):
 
 def test_how_many_things_there_are_does_not_depend_on_the_shard(shard):
     # which of two mentions is looked for from the other is decided by how many things each may be
-    key, city = shard
-    core = tile_bounds(key)
+    city, core = shard.city, tile_bounds(shard.key)
     near = thing_at(core.west, core.north, -1)
     far = [thing_at(core.west + k, core.north, -1 - k) for k in (1, 2, 3)]
-    made, rows = add_objects(city, [near, *far], key, 300.0)
+    made, rows = add_objects(shard, [near, *far], 300.0)
     assert rows.tolist() == list(range(len(city.objects), len(city.objects) + 4))
     assert made.objects.name(int(rows[2])) == "Museum -3"
     held = replace(near, osm_type=int(city.objects.osm_type[0]), osm_id=int(city.objects.osm_id[0]))
-    _, rows = add_objects(city, [held, *far], key, 300.0)
+    _, rows = add_objects(shard, [held, *far], 300.0)
     assert rows[0] == 0
     assert (rows >= 0).all()
-    made, rows = add_objects(city, far, key, 300.0)
-    assert made is city
+    made, rows = add_objects(shard, far, 300.0)
+    assert made is shard.sight
     assert (rows == -1).all()

@@ -4,13 +4,13 @@ import signal
 import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 
 import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, ServiceError
-from placegraph.outdoor.city import CityMap
 from placegraph_scale.shards import workers
 from shards_world import TEXTS, shards_of
 
@@ -206,9 +206,9 @@ def test_steps_of_two_clients_are_done_one_after_the_other(monkeypatch):
         inside.remove(shard)
 
     monkeypatch.setitem(workers.STEPS, "name", step)
-    monkeypatch.setattr(workers, "check_digest", lambda *_: None)
-    monkeypatch.setattr(CityMap, "open", lambda path, **_: type("City", (), {"objects": [path]})())
-    holder, before = workers.ShardCache(most=2), sys.getswitchinterval()
+    shard = SimpleNamespace(city_map=None, count_bytes=lambda: 10, source=source("0"))
+    monkeypatch.setattr(workers.Shard, "open", lambda _: shard)
+    holder, before = workers.ShardCache(memory=20), sys.getswitchinterval()
     tasks = [workers.ShardTask("name", source(str(k % 7)), ()) for k in range(300)]
     try:
         with ThreadPoolExecutor(4) as pool:

@@ -24,8 +24,10 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import Cells, Grid, VisibleObjects, cell_graph, find_occupied
 from placegraph.outdoor.map.index import (
+    DTYPES,
     LARGE,
     MAPPED,
+    PREFIX,
     WORTH,
     Core,
     SightTotals,
@@ -78,7 +80,7 @@ class City(PickleFields):
     left_out: dict[str, int]
     """Number of elements of the source that could not be used, by reason."""
     index: ViewIndex | None = field(default=None, init=False, repr=False)
-    """Index of the viewpoints, as the map file stores it; see `views`. `replace` drops it."""
+    """Index of the viewpoints, as the map file stores it, or as given; see `views`. `replace` drops it."""
 
     @classmethod
     def create(
@@ -134,15 +136,18 @@ class City(PickleFields):
         if len(objects) >= WORTH if index is None else index:
             meta["viewpoints"] = list(self.views.grid)
             arrays |= name_columns(self.views.arrays())
-        write_map(path, KIND, VERSION, meta, arrays, MAPPED)
+        large = sum(arrays[name].nbytes for name in MAPPED & arrays.keys()) >= LARGE
+        write_map(path, KIND, VERSION, meta, arrays, MAPPED if large else ())
 
     @classmethod
-    def open(cls, path: str | PathLike[str], *, shard: bool = False) -> Self:
+    def open(cls, path: str | PathLike[str], views: ViewIndex | None = None) -> Self:
         """Open a map file; raises `InputError` or `MapError` where it is not a sound city map.
 
-        The index of a large one is read where it lies, and so is that of a `shard`, one of many.
+        `views`: index of its viewpoints, of which the file is then not read. A large one is read where
+        it lies.
         """
-        file = read_map(path, KIND, VERSION, MAPPED, min_mapped=0 if shard else LARGE)
+        skipped = () if views is None else {PREFIX + name for name in DTYPES}
+        file = read_map(path, KIND, VERSION, MAPPED, LARGE, skipped)
         with check_contents(path, "Build it again."):
             meta = file.meta
             (longitude, latitude), grain = map(float, meta["origin"]), float(meta["grain"])
@@ -180,7 +185,8 @@ class City(PickleFields):
             cells.check()
             source = str(meta["source"])
             left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
-            index = index_in(file, len(objects.labels) + len(objects.names))
+            words = len(objects.labels) + len(objects.names)
+            index = index_in(file, words) if views is None else views
         city = cls(plane, objects, cells, source, left_out)
         object.__setattr__(city, "index", index)
         return city

@@ -51,6 +51,7 @@ from placegraph_scale.shards.steps import (
 )
 from placegraph_scale.shards.words import WordTable
 from placegraph_scale.shards.workers import (
+    MEMORY,
     Cluster,
     LocalPool,
     ShardCache,
@@ -303,11 +304,11 @@ class Planet:
                 "memory: it applies to this process, but the workers of a scheduler search the "
                 "shards; start them with `dask worker --memory-limit`."
             )
-        size = np.inf if memory is None else parse_memory(memory)
+        size = MEMORY if memory is None else parse_memory(memory)
         file = WorldFile.read(folder)
         if scheduler is not None:
             return cls(file, Cluster.at(scheduler, _list_sources(file)))
-        return cls(file, LocalPool(ShardCache(memory=size)))
+        return cls(file, LocalPool(ShardCache(size)))
 
     @staticmethod
     def summarize(folder: str | PathLike[str]) -> dict[str, int]:

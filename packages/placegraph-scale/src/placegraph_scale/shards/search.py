@@ -68,7 +68,9 @@ NEGLIGIBLE = 0.002
 FIRST, GROWTH = 4, 16
 """Shards of the first round, and how many times as large every other one is at most."""
 BUDGET = 2.0
-"""Time after which a search without a budget ends [s], if two rounds of shards were looked into."""
+"""Time after which a search without a budget ends [s]; half of it is left after the first round."""
+PROPOSED = 0.6
+"""Share of a budget in which shards propose candidates; in the rest the best of these are compared."""
 FEWEST_DRAWN, EVENLY = 64, 8.0
 """Viewpoints of each shard that stand for all others: so many at least, or so many times its share."""
 FAR_OFF = 6.0
@@ -347,6 +349,8 @@ class Search:
     """Shards that were looked into."""
     searched: set[int] = field(default_factory=set)
     """Shards whose candidates are known."""
+    is_cut: bool = False
+    """Whether the time was over before all shards that matter were searched."""
 
     def restart(self) -> Search:
         """Return a search of the same shards that begins anew."""
@@ -381,7 +385,9 @@ class Search:
 
     def run(self, shard_query: ShardQuery, log_mass: Floats, cores: Floats) -> CandidatePool:
         """Score candidates of all shards that matter; `log_mass` (N,) is the shards' prior."""
-        begun = monotonic()
+        begun, end = monotonic(), self.deadline
+        if end is not None:
+            self.deadline = begun + PROPOSED * (end - begun)
         self.reach = log_mass + bound_weights(
             shard_query.query, self.table, even=shard_query.fix is None
         )
@@ -410,13 +416,16 @@ class Search:
                 self.searched.add(row)
             self._compare(candidates, candidates.list_unscored(0))
             first, size = last, GROWTH * size
-            if self.deadline is None and first > FIRST:
-                self.deadline = begun + BUDGET
-        late, self.deadline = self.deadline, None
-        self._compare(
-            candidates, candidates.list_unscored(candidates.drawn), candidates.list_best()
-        )
-        self.deadline = late
+            if end is None:  # the first round may have compiled what others need
+                end = max(begun, monotonic() - BUDGET / 2) + BUDGET
+                self.deadline = end - (1.0 - PROPOSED) * BUDGET
+        self.is_cut, self.deadline = self.late, None
+        some, best = candidates.list_unscored(candidates.drawn), candidates.list_best()
+        if self.is_cut:
+            self._compare(candidates, {}, best)
+            best, self.deadline = {}, end
+        self._compare(candidates, some, best)
+        self.deadline = end
         while not self.late and candidates.needs_more():
             self._compare(candidates, candidates.list_unscored(candidates.drawn))
         return candidates
@@ -473,7 +482,7 @@ class Search:
         if missing <= 0.0:
             return ""
         lost = f"{len(self.lost)} of the shards did not answer"
-        why = "The time limit was reached" if self.late else lost
+        why = "The time limit was reached" if self.is_cut else lost
         share = f"{missing:.1%}" if missing >= 0.001 else "less than 0.1%"
         return f"{why}: {share} of the world was not searched, and the place may be there."
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from uuid import uuid4
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.likelihood.query import DistantObjects, MentionTokens, Query
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.objects import CityObjects, columns_of, index_of
 from placegraph.outdoor.map.street_graph import Blocks
@@ -26,20 +29,23 @@ from placegraph.outdoor.search.posterior import (
     score_around,
 )
 from placegraph.outdoor.search.posterior import score_candidates as score_of
-from placegraph.outdoor.search.request import LocationPrior, Request
+from placegraph.outdoor.search.request import LocationPrior, Matching, Request
 from placegraph.world.towns import BuildingScore, BuildingScorer
+from placegraph_scale.folder import check_digest
+from placegraph_scale.shards.words import core_of
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.names import NameIndex
     from placegraph.outdoor.search.ask import Question
     from placegraph_scale.shards.words import WordTable
 
 Floats = NDArray[np.float64]
 Gather = Callable[[NDArray[np.int64]], "list[RareObject]"]
+MATCHING = Matching()
+"""Options of the search in each shard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,68 +254,170 @@ def join_columns(parts: list[NDArray[Any]], kind: type = np.float64) -> NDArray[
     return np.concatenate([np.zeros(0, kind), *parts])
 
 
-@dataclass(frozen=True, eq=False)
-class Shard:
-    """A shard that is open."""
+class ShardSource(NamedTuple):
+    """Core and file of a shard."""
 
     key: str
-    city: CityMap
+    path: Path
+    digest: str
+    size: int
+    """[bytes]"""
+
+
+@dataclass(eq=False)
+class Shard:
+    """A shard that is open: its viewpoints, and its objects as long as they are needed.
+
+    Viewpoints take a quarter of the memory. They tell which places a text may be about; few of these are
+    then compared with objects.
+    """
+
+    source: ShardSource
+    sight: City
+    """Its viewpoints, without objects."""
+    hashes: NDArray[np.int64]
+    """(T,) hashes of the texts of tokens, as of `WordTable.text`, sorted ..."""
+    tokens: NDArray[np.int32]
+    """(T,) ... and the tokens."""
+    ids: NDArray[np.uint32]
+    """(N,) last 32 bits of the ids of objects."""
+    core: NDArray[np.uint8]
+    """Bits of the viewpoints that lie in the core."""
+    city_map: CityMap | None
+    """The city with its objects; None while these are closed."""
     requests: dict[str, Request] = field(default_factory=dict)
     """Request of the last query, by its key: other steps begin with that."""
+    _counted: tuple[int, int] = (0, 0)
+    """Number of parts of `city_map` that were counted last, and their bytes."""
+
+    @classmethod
+    def open(cls, source: ShardSource) -> Self:
+        """Open a shard; raises `InputError` or `MapError`."""
+        city = _open_city(source)
+        if city.index is None:
+            city.look_around(core_of(source.key, city.plane))
+        o, views = city.objects, city.views
+        hashes = np.array([hash(t) for t in (*o.labels, *(f"~{name}" for name in o.names))])
+        order, places = np.argsort(hashes), views.positions_of(np.arange(len(views)))
+        core = are_in_tile(city.plane.to_lonlat(places.astype(np.float64)), source.key)
+        columns: Any = [(f.name, getattr(o, f.name)) for f in fields(o)]
+        none: dict[str, Any] = {
+            name: column[: name.endswith("starts")].copy() if isinstance(column, np.ndarray) else ()
+            for name, column in columns
+        }
+        cells = replace(city.cells, points=city.cells.points[:0].copy())
+        sight = City(city.plane, CityObjects(**none), cells, city.source, {})
+        object.__setattr__(sight, "index", views)
+        ids = o.osm_id.astype(np.uint32)
+        return cls(
+            source, sight, hashes[order], order.astype(np.int32), ids, np.packbits(core), city
+        )
+
+    @property
+    def key(self) -> str:
+        """Path of its core in the quadtree."""
+        return self.source.key
+
+    @property
+    def city(self) -> CityMap:
+        """The city with its objects, which are opened again where they are closed."""
+        if self.city_map is None:
+            self.city_map = _open_city(self.source, self.sight.views)
+        return self.city_map
+
+    def close_objects(self) -> None:
+        """Close the objects until they are needed again."""
+        self.city_map = None
+        self.requests.clear()
+
+    def count_bytes(self) -> int:
+        """Return the bytes of arrays and texts; objects are counted anew where more was derived of them."""
+        held = {} if self.city_map is None else vars(self.city_map)
+        if len(held) != self._counted[0]:
+            self._counted = len(held), count_bytes(held, {id(self.sight.views)})
+        return self._sight_bytes + self._counted[1]
+
+    @cached_property
+    def _sight_bytes(self) -> int:
+        return count_bytes((self.sight.views, self.hashes, self.tokens, self.ids, self.core), set())
 
     @property
     def places(self) -> Floats:
         """(W, 2) east, north of all viewpoints [m]; not cached, since a process holds many shards."""
-        views = self.city.views
+        views = self.sight.views
         return views.positions_of(np.arange(len(views))).astype(np.float64)
 
-    @cached_property
+    @property
     def inside(self) -> NDArray[np.bool_]:
         """Which viewpoints (W,) lie in the core."""
-        return are_in_tile(self.city.plane.to_lonlat(self.places), self.key)
+        return np.unpackbits(self.core, count=len(self.sight.views)).view(np.bool_)
 
-    @cached_property
-    def _tokens(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Tokens by label, and by name."""
-        o = self.city.objects
-        return (
-            {label: i for i, label in enumerate(o.labels)},
-            {name: len(o.labels) + i for i, name in enumerate(o.names)},
-        )
-
-    def find_token(self, text: str) -> int:
-        """Return the token of a text, as of `WordTable.text`; -1 for none."""
-        labels, names = self._tokens
-        return names.get(text[1:], -1) if text[:1] == "~" else labels.get(text, -1)
+    def find_tokens(self, texts: Sequence[str]) -> NDArray[np.int32]:
+        """Return the tokens (K,) of texts, as of `WordTable.text`; -1 for none."""
+        wanted = np.array([hash(text) for text in texts], np.int64)
+        at = np.minimum(np.searchsorted(self.hashes, wanted), len(self.hashes) - 1)
+        return np.where(self.hashes[at] == wanted, self.tokens[at], -1).astype(np.int32)
 
     def token_text(self, token: int) -> str:
         """Return the text of a token, as of `WordTable.text`."""
         o, n = self.city.objects, len(self.city.objects.labels)
         return o.labels[token] if token < n else f"~{o.names[token - n]}"
 
-    def request(self, shard_query: ShardQuery) -> Request:
-        """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints."""
-        if shard_query.key not in self.requests:
-            prior: Any = np.full(len(self.inside), -np.inf, np.float32)
-            if shard_query.fix is None:
-                prior[self.inside] = -np.log(shard_query.viewpoints)
-            else:
-                prior[self.inside] = _log_prior(self, shard_query.fix) - shard_query.fix.norm
-            inside = partial(_holds, self.city.plane, self.key)  # not the shard, which holds this
+    def request(self, shard_query: ShardQuery, *, objects: bool = True) -> Request:
+        """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints.
+
+        Its city may lack `objects` where the query mentions none that is out of sight.
+        """
+        found = self.requests.get(shard_query.key)
+        if found is None:
+            weights: Any = -np.log(shard_query.viewpoints)
+            if shard_query.fix is not None:
+                weights = _log_prior(self, shard_query.fix) - shard_query.fix.norm
+            holds = partial(_holds, self.sight.plane, self.key)  # not the shard, which holds this
             city, query = _translate(self, shard_query)
-            self.requests.clear()
-            self.requests[shard_query.key] = Request(
-                city, query, _GivenPrior(inside=inside, given=prior)
+            found = Request(
+                city, query, _GivenPrior(inside=holds, core=self.core, weights=weights), MATCHING
             )
-        return self.requests[shard_query.key]
+            self.requests.clear()
+            self.requests[shard_query.key] = found
+        # a copy: what is derived of viewpoints would take as much as they do
+        return replace(
+            found, city=self.city if objects and found.city is self.sight else found.city
+        )
+
+
+def _open_city(source: ShardSource, views: ViewIndex | None = None) -> CityMap:
+    """Open the city of a shard; raises `InputError` or `MapError`."""
+    from placegraph.outdoor.city import CityMap
+
+    check_digest(source.path, source.digest)
+    return CityMap.open(source.path, views)
+
+
+def count_bytes(value: Any, counted: set[int]) -> int:  # noqa: ANN401  # whatever a shard holds
+    """Count bytes of the arrays and texts of a value that are not `counted` by id."""
+    if id(value) in counted or isinstance(value, type):
+        return 0
+    counted.add(id(value))
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if isinstance(value, dict):
+        value = tuple(value.values())
+    if isinstance(value, tuple | list):
+        if all(isinstance(v, str) for v in value[:: max(1, len(value) - 1)]):
+            return sum(map(sys.getsizeof, value))
+        return sys.getsizeof(value) + sum(count_bytes(v, counted) for v in value)
+    return count_bytes(getattr(value, "__dict__", None), counted)
 
 
 @dataclass(frozen=True, eq=False)
 class _GivenPrior(LocationPrior):
     """A prior that is known of every viewpoint: the world's, and none outside the core."""
 
-    given: Floats | None = None
-    """(W,) float32, since a process holds many."""
+    core: NDArray[np.uint8] = field(kw_only=True)
+    """Bits of the viewpoints that lie in the core."""
+    weights: Any = field(kw_only=True)
+    """Log prior of each of these, or of any."""
 
     @property
     def is_informative(self) -> bool:
@@ -318,9 +426,9 @@ class _GivenPrior(LocationPrior):
 
     def evaluate_views(self, views: ViewIndex) -> Floats:
         """Return the log prior (W,) of the shard's viewpoints among all of the world."""
-        del views
-        assert self.given is not None  # noqa: S101  # it is made with one
-        return self.given
+        prior: Any = np.full(len(views), -np.inf, np.float32)
+        prior[np.unpackbits(self.core, count=len(views)).view(np.bool_)] = self.weights
+        return prior
 
 
 def _holds(plane: LocalPlane, key: str, positions: Floats) -> NDArray[np.bool_]:
@@ -329,7 +437,7 @@ def _holds(plane: LocalPlane, key: str, positions: Floats) -> NDArray[np.bool_]:
 
 def _log_prior(shard: Shard, fix: Fix) -> Floats:
     """Return the log weight (V,) of a fix at the viewpoints of the core; see `LocationPrior.evaluate`."""
-    near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    near = shard.sight.plane.to_plane((fix.longitude, fix.latitude))
     sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
     return np.asarray(-0.5 * (((shard.places[shard.inside] - near) / sigma) ** 2).sum(axis=1))
 
@@ -337,17 +445,17 @@ def _log_prior(shard: Shard, fix: Fix) -> Floats:
 def _translate(shard: Shard, shard_query: ShardQuery) -> tuple[City, Query]:
     """Return city and query with one another's tokens and objects."""
     query = shard_query.query
-    rows = np.array([shard.find_token(word) for word in shard_query.words], np.int32)
+    rows = shard.find_tokens(shard_query.words)
     known = rows >= 0
     before = np.concatenate(([0], np.cumsum(known))).astype(np.int64)
     mentions = MentionTokens(
         before[query.mentions.starts], rows[known], query.mentions.weights[known]
     )
     far = query.distant
-    city: City = shard.city
+    city: City = shard.sight
     if far is not None:
         reach = 4.0 * float(far.scale.max(initial=0.0))
-        city, at = add_objects(city, shard_query.rare_objects, shard.key, reach)
+        city, at = add_objects(shard, shard_query.rare_objects, reach)
         there = at[far.objects] >= 0
         before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
         anchors = at[far.anchors]
@@ -359,28 +467,29 @@ def _translate(shard: Shard, shard_query: ShardQuery) -> tuple[City, Query]:
 
 
 def add_objects(
-    city: City, rare_objects: Sequence[RareObject], key: str, reach: float
+    shard: Shard, rare_objects: Sequence[RareObject], reach: float
 ) -> tuple[City, NDArray[np.int64]]:
-    """Add the objects that a city lacks, where any lies within `reach` [m] of its core.
+    """Add the objects that a shard lacks, where any lies within `reach` [m] of its core.
 
     Returns the city, and rows (K,) of all objects in it: all -1 where all are too far off. Otherwise all
     are there, since how many a mention has decides how it is understood. Added objects are in nobody's
     sight; one speaks of them from afar.
     """
-    o, rows = city.objects, np.full(len(rare_objects), -1, np.int64)
-    where = {(t.osm_type, t.osm_id): k for k, t in enumerate(rare_objects)}
+    rows, core = np.full(len(rare_objects), -1, np.int64), np.array([tile_bounds(shard.key)])
+    near = np.array([
+        float(distance(t.center[None], core)[0]) <= reach + t.extent for t in rare_objects
+    ], np.bool_)  # fmt: skip
     wanted = np.array([t.osm_id for t in rare_objects], np.int64)
+    if not near.any() and not np.isin(shard.ids, wanted.astype(np.uint32)).any():
+        return shard.sight, rows
+    city, o = shard.city, shard.city.objects
+    where = {(t.osm_type, t.osm_id): k for k, t in enumerate(rare_objects)}
     for row in np.flatnonzero(np.isin(o.osm_id, wanted)).tolist():
         k = where.get((int(o.osm_type[row]), int(o.osm_id[row])))
         if k is not None and rows[k] < 0:
             rows[k] = row
     lacks = np.flatnonzero(rows < 0)
-    core = np.array([tile_bounds(key)])
-    near = any(
-        float(distance(t.center[None], core)[0]) <= reach + t.extent
-        for t in (rare_objects[k] for k in lacks.tolist())
-    )
-    if not len(lacks) or not (near or len(lacks) < len(rare_objects)):
+    if not len(lacks) or not (near[lacks].any() or len(lacks) < len(rare_objects)):
         return city, rows
     rows[lacks] = len(o) + np.arange(len(lacks))
     objects = _append(o, [rare_objects[k] for k in lacks.tolist()], city.plane)
@@ -433,8 +542,8 @@ def _append(o: CityObjects, rare_objects: Sequence[RareObject], plane: LocalPlan
 
 def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
     """Return the objects that bear any of these words and have their centre in the core."""
-    city, tokens = shard.city, [token for token in map(shard.find_token, words) if token >= 0]
-    rows = np.unique(np.concatenate([np.zeros(0, np.int64), *city.bearers(np.array(tokens, int))]))
+    city, tokens = shard.city, shard.find_tokens(words)
+    rows = np.unique(np.concatenate([np.zeros(0, np.int64), *city.bearers(tokens[tokens >= 0])]))
     centers = city.plane.to_lonlat(city.objects.center[rows].astype(np.float64))
     starts, values, _ = city.tokens
     o = city.objects
@@ -455,7 +564,7 @@ def weigh_fix(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
     off = _log_prior(shard, fix)
     if not len(off):
         return -np.inf, -np.inf, False
-    east_north = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    east_north = shard.sight.plane.to_plane((fix.longitude, fix.latitude))
     delta = np.abs(shard.places[shard.inside] - east_north).max(axis=1)
     reached = bool((delta <= 4.0 * fix.radius + REACH).any())
     return float(off.max()), float(np.logaddexp.reduce(off)), reached
@@ -466,7 +575,7 @@ def propose(shard: Shard, shard_query: ShardQuery, least: float, drawn: int) -> 
 
     `least` is the log of a bound times the prior from which on they count; `drawn` stand for all others.
     """
-    request = shard.request(shard_query)
+    request = shard.request(shard_query, objects=False)
     prior = request.log_prior
     highest, n = float(prior.max(initial=-np.inf)), len(shard_query.query.used)
     none = np.zeros(0)
@@ -476,7 +585,7 @@ def propose(shard: Shard, shard_query: ShardQuery, least: float, drawn: int) -> 
     rows, far = found.rows, found.distant
     if shard_query.query.distant is None:
         far = far[:, :0]
-    origin = shard.city.plane.longitude, shard.city.plane.latitude
+    origin = shard.sight.plane.longitude, shard.sight.plane.latitude
     return Proposal(
         rows, found.bounds, far, prior[rows], found.multiplicity, highest, origin, least
     )
@@ -486,7 +595,7 @@ def compare(shard: Shard, shard_query: ShardQuery, chosen: Proposal) -> Candidat
     """Score candidates."""
     some = chosen.candidates(len(shard_query.query.used))
     scores = score_of(shard.request(shard_query), some, NO_MARGIN).scores.astype(np.float64)
-    return CandidateScores(scores, shard.city.views.positions_of(chosen.rows).astype(np.float64))
+    return CandidateScores(scores, shard.sight.views.positions_of(chosen.rows).astype(np.float64))
 
 
 def refine_positions(
@@ -502,7 +611,7 @@ def explain(
 ) -> list[tuple[Evidence, ...]]:
     """Return the evidence for and against places [deg]."""
     request = shard.request(shard_query)
-    places = map(shard.city.plane.to_plane, lonlats)
+    places = map(shard.sight.plane.to_plane, lonlats)
     return [find_evidence(at, request.city, request.query) for at in places]
 
 

@@ -56,6 +56,7 @@ from placegraph_scale.shards.columns import (
 )
 
 if TYPE_CHECKING:
+    from placegraph.core.geometry import LocalPlane
     from placegraph.outdoor.map.city import City
 
 Found = TypeVar("Found")
@@ -429,13 +430,17 @@ class WordCounts(NamedTuple):
         return cls(**found) if found.pop("digest") == digest else None
 
 
+def core_of(key: str, plane: LocalPlane) -> Core:
+    """Return the core of a shard, by its key and the plane of its city."""
+    box = tile_bounds(key).expand(AROUND)
+    low, high = plane.to_plane(np.array([box[:2], box[2:]]))
+    return Core(low, high, lambda places: are_in_tile(plane.to_lonlat(places), key))
+
+
 def count_words(city: City, key: str) -> WordCounts:
     """Count the words of a shard in its core; `City.views` are those about the core afterwards."""
-    objects, plane, box = city.objects, city.plane, tile_bounds(key).expand(AROUND)
-    low, high = plane.to_plane(np.array([box[:2], box[2:]]))
-    seen = city.look_around(
-        Core(low, high, lambda places: are_in_tile(plane.to_lonlat(places), key))
-    )
+    objects, plane = city.objects, city.plane
+    seen = city.look_around(core_of(key, plane))
     own = are_in_tile(plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))

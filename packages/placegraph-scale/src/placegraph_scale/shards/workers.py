@@ -8,36 +8,30 @@ from __future__ import annotations
 
 import asyncio
 import re
-import sys
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from mmap import mmap
 from pathlib import Path
 from threading import Lock
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 from zlib import crc32
 
-import numpy as np
-
 from placegraph.errors import (
-    MapError,
     MissingExtraError,
     OptionError,
     PlacegraphError,
     ServiceError,
 )
-from placegraph_scale.folder import check_digest
-from placegraph_scale.shards.steps import STEPS, Proposal, Shard, choose_best
+from placegraph_scale.shards.steps import STEPS, Proposal, Shard, ShardSource, choose_best
 
 if TYPE_CHECKING:
     from distributed import Client, Worker
 
-OPEN = 256
-"""Shards that a process holds open at most."""
+MEMORY = 2e9
+"""Bytes that the open shards of a process take at most, if not given."""
 TIMEOUT = 10.0
 """A scheduler that does not answer for so long is not there [s]."""
 LOOK = 2.0
@@ -60,16 +54,6 @@ class Failure(NamedTuple):
     reason: str
 
 
-class ShardSource(NamedTuple):
-    """Core and file of a shard."""
-
-    key: str
-    path: Path
-    digest: str
-    size: int
-    """[bytes]"""
-
-
 class ShardTask(NamedTuple):
     """A step in a shard, and its arguments."""
 
@@ -82,15 +66,19 @@ class ShardTask(NamedTuple):
 class ShardCache:
     """Shards that one process holds open; those not used for longest are closed first.
 
-    Several threads may ask for steps: one is done after the other.
+    Their objects are closed before any shard is. Several threads may ask for steps: one is done after the
+    other.
     """
 
-    most: int = OPEN
-    memory: float = np.inf
-    """Bytes that open shards take at most, apart from pages of files that are mapped."""
-    _open: OrderedDict[Path, tuple[str, Shard]] = field(default_factory=OrderedDict)
+    memory: float = MEMORY
+    """Bytes that open shards take at most."""
+    _open: OrderedDict[Path, Shard] = field(default_factory=OrderedDict)
+    _with_objects: OrderedDict[Path, None] = field(default_factory=OrderedDict)
+    """Open shards whose objects are open as well."""
     _sizes: dict[Path, int] = field(default_factory=dict)
-    """Bytes of each open shard, after its first step."""
+    """Bytes of each shard, after its last step ..."""
+    _size: int = 0
+    """... and of all."""
     _lock: Lock = field(default_factory=Lock)
 
     def work(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> list[Any]:
@@ -130,50 +118,31 @@ class ShardCache:
 
     def shard(self, source: ShardSource) -> Shard:
         """Open a shard; raises `InputError` or `MapError`."""
-        from placegraph.outdoor.city import CityMap
-
         held = self._open.get(source.path)
-        if held is not None and held[0] == source.digest:
-            self._open.move_to_end(source.path)
-            return held[1]
-        check_digest(source.path, source.digest)
-        city = CityMap.open(source.path, shard=True)
-        if not len(city.objects):  # pragma: no cover  # which `open` refuses
-            raise MapError(f"{source.path} is empty; build it again.")
-        shard = Shard(source.key, city)
-        self._open[source.path] = source.digest, shard
-        self._sizes.pop(source.path, None)
-        return shard
+        if held is None or held.source.digest != source.digest:
+            held = self._open[source.path] = Shard.open(source)
+        self._open.move_to_end(source.path)
+        return held
 
     def _close_unused(self, path: Path) -> None:
-        """Close shards that were not used for longest until the others fit, the shard at `path` included."""
-        if path not in self._sizes and self.memory < np.inf:
-            self._sizes[path] = count_bytes(self._open[path], set())
-        while len(self._open) > 1 and (
-            len(self._open) > self.most or sum(self._sizes.values()) > self.memory
-        ):
-            closed, _ = self._open.popitem(last=False)
-            self._sizes.pop(closed, None)
+        """Close objects and shards not used for longest until the others fit; the shard at `path` stays."""
+        if self._open[path].city_map is not None:
+            self._with_objects[path] = None
+            self._with_objects.move_to_end(path)
+        self._count(path, self._open[path].count_bytes())
+        while self._size > self.memory and (self._with_objects or len(self._open) > 1):
+            if self._with_objects:
+                path, _ = self._with_objects.popitem(last=False)
+                self._open[path].close_objects()
+                self._count(path, self._open[path].count_bytes())
+            else:
+                path, _ = self._open.popitem(last=False)
+                self._count(path, 0)
 
-
-def count_bytes(value: Any, counted: set[int]) -> int:  # noqa: ANN401  # whatever a shard holds
-    """Count bytes of the arrays and texts of a value that are not memory-mapped and not `counted` by id."""
-    if id(value) in counted or isinstance(value, type):
-        return 0
-    counted.add(id(value))
-    if isinstance(value, np.ndarray):
-        base: Any = value
-        while isinstance(base, np.ndarray | memoryview):
-            base = base.obj if isinstance(base, memoryview) else base.base
-        return 0 if isinstance(base, mmap) else value.nbytes
-    if isinstance(value, dict):
-        return sys.getsizeof(value) + sum(
-            count_bytes(v, counted) for kv in value.items() for v in kv
-        )
-    if isinstance(value, tuple | list):
-        return sys.getsizeof(value) + sum(count_bytes(v, counted) for v in value)
-    size = sys.getsizeof(value) if isinstance(value, str) else 0
-    return size + count_bytes(getattr(value, "__dict__", None), counted)
+    def _count(self, path: Path, size: int) -> None:
+        """Note the bytes that a shard takes now."""
+        self._size += size - self._sizes.get(path, 0)
+        self._sizes[path] = size
 
 
 def parse_memory(memory: str | float) -> float:
@@ -212,7 +181,7 @@ class LocalPool:
 
     def close(self) -> None:
         """Close all shards."""
-        self.cache = ShardCache(self.cache.most, self.cache.memory)
+        self.cache = ShardCache(self.cache.memory)
 
 
 def connect(address: str, timeout: float = TIMEOUT) -> Client:
