@@ -54,7 +54,7 @@ def locate(
         float | None,
         Option(
             help="World in shards: time limit [s], after which the best answer so far is returned; 2 s, "
-            "but at least 68 shards, if not given."
+            "but not before the 4 likeliest shards, if not given."
         ),
     ] = None,
     scheduler: Annotated[

@@ -256,7 +256,7 @@ def open_world(
         not hold yet is fetched into it first.
     memory
         Memory that open shards take in this process, such as ``"4GB"``: those not used for longest are
-        closed. Pages of memory-mapped files do not count.
+        closed; 2 GB if not given.
 
     Raises
     ------

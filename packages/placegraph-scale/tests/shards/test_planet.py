@@ -205,13 +205,13 @@ def test_memory_closes_shards(sharded):
     roomy, tight = (pg.open_world(sharded, memory=memory) for memory in ("1 GB", 1e4))
     small, large = (world.locate(TEXTS[4], budget=1e6).to_dict() for world in (tight, roomy))
     assert small == large
-    cache = shards_of(roomy).pool.cache
+    cache = shards_of(roomy).pool
     assert len(cache._open) > 1
     assert all(1e4 < size < 1e7 for size in cache._sizes.values())
-    assert len(shards_of(tight).pool.cache._open) == 1
+    assert len(shards_of(tight).pool._open) == 1
     cache.memory = cache._size / 2  # viewpoints are kept as long as they fit
     roomy.locate(TEXTS[3])
-    assert cache._size == sum(shard.count_bytes() for shard in cache._open.values())
+    assert cache._size == sum(shard.size for shard in cache._open.values())
     assert cache._size <= cache.memory
     assert any(shard.city_map is None for shard in cache._open.values())
 
@@ -248,7 +248,7 @@ def test_localizing_never_writes(world):
 
 def test_shards_are_closed_again(sharded, monkeypatch):
     planet, opened, known = pg.open_world(sharded), [], workers.Shard.open
-    shards_of(planet).pool.cache.memory = 1e4
+    shards_of(planet).pool.memory = 1e4
 
     def noted(source):
         found = known(source)
@@ -261,7 +261,7 @@ def test_shards_are_closed_again(sharded, monkeypatch):
     gc.collect()
     assert sum(city() is not None for city in opened) <= 2 < len(opened)
     planet.close()
-    assert not shards_of(planet).pool.cache._open
+    assert not shards_of(planet).pool._open
 
 
 def test_candidates_far_from_a_fix_are_compared_as_well(planet, monkeypatch):

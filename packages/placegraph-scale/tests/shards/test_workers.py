@@ -12,6 +12,7 @@ import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph_scale.shards import workers
+from placegraph_scale.shards.steps import ShardSource
 from shards_world import TEXTS, shards_of
 
 dask = pytest.importorskip("dask")
@@ -139,7 +140,7 @@ def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, shard
 
 
 def source(key, size=1):
-    return workers.ShardSource(key, f"{key}.city", "", size)
+    return ShardSource(key, f"{key}.city", "", size)
 
 
 TASKS = [workers.ShardTask("name", source("1"), ())]
@@ -206,7 +207,7 @@ def test_steps_of_two_clients_are_done_one_after_the_other(monkeypatch):
         inside.remove(shard)
 
     monkeypatch.setitem(workers.STEPS, "name", step)
-    shard = SimpleNamespace(city_map=None, count_bytes=lambda: 10, source=source("0"))
+    shard = SimpleNamespace(city_map=None, size=10, source=source("0"))
     monkeypatch.setattr(workers.Shard, "open", lambda _: shard)
     holder, before = workers.ShardCache(memory=20), sys.getswitchinterval()
     tasks = [workers.ShardTask("name", source(str(k % 7)), ()) for k in range(300)]

@@ -168,7 +168,7 @@ def time_texts(world: Path, texts: Texts) -> dict[str, Any]:
     start = time.process_time()
     planet = pg.open_world(world)
     town: Any = planet.planets[world.name]
-    town.pool.cache.memory = np.inf
+    town.pool.memory = np.inf
     planet.locate(next(iter(texts.values()))[0].text)
     first = time.process_time() - start
     found: dict[str, Any] = {"first_s": first, "shards": len(town.sources)}

@@ -46,6 +46,7 @@ from placegraph_scale.shards.steps import (
     RareObject,
     RareObjects,
     ShardQuery,
+    ShardSource,
     WorldWords,
     distance,
 )
@@ -53,9 +54,7 @@ from placegraph_scale.shards.words import WordTable
 from placegraph_scale.shards.workers import (
     MEMORY,
     Cluster,
-    LocalPool,
     ShardCache,
-    ShardSource,
     WorkerPool,
     parse_memory,
 )
@@ -277,7 +276,7 @@ class Planet:
 
     def __init__(self, file: WorldFile, pool: WorkerPool | None = None) -> None:
         self.file = file
-        self.pool: WorkerPool = pool or LocalPool()
+        self.pool: WorkerPool = pool or ShardCache()
         check_digest(file.folder / WORDS, file.words)
         self.words = WorldWords(WordTable.open(file.folder / WORDS))
         if len(self.words.table) != len(file.shards):
@@ -308,7 +307,7 @@ class Planet:
         file = WorldFile.read(folder)
         if scheduler is not None:
             return cls(file, Cluster.at(scheduler, _list_sources(file)))
-        return cls(file, LocalPool(ShardCache(size)))
+        return cls(file, ShardCache(size))
 
     @staticmethod
     def summarize(folder: str | PathLike[str]) -> dict[str, int]:

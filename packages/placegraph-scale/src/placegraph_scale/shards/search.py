@@ -43,8 +43,8 @@ from placegraph.outdoor.search.posterior import (
     are_samples_enough,
     select_by_bound,
 )
-from placegraph_scale.shards.steps import distance, join_columns
-from placegraph_scale.shards.workers import Failure, ShardSource, ShardTask, WorkerPool
+from placegraph_scale.shards.steps import ShardSource, distance, join_columns
+from placegraph_scale.shards.workers import Failure, ShardTask, WorkerPool
 
 if TYPE_CHECKING:
     from placegraph.outdoor.likelihood.query import Query

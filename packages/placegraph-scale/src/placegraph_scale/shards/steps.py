@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Gather = Callable[[NDArray[np.int64]], "list[RareObject]"]
+DERIVED = 1.75
+"""Bytes that open objects take for a byte of their columns, with texts and what is derived."""
 MATCHING = Matching()
 """Options of the search in each shard."""
 
@@ -287,8 +289,6 @@ class Shard:
     """The city with its objects; None while these are closed."""
     requests: dict[str, Request] = field(default_factory=dict)
     """Request of the last query, by its key: other steps begin with that."""
-    _counted: tuple[int, int] = (0, 0)
-    """Number of parts of `city_map` that were counted last, and their bytes."""
 
     @classmethod
     def open(cls, source: ShardSource) -> Self:
@@ -297,16 +297,13 @@ class Shard:
         if city.index is None:
             city.look_around(core_of(source.key, city.plane))
         o, views = city.objects, city.views
-        hashes = np.array([hash(t) for t in (*o.labels, *(f"~{name}" for name in o.names))])
+        hashes = np.array([hash(text) for text in list_texts(city)])
         order, places = np.argsort(hashes), views.positions_of(np.arange(len(views)))
         core = are_in_tile(city.plane.to_lonlat(places.astype(np.float64)), source.key)
-        columns: Any = [(f.name, getattr(o, f.name)) for f in fields(o)]
-        none: dict[str, Any] = {
-            name: column[: name.endswith("starts")].copy() if isinstance(column, np.ndarray) else ()
-            for name, column in columns
-        }
+        none: Any = {f.name: getattr(o, f.name)[: f.name.endswith("starts")] for f in fields(o)}
         cells = replace(city.cells, points=city.cells.points[:0].copy())
-        sight = City(city.plane, CityObjects(**none), cells, city.source, {})
+        # a copy, which does not hold what it was cut from
+        sight = City(city.plane, deepcopy(CityObjects(**none)), cells, city.source, {})
         object.__setattr__(sight, "index", views)
         ids = o.osm_id.astype(np.uint32)
         return cls(
@@ -325,21 +322,15 @@ class Shard:
             self.city_map = _open_city(self.source, self.sight.views)
         return self.city_map
 
-    def close_objects(self) -> None:
-        """Close the objects until they are needed again."""
-        self.city_map = None
-        self.requests.clear()
-
-    def count_bytes(self) -> int:
-        """Return the bytes of arrays and texts; objects are counted anew where more was derived of them."""
-        held = {} if self.city_map is None else vars(self.city_map)
-        if len(held) != self._counted[0]:
-            self._counted = len(held), count_bytes(held, {id(self.sight.views)})
-        return self._sight_bytes + self._counted[1]
-
-    @cached_property
-    def _sight_bytes(self) -> int:
-        return count_bytes((self.sight.views, self.hashes, self.tokens, self.ids, self.core), set())
+    @property
+    def size(self) -> float:
+        """Bytes that it takes, about."""
+        own = [*self.sight.views.columns, self.hashes, self.tokens, self.ids, self.core]
+        objects = [] if self.city_map is None else vars(self.city_map.objects).values()
+        return sum(
+            share * sum(c.nbytes for c in columns if isinstance(c, np.ndarray))
+            for share, columns in ((1.0, own), (DERIVED, objects))
+        )
 
     @property
     def places(self) -> Floats:
@@ -357,11 +348,6 @@ class Shard:
         wanted = np.array([hash(text) for text in texts], np.int64)
         at = np.minimum(np.searchsorted(self.hashes, wanted), len(self.hashes) - 1)
         return np.where(self.hashes[at] == wanted, self.tokens[at], -1).astype(np.int32)
-
-    def token_text(self, token: int) -> str:
-        """Return the text of a token, as of `WordTable.text`."""
-        o, n = self.city.objects, len(self.city.objects.labels)
-        return o.labels[token] if token < n else f"~{o.names[token - n]}"
 
     def request(self, shard_query: ShardQuery, *, objects: bool = True) -> Request:
         """Translate a query into the tokens and rows of the shard, with the prior of its viewpoints.
@@ -386,28 +372,17 @@ class Shard:
         )
 
 
+def list_texts(city: City) -> list[str]:
+    """List the texts of all tokens, as of `WordTable.text`."""
+    return [*city.objects.labels, *(f"~{name}" for name in city.objects.names)]
+
+
 def _open_city(source: ShardSource, views: ViewIndex | None = None) -> CityMap:
     """Open the city of a shard; raises `InputError` or `MapError`."""
     from placegraph.outdoor.city import CityMap
 
     check_digest(source.path, source.digest)
     return CityMap.open(source.path, views)
-
-
-def count_bytes(value: Any, counted: set[int]) -> int:  # noqa: ANN401  # whatever a shard holds
-    """Count bytes of the arrays and texts of a value that are not `counted` by id."""
-    if id(value) in counted or isinstance(value, type):
-        return 0
-    counted.add(id(value))
-    if isinstance(value, np.ndarray):
-        return value.nbytes
-    if isinstance(value, dict):
-        value = tuple(value.values())
-    if isinstance(value, tuple | list):
-        if all(isinstance(v, str) for v in value[:: max(1, len(value) - 1)]):
-            return sum(map(sys.getsizeof, value))
-        return sys.getsizeof(value) + sum(count_bytes(v, counted) for v in value)
-    return count_bytes(getattr(value, "__dict__", None), counted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -547,10 +522,11 @@ def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
     centers = city.plane.to_lonlat(city.objects.center[rows].astype(np.float64))
     starts, values, _ = city.tokens
     o = city.objects
+    texts = list_texts(city)
     return [
         RareObject(
             int(o.osm_type[i]), int(o.osm_id[i]), int(o.kind[i]), o.label(i), o.name(i),
-            tuple(map(shard.token_text, values[starts[i] : starts[i + 1]].tolist())),
+            tuple(texts[v] for v in values[starts[i] : starts[i + 1]].tolist()),
             tuple(city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)), center,
             min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
         )

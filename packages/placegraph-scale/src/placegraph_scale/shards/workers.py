@@ -64,7 +64,7 @@ class ShardTask(NamedTuple):
 
 @dataclass(eq=False)
 class ShardCache:
-    """Shards that one process holds open; those not used for longest are closed first.
+    """Shards that one process holds open, a `WorkerPool`; those not used for longest are closed first.
 
     Their objects are closed before any shard is. Several threads may ask for steps: one is done after the
     other.
@@ -75,11 +75,23 @@ class ShardCache:
     _open: OrderedDict[Path, Shard] = field(default_factory=OrderedDict)
     _with_objects: OrderedDict[Path, None] = field(default_factory=OrderedDict)
     """Open shards whose objects are open as well."""
-    _sizes: dict[Path, int] = field(default_factory=dict)
+    _sizes: dict[Path, float] = field(default_factory=dict)
     """Bytes of each shard, after its last step ..."""
-    _size: int = 0
+    _size: float = 0.0
     """... and of all."""
     _lock: Lock = field(default_factory=Lock)
+
+    def run_tasks(
+        self, tasks: Sequence[ShardTask], deadline: float | None = None
+    ) -> dict[int, Any]:
+        """Return the results of tasks by their rows; those not done by the deadline are left out."""
+        return dict(enumerate(self.work(tasks, deadline)))
+
+    def close(self) -> None:
+        """Close all shards."""
+        for held in (self._open, self._with_objects, self._sizes):
+            held.clear()
+        self._size = 0.0
 
     def work(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> list[Any]:
         """Return the results of tasks, in their order; fewer where the time is over.
@@ -129,20 +141,18 @@ class ShardCache:
         if self._open[path].city_map is not None:
             self._with_objects[path] = None
             self._with_objects.move_to_end(path)
-        self._count(path, self._open[path].count_bytes())
-        while self._size > self.memory and (self._with_objects or len(self._open) > 1):
+        while True:
+            size = self._open[path].size if path in self._open else 0.0
+            self._size += size - self._sizes.get(path, 0.0)
+            self._sizes[path] = size
+            if self._size <= self.memory or not (self._with_objects or len(self._open) > 1):
+                break
             if self._with_objects:
                 path, _ = self._with_objects.popitem(last=False)
-                self._open[path].close_objects()
-                self._count(path, self._open[path].count_bytes())
+                self._open[path].city_map = None
+                self._open[path].requests.clear()
             else:
                 path, _ = self._open.popitem(last=False)
-                self._count(path, 0)
-
-    def _count(self, path: Path, size: int) -> None:
-        """Note the bytes that a shard takes now."""
-        self._size += size - self._sizes.get(path, 0)
-        self._sizes[path] = size
 
 
 def parse_memory(memory: str | float) -> float:
@@ -165,23 +175,6 @@ class WorkerPool(Protocol):
 
     def close(self) -> None:
         """Release all shards."""
-
-
-@dataclass(eq=False)
-class LocalPool:
-    """Pool of this process alone: one shard after the other."""
-
-    cache: ShardCache = field(default_factory=ShardCache)
-
-    def run_tasks(
-        self, tasks: Sequence[ShardTask], deadline: float | None = None
-    ) -> dict[int, Any]:
-        """Return the results of tasks by their rows; those not done by the deadline are left out."""
-        return dict(enumerate(self.cache.work(tasks, deadline)))
-
-    def close(self) -> None:
-        """Close all shards."""
-        self.cache = ShardCache(self.cache.memory)
 
 
 def connect(address: str, timeout: float = TIMEOUT) -> Client:
