@@ -13,11 +13,13 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.bake import bake
 from placegraph.indoor.mapping.atlas.colours import (
+    SharpestViews,
     frame_colours,
     group_keyframes,
     measure_sharpness,
     mesh_colours,
 )
+from placegraph.indoor.mapping.fuse import read_view
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -279,13 +281,20 @@ def inner(rng, count=300, low=0.4, high=1.6):
     return np.column_stack([rng.uniform(low, high, (count, 2)), np.zeros(count)])
 
 
+def see(frames, poses):
+    sharpest = SharpestViews(frames, poses)
+    for row, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
+        sharpest.add(read_view(frame, row, pose, frames[0].camera))
+    return sharpest.views
+
+
 POSES = np.array([above(x, y) for x in (0.6, 1.0, 1.4) for y in (0.6, 1.0, 1.4)])
 
 
 @pytest.mark.parametrize("depth", [True, False])
 def test_a_floor_photographed_from_above(floor, rng, depth):
     frames = [photograph(floor, soft, p, depth=depth) for p in POSES]
-    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    colour_of = frame_colours(see(frames, POSES), floor.vertices, floor.triangles)
     points, rise = inner(rng), np.array([0, 0, 1.0])
     colours, known = asked(colour_of, points)
     assert known.all()
@@ -298,7 +307,7 @@ def test_a_floor_photographed_from_above(floor, rng, depth):
 def test_exposures_are_evened_out(floor, rng):
     gains = np.array([0.6, 1.0, 1.5, 0.8, 1.2, 1.0, 0.7, 1.4, 1.0])
     frames = [photograph(floor, soft, p, gain=g) for p, g in zip(POSES, gains, strict=True)]
-    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    colour_of = frame_colours(see(frames, POSES), floor.vertices, floor.triangles)
     points = inner(rng)
     ratio = asked(colour_of, points)[0] / soft(points)
     # one exposure for all; which one, nobody can say
@@ -319,7 +328,7 @@ def test_what_stands_in_front_is_not_painted_on_what_lies_behind(floor, boxes, r
 
     for mesh, depth in ((both, False), (floor, True)):  # by the mesh alone, and by depth alone
         frames = [photograph(both, field, p, depth=depth) for p in POSES]
-        colour_of = frame_colours(frames, POSES, mesh.vertices, mesh.triangles)
+        colour_of = frame_colours(see(frames, POSES), mesh.vertices, mesh.triangles)
         colours, known = asked(colour_of, inner(rng, 2000))
         assert 0.8 < known.mean() <= 1.0
         assert np.mean(colours[known][:, 1] < 20) < 0.01
@@ -330,7 +339,7 @@ def test_one_wrong_view_is_outvoted(floor, rng):
     hand = np.array(frames[4].rgb())
     hand[30:60, 40:80] = (255, 0, 255)
     frames[4] = Frame.from_arrays(hand, PHONE, depth=frames[4].depth(), odometry=POSES[4])
-    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    colour_of = frame_colours(see(frames, POSES), floor.vertices, floor.triangles)
     points = inner(rng, low=0.8, high=1.2)
     off = np.abs(asked(colour_of, points)[0] - soft(points)).max(axis=1)
     assert np.mean(off > 20) < 0.02
@@ -347,8 +356,8 @@ def test_of_one_place_the_sharpest_frame_is_kept(floor, rng):
         assert 0 < len(groups) <= most
         rows = list(itertools.chain(*groups))
         assert rows == sorted(rows)
-    colour_of = frame_colours(frames, near, floor.vertices, floor.triangles)
-    alone = frame_colours(frames[1:2], near[1:2], floor.vertices, floor.triangles)
+    colour_of = frame_colours(see(frames, near), floor.vertices, floor.triangles)
+    alone = frame_colours(see(frames[1:2], near[1:2]), floor.vertices, floor.triangles)
     points = inner(rng, low=0.8, high=1.2)
     assert (asked(colour_of, points)[0] == asked(alone, points)[0]).all()
 
@@ -357,7 +366,7 @@ def test_lenses_and_sizes(floor, rng):
     bent = replace(PHONE, distortion=(-0.2, 0.05, 0.001, -0.001))
     large = Camera(480, 360, 400.0, 400.0, 240.0, 180.0)
     frames = [photograph(floor, soft, p, (bent, large)[i % 2]) for i, p in enumerate(POSES[2:6])]
-    colour_of = frame_colours(frames, POSES[2:6], floor.vertices, floor.triangles)
+    colour_of = frame_colours(see(frames, POSES[2:6]), floor.vertices, floor.triangles)
     points = inner(rng, low=0.8, high=1.2)
     colours, known = asked(colour_of, points)
     assert known.all()
@@ -365,12 +374,8 @@ def test_lenses_and_sizes(floor, rng):
 
 
 def test_a_rendered_walk_gives_the_room_back(room, walk, truth, rng):
-    told = []
     mesh = room.mesh
-    colour_of = frame_colours(
-        list(walk), truth(walk), mesh.vertices, mesh.triangles, progress=lambda *n: told.append(n)
-    )
-    assert told[-1] == (len(walk), len(walk))
+    colour_of = frame_colours(see(list(walk), truth(walk)), mesh.vertices, mesh.triangles)
     row, u, v, at = spots(mesh, 5000, rng)
     colours, known = colour_of(at, room.normals[row].astype(float), row.astype(np.int64))
     assert known.mean() > 0.05  # of all faces, those inside furniture included

@@ -25,7 +25,7 @@ from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
-    from placegraph.indoor.mapping.fuse import FusedSurface, FuseStats
+    from placegraph.indoor.mapping.fuse import FusedSurface, FuseStats, View
     from placegraph.indoor.mapping.segment import Segments
 
 Progress = Callable[[str, int, int], None]
@@ -84,7 +84,7 @@ def read_capture(
     `reader`: options of the recorder's own reader, such as `scale` and `up` of COLMAP. Raises
     `InputError` where the capture has no depth.
     """
-    from placegraph.indoor.mapping.atlas.colours import frame_colours
+    from placegraph.indoor.mapping.atlas.colours import SharpestViews, frame_colours
     from placegraph.indoor.mapping.landmarks import map_landmarks
     from placegraph.indoor.mapping.own_agreement import measure_own_agreement
     from placegraph.indoor.mapping.segment import segment
@@ -92,7 +92,9 @@ def read_capture(
     has_trajectory = how.poses is None and (path / "trajectory.tum").exists()
     capture = _open_capture(path, how, "trajectory" if has_trajectory else how.poses, reader or {})
     left_out.update(capture.left_out)
-    fused = _fuse_frames(path, capture, how, left_out, progress)
+    poses = np.array([f.odometry for f in capture.frames])
+    sharpest = SharpestViews(capture.frames, poses)
+    fused = _fuse_frames(path, capture, how, sharpest.add, left_out, progress)
     if how.segmenter is not None:
         from placegraph.indoor.encode.networks import label_capture
 
@@ -110,18 +112,12 @@ def read_capture(
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Texture(None),),
         floor=floor,
     )  # fmt: skip
-    poses = np.array([f.odometry for f in capture.frames])
-    coloured = [f for f in capture.frames if f.has_colour]
-    looks = np.array([f.odometry for f in coloured])
-    colour_of = frame_colours(
-        coloured,
-        looks,
-        fused.vertices,
-        fused.triangles,
-        progress=_report_stage(progress, "colours"),
-    )
+    views = sharpest.views
+    colour_of = frame_colours(views, fused.vertices, fused.triangles) if views else None
     landmarks = None
     if how.landmarks:
+        coloured = [f for f in capture.frames if f.has_colour]
+        looks = np.array([f.odometry for f in coloured])
         landmarks = map_landmarks(coloured, looks, _report_stage(progress, "landmarks"))
     notes = _write_notes(path, has_trajectory, fused.stats, segments.labels)
     told_of = (*capture.notes, *notes, *guessed)
@@ -177,6 +173,7 @@ def _fuse_frames(
     path: Path,
     capture: Capture,
     how: FromCapture,
+    watch: Callable[[View], None],
     left_out: Counter[str],
     progress: Progress | None,
 ) -> FusedSurface:
@@ -184,7 +181,7 @@ def _fuse_frames(
 
     try:
         return fuse(
-            capture.frames, voxel=how.voxel, reach=how.reach,
+            capture.frames, voxel=how.voxel, reach=how.reach, watch=watch,
             progress=_report_stage(progress, "fusing"), left_out=left_out,
         )  # fmt: skip
     except InputError as error:

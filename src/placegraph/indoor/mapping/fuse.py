@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import lru_cache
 from time import perf_counter
@@ -29,8 +29,11 @@ from placegraph.io.capture.frame import Frame
 
 FARTHEST = 1e4  # Cameras farther from the map's origin than this are damage [m]
 JUMP = 0.5  # A pose that leaves its neighbours by more, while they stay together, is a slip [m]
-AHEAD = 2  # Frames that are read while one is fused
-WIDEST = 2.0  # An undistorted image is at most this much wider and higher than the image
+AHEAD = 3  # Frames that are read while one is fused
+LONGEST = 960  # Longer images [px] are made smaller: their pixels are finer than texels
+ENOUGH_COLUMNS = 320  # Of depth: wider images are thinned, since their pixels are finer than voxels
+SQUARE = 4  # Edge of the squares in which distortion is checked [px]
+WIDE, WIDEST = 1.5, 2.0  # Undistorted images and depth are at most this much wider and higher
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,86 +41,142 @@ class View:
     """Images of one frame without distortion, and where they were taken."""
 
     row: int
-    depth: NDArray[np.float32]  # (h, w) [m], NaN: no reading
-    image: NDArray[np.uint8]  # (H, W, 3)
-    eyes: Floats  # (2, 4) fx, fy, cx, cy [px] of depth and image
+    depth: NDArray[np.float32]  # (h, w) [m], NaN: no reading; (0, 0): the frame has none
+    image: NDArray[np.uint8]  # (H, W, 3), of one size in all views; (0, 0, 3): the frame has none
+    cameras: tuple[Camera, Camera]  # of depth and of image
     map_from_camera: Floats
+
+    @property
+    def eyes(self) -> Floats:
+        """(2, 4) fx, fy, cx, cy [px] of depth and image."""
+        return np.array([[c.fx, c.fy, c.cx, c.cy] for c in self.cameras])
 
 
 def read_views(
     frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
 ) -> Iterator[View | None]:
-    """Read the views of all frames in order, None for those without depth or a `good` pose (T,).
+    """Read the views of all frames in order, None for those without a `good` pose (T,).
 
     The next frames are read while the caller works on the last. Raises `InputError` where an image
     is broken.
     """
 
     def view(row: int) -> View | None:
-        return read_view(frames[row], row, poses[row]) if good[row] else None
+        return read_view(frames[row], row, poses[row], frames[0].camera) if good[row] else None
 
-    with ThreadPoolExecutor(1) as reader:
+    with ThreadPoolExecutor(AHEAD) as reader:
+        wait([reader.submit(view, row) for row in range(min(1, len(frames)))])  # maps its lens
         ahead = [reader.submit(view, row) for row in range(min(AHEAD, len(frames)))]
         for row in range(len(frames)):
             found = ahead.pop(0).result()
             if row + AHEAD < len(frames):
                 ahead.append(reader.submit(view, row + AHEAD))
-            if not good[row]:
+            if found is None:
                 left_out["frames with a broken pose"] += 1
-            elif found is None:
+            elif not found.depth.size:
                 left_out["frames without depth"] += 1
             yield found
 
 
-def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
-    """Read the view of a frame, None where it has no depth."""
-    depth, depth_camera = frame.depth(), frame.depth_camera
-    if depth is None or depth_camera is None or not (depth > 0).any():
-        return None
-    camera = frame.camera
-    image = frame.rgb() if frame.has_colour else np.zeros((0, 0, 3), np.uint8)
-    if not depth_camera.is_rectilinear:
-        depth_camera, table = undistort(depth_camera)
-        depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
-    if not camera.is_rectilinear and frame.has_colour:
-        camera, table = undistort(camera)
-        image = image.reshape(-1, 3)[np.maximum(table, 0)]
-    eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
-    return View(
-        row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera
-    )
+def read_view(frame: Frame, row: int, map_from_camera: Floats, first: Camera) -> View:
+    """Read the view of a frame; its image has the size of the pinhole camera of a `first` camera."""
+    reading, camera = frame.depth(), frame.depth_camera or frame.camera
+    depth, thin = np.zeros((0, 0), np.float32), camera
+    if reading is not None and (reading > 0).any():
+        step = max(1, round(camera.width / ENOUGH_COLUMNS))
+        thin = _thin(flatten(camera, WIDEST), step)
+        if camera.is_rectilinear:
+            depth = np.ascontiguousarray(reading[step // 2 :: step, step // 2 :: step])
+        else:
+            table = _find_readings(camera, thin)
+            depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
+    plain, wanted = make_pinhole(frame.camera), make_pinhole(first)
+    if (plain.width, plain.height) != (wanted.width, wanted.height):
+        plain = wanted
+    image = np.zeros((0, 0, 3), np.uint8)
+    if frame.has_colour:
+        image = np.ascontiguousarray(undistort_image(frame.rgb(), frame.camera, plain))
+    return View(row, depth, image, (thin, plain), map_from_camera)
+
+
+def _thin(camera: Camera, step: int) -> Camera:
+    """Return the camera of every `step`-th pixel of every such line, from `step // 2` on."""
+    first = step // 2 + 0.5
+    width, height = (-(-(size - step // 2) // step) for size in (camera.width, camera.height))
+    centre = ((c - first) / step + 0.5 for c in (camera.cx, camera.cy))
+    return Camera(width, height, camera.fx / step, camera.fy / step, *centre)
+
+
+def make_pinhole(camera: Camera) -> Camera:
+    """Make the camera without distortion whose images have at most `LONGEST` pixels a side."""
+    camera = flatten(camera, WIDE)
+    scale = LONGEST / max(camera.width, camera.height)
+    if scale >= 1.0:
+        return camera
+    width, height = (max(1, round(s * scale)) for s in (camera.width, camera.height))
+    return camera.resize(width, height)
+
+
+def undistort_image(colours: NDArray[np.uint8], camera: Camera, plain: Camera) -> NDArray[np.uint8]:
+    """Return the image (h, w, 3) of a pinhole camera from that (H, W, 3) of another camera."""
+    if camera.width > 1.5 * plain.width:  # averaged first, so that nothing aliases
+        from PIL import Image
+
+        size = (plain.width, round(camera.height * plain.width / camera.width))
+        colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
+        camera = camera.resize(*size)
+    if camera == plain:
+        return colours
+    out = np.empty((plain.height, plain.width, 3), np.uint8)
+    kernels.resample_image(colours, _map_pixels(camera, plain), out)
+    return out
 
 
 @lru_cache(maxsize=8)
-def undistort(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
-    """Remove a camera's distortion; also where its pixels (h, w) stand in the flat image.
+def _map_pixels(camera: Camera, plain: Camera) -> Floats:
+    """Map the pixels of camera `plain` to pixels (h, w, 2) of another; NaN: beyond its lens."""
+    v, u = np.mgrid[: plain.height, : plain.width] + 0.5
+    rays = plain.directions(np.stack([u, v], axis=-1))
+    places = camera.project(rays)
+    # a strong distortion folds what lies far outside back into the image: the way back, which takes
+    # long to find, differs in whole squares of pixels
+    back = camera.directions(places[::SQUARE, ::SQUARE])
+    off = np.abs(back - rays[::SQUARE, ::SQUARE]).max(axis=-1).repeat(SQUARE, 0).repeat(SQUARE, 1)
+    places[~(off[: plain.height, : plain.width] < 1.0 / min(camera.fx, camera.fy))] = np.nan
+    return np.ascontiguousarray(places)
 
-    Its images are as large as it takes to show all that the camera sees, up to `WIDEST` times;
-    -1: outside of the image.
+
+@lru_cache(maxsize=8)
+def flatten(camera: Camera, widest: float) -> Camera:
+    """Return a camera without distortion.
+
+    Its images are as large as it takes to show all that the camera sees, up to `widest` times.
     """
+    if camera.is_rectilinear:
+        return camera
     w, h = camera.width, camera.height
     i, j = np.arange(w) + 0.5, np.arange(h) + 0.5
     rim = np.concatenate(
         [np.stack([i, np.full(w, v)], axis=1) for v in (0.0, h)]
         + [np.stack([np.full(h, u), j], axis=1) for u in (0.0, w)]
     )
-    limit = 0.5 * WIDEST * np.array([w, h])
+    limit = 0.5 * widest * np.array([w, h])
     reached = camera.directions(rim)[:, :2] * (camera.fx, camera.fy)
     beyond = np.where(rim < (camera.cx, camera.cy), -limit, limit)
     reached = np.where(np.isfinite(reached), reached, beyond)
     low = np.ceil(np.minimum(np.maximum(-reached.min(axis=0), 1), limit))
     high = np.ceil(np.minimum(np.maximum(reached.max(axis=0), 1), limit))
     width, height = (low + high).astype(int).tolist()
-    plain = Camera(width, height, camera.fx, camera.fy, float(low[0]), float(low[1]))
-    v, u = np.mgrid[0:height, 0:width] + 0.5
-    rays = plain.directions(np.stack([u, v], axis=-1))
-    at = camera.project(rays)
-    # far outside, the polynomials may fold back into the image: there the way back differs
-    back = camera.directions(at)
-    same = np.abs(back - rays).max(axis=-1) < 1.0 / min(camera.fx, camera.fy)
+    return Camera(width, height, camera.fx, camera.fy, float(low[0]), float(low[1]))
+
+
+@lru_cache(maxsize=8)
+def _find_readings(camera: Camera, plain: Camera) -> NDArray[np.int64]:
+    """Find the pixel that each pixel (h, w) of camera `plain` sees in a flat image; -1: none."""
+    at = np.nan_to_num(_map_pixels(camera, plain), nan=-1.0)
     column, line = np.floor(np.moveaxis(at, -1, 0)).astype(np.int64)
-    inside = same & (column >= 0) & (line >= 0) & (column < w) & (line < h)
-    return plain, np.where(inside, line * w + column, -1)
+    inside = (column >= 0) & (line >= 0) & (column < camera.width) & (line < camera.height)
+    return np.where(inside, line * camera.width + column, -1)
 
 
 def find_good_poses(poses: Floats) -> NDArray[np.bool_]:
@@ -348,6 +407,7 @@ def fuse(
     truncation: float | None = None,
     reach: float = REACH,
     options: FuseOptions | None = None,
+    watch: Callable[[View], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
     left_out: Counter[str] | None = None,
 ) -> FusedSurface:
@@ -363,6 +423,7 @@ def fuse(
     `truncation`: distances from the surface beyond this are cut [m]; thinner things come out
         thicker or not at all. Four voxels if not given.
     `options`: what else can be set.
+    `watch`: is given every view that is read, in order, and again where voxels become coarser.
     `progress`, `left_out`: are told how many frames are done, of how many; and what was passed
         over, by reason.
     """
@@ -384,7 +445,7 @@ def fuse(
         run = _Run(Volume(edge, max(band, 1.5 * edge), 1e9 * options.memory), options, len(frames))
         passed_over: Counter[str] = Counter()
         try:
-            run.integrate(frames, matrices, reach, progress, passed_over)
+            run.integrate(frames, matrices, reach, watch, progress, passed_over)
             break
         except FullError as error:
             need = (
@@ -416,12 +477,15 @@ class _Run:
         frames: Sequence[Frame],
         poses: Floats,
         reach: float,
+        watch: Callable[[View], None] | None,
         progress: Callable[[int, int], None] | None,
         passed_over: Counter[str],
     ) -> None:
         """Take in all frames."""
         for view in read_views(frames, poses, find_good_poses(poses), passed_over):
-            if view is not None:
+            if view is not None and watch is not None:
+                watch(view)
+            if view is not None and view.depth.size:
                 facets = compute_facets(view.depth, view.eyes[0], reach, self.options.edges)
                 self.gains[view.row] = self.volume.integrate(view, facets, gains=self.options.gains)
                 self.readings.append(self._choose_readings(view, facets))

@@ -54,7 +54,7 @@ def transform(pose, x, y, z):
     )
 
 
-@kernel
+@kernel(_nrt=False)
 def slot_of(keys, key):
     """Return the slot of a key, or the free one where it would stand."""
     mask = np.int64(len(keys) - 1)
@@ -65,7 +65,7 @@ def slot_of(keys, key):
     return at
 
 
-@kernel
+@kernel(_nrt=False)
 def row_of(blocks, x, y, z):
     """Return row of the block at whole coordinates, -1: there is none."""
     if abs(x) >= RANGE or abs(y) >= RANGE or abs(z) >= RANGE:
@@ -186,6 +186,27 @@ def integrate(blocks, chosen, facets, image, gain, eyes, pose, first, last):
                 pixel = image[int(v), int(u)]
                 for c in range(3):
                     colour[row, at, c] += share * (gain * pixel[c] - colour[row, at, c])
+
+
+@kernel(error_model="numpy")
+def resample_image(image, uv, out):
+    """Fill `out` (h, w, 3) uint8 with an image (H, W, 3) between its pixels at places (h, w, 2) [px]."""
+    rows, columns = image.shape[:2]
+    for i in range(len(out)):
+        for j in range(out.shape[1]):
+            x, y = uv[i, j, 0] - 0.5, uv[i, j, 1] - 0.5
+            if not (-1.0 < x < columns and -1.0 < y < rows):
+                out[i, j] = 0
+                continue
+            x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
+            left, top = int(x), int(y)
+            s, t = x - left, y - top
+            p, q = min(left + 1, columns - 1), min(top + 1, rows - 1)
+            for c in range(3):
+                out[i, j, c] = np.uint8(
+                    (1 - s) * (1 - t) * image[top, left, c] + s * (1 - t) * image[top, p, c]
+                    + (1 - s) * t * image[q, left, c] + s * t * image[q, p, c] + 0.5
+                )  # fmt: skip
 
 
 @kernel(error_model="numpy")
@@ -334,7 +355,7 @@ def _facets_of(depth, eye, reach, edges, out, first, last):
             out[v, u, 5] = cosine * here**4
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def interpolate_depth(depth, v, u):
     """Interpolate a reading between two that agree, up to 4 pixels apart; else 0.
 
@@ -359,7 +380,7 @@ def interpolate_depth(depth, v, u):
     return best
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def is_depth_edge(depth, v, u, here, allowed):
     """Return whether a reading stands at a depth edge, where it may be a mean of both sides."""
     h, w = depth.shape
@@ -447,7 +468,7 @@ def _neighbours(blocks, out, first, last):
             )
 
 
-@kernel
+@kernel(_nrt=False)
 def corner_of(around, row, i, j, k):
     """Return block and voxel of the voxel at i, j, k (-1 to SIDE) of a block; block -1: not there."""
     side = (i + SIDE) // SIDE * 9 + (j + SIDE) // SIDE * 3 + (k + SIDE) // SIDE

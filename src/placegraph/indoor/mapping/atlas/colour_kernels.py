@@ -15,7 +15,7 @@ BEST = 5  # Views of a texel that are compared; those that agree are mixed
 OBSERVED = 12  # Views of a point that take part in solving for the frames' exposures
 GRAZING = 0.17  # Cosine between ray and normal below which a view shows nothing
 SPREAD = 20.0  # Difference from the median [of 255] at which a view counts for little
-RUN = 64  # Points in a row, mostly neighbours, for which views are looked up together
+RUN = 8  # Points in a row, mostly neighbours, for which views are looked up together
 BORDER = 24.0  # A view counts fully from this far inside the image on [px]
 
 
@@ -33,7 +33,7 @@ class Keyframes(NamedTuple):
     gains: NDArray[np.float32]  # (K, 3) what the colours are multiplied by
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _observe_point(views, k, point, normal, least):
     """Observe a point in view k: x, y [px], depth [m], weight; 0: not seen, or `least` at most."""
     dx = views.centres[k, 0] - point[0]
@@ -72,7 +72,7 @@ def _observe_point(views, k, point, normal, least):
     return x, y, z, worth
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _sample_view(views, k, level, x, y):
     """Sample colour (3 floats, 0 to 255) of view k at (x, y) [px of level 0], between its pixels."""
     image = views.levels[level]
@@ -94,7 +94,7 @@ def _sample_view(views, k, level, x, y):
     )
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _choose_level(views, k, z, texel):
     """Level of the images whose pixels are about as wide as a texel at depth z."""
     pixels = texel * views.pinholes[k, 0] / z
@@ -105,22 +105,24 @@ def _choose_level(views, k, z, texel):
     return level
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _find_candidates(views, points, first, last, candidates):
     """Fill `candidates` with the views that may see any of the points `first` to `last`; how many."""
-    middle, spread = np.zeros(3), 0.0
+    middle_x, middle_y, middle_z, spread = 0.0, 0.0, 0.0, 0.0
     for i in range(first, last):
-        middle += points[i] / (last - first)
+        middle_x += points[i, 0] / (last - first)
+        middle_y += points[i, 1] / (last - first)
+        middle_z += points[i, 2] / (last - first)
     for i in range(first, last):
-        off = points[i] - middle
-        spread = max(spread, np.sqrt(off[0] * off[0] + off[1] * off[1] + off[2] * off[2]))
+        square = (points[i, 0] - middle_x) ** 2 + (points[i, 1] - middle_y) ** 2
+        spread = max(spread, np.sqrt(square + (points[i, 2] - middle_z) ** 2))
     count = 0
     rows, columns = views.levels[0].shape[1], views.levels[0].shape[2]
     for k in range(len(views.centres)):
         pose, pinhole = views.camera_from_map[k], views.pinholes[k]
-        x = pose[0, 0] * middle[0] + pose[0, 1] * middle[1] + pose[0, 2] * middle[2] + pose[0, 3]
-        y = pose[1, 0] * middle[0] + pose[1, 1] * middle[1] + pose[1, 2] * middle[2] + pose[1, 3]
-        z = pose[2, 0] * middle[0] + pose[2, 1] * middle[1] + pose[2, 2] * middle[2] + pose[2, 3]
+        x = pose[0, 0] * middle_x + pose[0, 1] * middle_y + pose[0, 2] * middle_z + pose[0, 3]
+        y = pose[1, 0] * middle_x + pose[1, 1] * middle_y + pose[1, 2] * middle_z + pose[1, 3]
+        z = pose[2, 0] * middle_x + pose[2, 1] * middle_y + pose[2, 2] * middle_z + pose[2, 3]
         # the sphere against the four planes through the image's sides
         left, right = pinhole[2], columns - pinhole[2]
         top, bottom = pinhole[3], rows - pinhole[3]
@@ -136,7 +138,7 @@ def _find_candidates(views, points, first, last, candidates):
     return count
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _best(views, candidates, point, normal, rows, places):
     """Fill rows (M,) and places (M, 4: x, y, z, worth) with the best views; returns how many."""
     most, count = len(rows), 0
@@ -149,8 +151,9 @@ def _best(views, candidates, point, normal, rows, places):
             count += 1
         at = count - 1
         while at > 0 and places[at - 1, 3] < worth:
-            places[at] = places[at - 1]
             rows[at] = rows[at - 1]
+            for column in range(4):
+                places[at, column] = places[at - 1, column]
             at -= 1
         rows[at] = k
         places[at, 0], places[at, 1], places[at, 2], places[at, 3] = x, y, z, worth
@@ -171,7 +174,7 @@ def observe_points(views, points, normals, texel, rows, colours, first, last):
             colours[i, m, 0], colours[i, m, 1], colours[i, m, 2] = red, green, blue
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _median(values, count, column, ascending):
     """Return median of the first `count` of a column of values (M, C); `ascending` (M,) is overwritten."""
     for m in range(count):
@@ -189,7 +192,7 @@ def mix_views(views, points, normals, texel, out, valid, first, last):
     candidates, number = np.empty(len(views.centres), np.int64), 0
     rows, places = np.empty(BEST, np.int64), np.zeros((BEST, 4))
     colours, weights = np.empty((BEST, 3)), np.empty(BEST)
-    middle, ascending = np.empty(3), np.empty(BEST)
+    middle, mean, ascending = np.empty(3), np.empty(3), np.empty(BEST)
     for i in range(first, last):
         if (i - first) % RUN == 0:
             number = _find_candidates(views, points, i, min(i + RUN, last), candidates)
@@ -211,14 +214,15 @@ def mix_views(views, points, normals, texel, out, valid, first, last):
                 colours[m, c] = min(sample[c] * views.gains[k, c], 255.0)
         for c in range(3):
             middle[c] = _median(colours, count, c, ascending)
-        total, mean = 0.0, np.zeros(3)
+        total, mean[:] = 0.0, 0.0
         for m in range(count):
             off = 0.0
             for c in range(3):
                 off += (colours[m, c] - middle[c]) ** 2
             weight = weights[m] * np.exp(-0.5 * off / SPREAD**2) + 1e-6
             total += weight
-            mean += weight * colours[m]
+            for c in range(3):
+                mean[c] += weight * colours[m, c]
         for c in range(3):
             out[i, c] = np.uint8(mean[c] / total + 0.5)
 
@@ -262,27 +266,6 @@ def bound_depth(depth):
                     near, far = min(near, depth[p, q]), max(far, depth[p, q])
             out[0, i, j], out[1, i, j] = near, far
     return out
-
-
-@kernel(error_model="numpy")
-def resample_image(image, uv, out):
-    """Fill `out` (h, w, 3) uint8 with an image (H, W, 3) between its pixels at places (h, w, 2) [px]."""
-    rows, columns = image.shape[:2]
-    for i in range(len(out)):
-        for j in range(out.shape[1]):
-            x, y = uv[i, j, 0] - 0.5, uv[i, j, 1] - 0.5
-            if not (-1.0 < x < columns and -1.0 < y < rows):
-                out[i, j] = 0
-                continue
-            x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
-            left, top = int(x), int(y)
-            s, t = x - left, y - top
-            p, q = min(left + 1, columns - 1), min(top + 1, rows - 1)
-            for c in range(3):
-                out[i, j, c] = np.uint8(
-                    (1 - s) * (1 - t) * image[top, left, c] + s * (1 - t) * image[top, p, c]
-                    + (1 - s) * t * image[q, left, c] + s * t * image[q, p, c] + 0.5
-                )  # fmt: skip
 
 
 @kernel(error_model="numpy")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from placegraph.core.geometry import Camera, Floats
 from placegraph.core.threads import count_processors, run_parallel
 from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas import colour_kernels as kernels
+from placegraph.indoor.mapping.fuse import View
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.nearest_kernels import find_nearest
@@ -26,7 +26,6 @@ Bytes = NDArray[np.uint8]
 
 STEP = 0.10  # Frames nearer than this to each other [m] ..
 TURN = np.radians(8.0)  # ... and turned less than this are of one place: the sharpest is kept
-LONGEST = 960  # Longer images [px] are made smaller: their pixels are finer than texels
 DEPTH_LONGEST = 320  # Longest side of the depth against which views are tested [px]
 LEVELS = 4
 UNREAD = 0.05  # Worth of a view at a pixel without depth, of a frame that has some
@@ -59,50 +58,49 @@ def group_keyframes(poses: Floats, most: int) -> list[list[int]]:
         scale *= _WIDER
 
 
-def build_keyframes(
-    frames: Sequence[Frame],
-    poses: Floats,
-    groups: Sequence[Sequence[int]],
-    caster: RayCaster,
-    progress: Callable[[int, int], None] | None,
-) -> kernels.Keyframes:
-    """Build views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
-    total, done = sum(len(g) for g in groups), 0
-    first = _make_pinhole(frames[groups[0][0]].camera)
+class SharpestViews:
+    """Views of the sharpest of the frames that were taken from nearly one place."""
 
-    def view(
-        group: Sequence[int],
-    ) -> tuple[int, tuple[Bytes, ...], NDArray[np.float32], NDArray[np.float32]]:
-        colours = [frames[i].rgb() for i in group]
-        sharp = [measure_sharpness(c) for c in colours] if len(group) > 1 else [0.0]
-        best = int(np.argmax(sharp))
-        row, frame = group[best], frames[group[best]]
-        depth, sure = _read_depth(frame, poses[row], caster, first)
-        return (
-            row,
-            _build_pyramid(_undistort_image(colours[best], frame.camera, first)),
-            kernels.bound_depth(depth),
-            sure,
-        )
+    def __init__(self, frames: Sequence[Frame], poses: Floats) -> None:
+        """Group the frames that have colours by their poses (T, 4, 4) map_from_camera."""
+        coloured = [row for row, frame in enumerate(frames) if frame.has_colour]
+        self._groups = {
+            coloured[i]: group for group in group_keyframes(poses[coloured], VIEWS) for i in group
+        }
+        self._found: dict[int, tuple[float, View]] = {}
 
-    found = []
-    with ThreadPoolExecutor(count_processors()) as pool:  # Pillow and kernels work outside the lock
-        for group, one in zip(groups, pool.map(view, groups), strict=True):
-            found.append(one)
-            done += len(group)
-            if progress:
-                progress(done, total)
-    rows, pyramids, depths, trust = (list(column) for column in zip(*found, strict=True))
-    map_from_camera = poses[rows]
-    pinhole = np.array([first.fx, first.fy, first.cx, first.cy])
+    def add(self, view: View) -> None:
+        """Keep the view of a frame, if it is the sharpest of its group so far."""
+        group = self._groups.get(view.row, ())
+        if group:
+            sharp = measure_sharpness(view.image) if len(group) > 1 else 0.0
+            if group[0] not in self._found or sharp > self._found[group[0]][0]:
+                self._found[group[0]] = sharp, view
+
+    @property
+    def views(self) -> list[View]:
+        """The sharpest view of each group."""
+        return [view for _, view in self._found.values()]
+
+
+def build_keyframes(views: Sequence[View], caster: RayCaster) -> kernels.Keyframes:
+    """Build keyframes of views with images of one size; gains are 1."""
+
+    def build(view: View) -> tuple[tuple[Bytes, ...], NDArray[np.float32], NDArray[np.float32]]:
+        depth, sure = _read_depth(view, caster)
+        return _build_pyramid(view.image), kernels.bound_depth(depth), sure
+
+    with ThreadPoolExecutor(count_processors()) as pool:  # NumPy and kernels work outside the lock
+        pyramids, depths, trust = zip(*pool.map(build, views), strict=True)
+    map_from_camera = np.array([view.map_from_camera for view in views])
     return kernels.Keyframes(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
-        pinholes=np.tile(pinhole, (len(rows), 1)),
+        pinholes=np.array([view.eyes[1] for view in views]),
         levels=tuple(np.stack(images) for images in zip(*pyramids, strict=True)),
         bounds=np.stack(depths),
         weights=np.stack(trust),
-        gains=np.ones((len(rows), 3), np.float32),
+        gains=np.ones((len(views), 3), np.float32),
     )
 
 
@@ -115,58 +113,20 @@ def measure_sharpness(colours: Bytes) -> float:
     return float(laplacian.var()) if laplacian.size else 0.0
 
 
-def _make_pinhole(camera: Camera) -> Camera:
-    camera = replace(camera, distortion=(), model="opencv")
-    scale = LONGEST / max(camera.width, camera.height)
-    if scale >= 1.0:
-        return camera
-    width, height = (max(1, round(s * scale)) for s in (camera.width, camera.height))
-    return camera.resize(width, height)
-
-
-def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
-    if camera == plain:
-        return colours
-    from PIL import Image
-
-    if camera.width > 1.5 * plain.width:  # averaged first, so that nothing aliases
-        size = (plain.width, round(camera.height * plain.width / camera.width))
-        colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
-        camera = camera.resize(*size)
-    out = np.empty((plain.height, plain.width, 3), np.uint8)
-    kernels.resample_image(colours, _map_pixels(camera, plain), out)
-    return out
-
-
-@lru_cache(maxsize=2)
-def _map_pixels(camera: Camera, plain: Camera) -> Floats:
-    """Map the pixels of camera `plain` to pixels (h, w, 2) of another; NaN: beyond its lens."""
-    v, u = np.mgrid[: plain.height, : plain.width] + 0.5
-    rays = plain.directions(np.stack([u, v], axis=-1))
-    places = camera.project(rays)
-    # a strong distortion folds what lies far outside back into the image
-    back = camera.directions(places)
-    folded = ~(np.abs(back - rays).max(axis=-1) < 0.01)
-    places[folded] = np.nan
-    return np.ascontiguousarray(places)
-
-
-def _read_depth(
-    frame: Frame, pose: Floats, caster: RayCaster, plain: Camera
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Read depth (h, w) of the frame, of the mesh where there is none [m]; inf: neither. And its worth.
+def _read_depth(view: View, caster: RayCaster) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Read depth (h, w) of the view, of the mesh where there is none [m]; inf: neither. And its worth.
 
     Where a frame has depth but a pixel has none, there often is something dark, thin or shiny that
     the mesh does not hold: it would be painted on what lies behind.
     """
+    (depth_camera, plain), pose = view.cameras, view.map_from_camera
     scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
     width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
     small = plain.resize(width, height)
     out, trust = (np.full((height, width), value, np.float32) for value in (np.nan, 1.0))
-    reading = frame.depth()
-    if reading is not None and frame.depth_camera is not None:
-        row, column, inside = _map_readings(small, frame.depth_camera)
-        out = np.where(inside, reading[row, column], np.float32(np.nan))
+    if view.depth.size:
+        row, column, inside = _map_readings(small, depth_camera)
+        out = np.where(inside, view.depth[row, column], np.float32(np.nan))
         trust[~np.isfinite(out)] = UNREAD
     bare = ~np.isfinite(out)
     rays = _pixel_rays(small)[bare.ravel()] @ pose[:3, :3].T  # z is 1: distance is depth
@@ -218,26 +178,15 @@ _STEP = 1e-4  # [m]
 _LAYERS = 3  # of faces that look away
 
 
-def frame_colours(
-    frames: Sequence[Frame],
-    poses: Floats,
-    vertices: Floats,
-    triangles: NDArray[Any],
-    progress: Callable[[int, int], None] | None = None,
-) -> ColourOf:
-    """Make the function that colours a surface as frames saw it.
+def frame_colours(views: Sequence[View], vertices: Floats, triangles: NDArray[Any]) -> ColourOf:
+    """Make the function that colours a surface as views with images of one size saw it.
 
-    Of frames taken from nearly one place the sharpest is kept. A texel looks at those that see it
-    near, frontal, away from the image's border and from edges of depth, and not behind something
-    nearer than the frame's depth, or than the mesh where there is none. Of the five best, those that
-    agree are mixed. Before that, each frame's exposure is solved for over what frames share.
-
-    `poses`: (T, 4, 4) map_from_camera [m]; `progress` gets frames read and all frames. Raises
-    `InputError` where an image cannot be read.
+    A texel looks at those that see it near, frontal, away from the image's border and from edges of
+    depth, and not behind something nearer than the frame's depth, or than the mesh where there is
+    none. Of the five best, those that agree are mixed. Before that, each frame's exposure is solved
+    for over what frames share.
     """
-    caster = RayCaster(vertices, triangles)
-    groups = group_keyframes(poses, VIEWS)
-    seen = build_keyframes(frames, poses, groups, caster, progress)
+    seen = build_keyframes(views, RayCaster(vertices, triangles))
     seen = seen._replace(gains=_solve_gains(seen, np.asarray(vertices, np.float64), triangles))
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
