@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -232,9 +233,10 @@ def reduce_mesh(
             )
         return coarse, textures.encode_pictures(pictures, detail)
     needed = textures.measure_needed_texels(mesh, detail.texel)
-    blobs = textures.encode_pictures(pictures, detail, needed)
-    coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
-    return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs
+    with ThreadPoolExecutor(1) as pool:
+        blobs = pool.submit(textures.encode_pictures, pictures, detail, needed)
+        coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
+        return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs.result()
 
 
 def _vertex_colours(mesh: Mesh, pictures: Sequence[Texture], detail: Detail) -> ColourOf:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
@@ -99,11 +100,15 @@ def read_capture(
         from placegraph.indoor.encode.networks import label_capture
 
         capture = label_capture(capture, how.segmenter)
-    segments = segment(
-        fused.vertices, fused.triangles, fused.colours,
-        frames=None if capture.label_camera is None else capture.frames,
-        progress=progress, left_out=left_out,
-    )  # fmt: skip
+    with ThreadPoolExecutor(1) as pool:  # both need the surface alone
+        given = sharpest.views, fused.vertices, fused.triangles
+        colouring = pool.submit(frame_colours, *given) if given[0] else None
+        segments = segment(
+            fused.vertices, fused.triangles, fused.colours,
+            frames=None if capture.label_camera is None else capture.frames,
+            progress=progress, left_out=left_out,
+        )  # fmt: skip
+        colour_of = colouring and colouring.result()
     floor, guessed = _find_floor(path, fused, segments)
     model = Model(
         path=path, objects=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
@@ -112,8 +117,6 @@ def read_capture(
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Texture(None),),
         floor=floor,
     )  # fmt: skip
-    views = sharpest.views
-    colour_of = frame_colours(views, fused.vertices, fused.triangles) if views else None
     landmarks = None
     if how.landmarks:
         coloured = [f for f in capture.frames if f.has_colour]

@@ -84,7 +84,7 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats, first: Camera) ->
     depth, thin = np.zeros((0, 0), np.float32), camera
     if reading is not None and (reading > 0).any():
         step = max(1, round(camera.width / ENOUGH_COLUMNS))
-        thin = _thin(flatten(camera, WIDEST), step)
+        thin = _thin(remove_distortion(camera, WIDEST), step)
         if camera.is_rectilinear:
             depth = np.ascontiguousarray(reading[step // 2 :: step, step // 2 :: step])
         else:
@@ -109,7 +109,7 @@ def _thin(camera: Camera, step: int) -> Camera:
 
 def make_pinhole(camera: Camera) -> Camera:
     """Make the camera without distortion whose images have at most `LONGEST` pixels a side."""
-    camera = flatten(camera, WIDE)
+    camera = remove_distortion(camera, WIDE)
     scale = LONGEST / max(camera.width, camera.height)
     if scale >= 1.0:
         return camera
@@ -147,7 +147,7 @@ def _map_pixels(camera: Camera, plain: Camera) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def flatten(camera: Camera, widest: float) -> Camera:
+def remove_distortion(camera: Camera, widest: float) -> Camera:
     """Return a camera without distortion.
 
     Its images are as large as it takes to show all that the camera sees, up to `widest` times.

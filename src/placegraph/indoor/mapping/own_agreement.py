@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from placegraph.core.geometry import Floats, split_pose
+from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import (
     FINE,
     Background,
@@ -17,10 +19,13 @@ from placegraph.indoor.likelihood.observe import (
     views,
 )
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.localize import localize_capture
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import PoseSearchOptions
-from placegraph.indoor.pose.agreement import REACH, agreement, reach
+from placegraph.indoor.pose.agreement import agreement, reach
+from placegraph.indoor.pose.estimate import estimate_pose
+from placegraph.indoor.pose.local_fit import fit_window
+from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine.refinement import image_evidence
 from placegraph.indoor.render import Renderer
 from placegraph.io.capture.frame import Frame
@@ -50,27 +55,31 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
     options = PoseSearchOptions(semantic=False, colour=scene.has_colours)
     scorer, count, renderer = Scorer(scene, options.likelihood), len(scene), Renderer(scene)
     nothing = Background(np.full(count, 1.0 / count), np.ones((1, 1)), np.ones(1), 1.0)
-    found = np.full((0, REACH), np.nan)
-    elsewhere: list[tuple[float, float]] = []
     rows = spread(len(frames), MOST)
-    for number, row in enumerate(rows):
-        frame = replace(frames[row], gravity=-poses[row, 2, :3])
+
+    def compare(number: int) -> tuple[Floats, list[tuple[float, float]], float]:
+        row = rows[number]
+        frame, pose = replace(frames[row], gravity=-poses[row, 2, :3]), poses[row]
         seen = observe_frame(frame, None, options)
         view = views([seen], FINE, scorer.model, nothing)
-        at = agreement(scorer, split_pose(poses[row])[0], view, np.zeros((1, 4)))
+        at = agreement(scorer, split_pose(pose)[0], view, np.zeros((1, 4)))
         rho = np.nan
         if seen.rgb is not None:
-            rho = image_evidence(renderer, [frame], [seen.rgb], [poses[row : row + 1]]).correlation(
-                0
-            )
-        found = np.vstack([found, reach(at, rho)])
-        if number % max(1, len(rows) // SOUGHT) == 0 and (view[0].depth > 0).any():
-            elsewhere.append(_measure_elsewhere(scorer, frame, view, poses[row]))
+            rho = image_evidence(renderer, [frame], [seen.rgb], [pose[None]]).correlation(0)
+        sought = number % max(1, len(rows) // SOUGHT) == 0 and (view[0].depth > 0).any()
+        elsewhere = [_measure_elsewhere(scorer, frame, view, pose)] if sought else []
+        return reach(at, rho), elsewhere, _measure_seen_alone(scene, frames, poses, row)
+
+    with ThreadPoolExecutor(count_processors()) as pool:
+        first = compare(0)  # makes what the scene derives once
+        compared = [first, *pool.map(compare, range(1, len(rows)))]
+    found = np.array([numbers for numbers, _, _ in compared])
+    elsewhere = [each for _, sought, _ in compared for each in sought]
     known = [column[np.isfinite(column)] for column in found.T]
     means, deviations = (
         np.array([f(k) if len(k) else np.nan for k in known]) for f in (np.mean, np.std)
     )
-    alone = float(np.mean([_measure_seen_alone(scene, frames, poses, row) for row in rows]))
+    alone = float(np.mean([shown for _, _, shown in compared]))
     means *= 1.0 - 0.5 * alone
     deviations = np.hypot(deviations, alone * means / np.sqrt(12.0))
     wrong, textures = np.mean(elsewhere, axis=0) if elsewhere else (np.nan, np.nan)
@@ -104,8 +113,9 @@ def _measure_elsewhere(
     scorer: Scorer, frame: Frame, view: Sequence[View], pose: Floats
 ) -> tuple[float, float]:
     """Return what a frame at a pose (4, 4) finds elsewhere by depth: probability, and largest texture."""
-    options = PoseSearchOptions().only(depth=True)
-    modes = localize_capture(scorer.scene, [frame], options=options, refine=False).modes
+    query = PoseQuery.of(scorer.scene, [frame], options=PoseSearchOptions().only(depth=True))
+    window, rng = observe(query), np.random.default_rng(query.seed)
+    modes = estimate_pose(window, fit_window(window, search(window, rng), rng)).modes
     at, still = pose[:3, 3], np.zeros((1, 4))
     far = [m for m in modes[:_FIRST] if np.linalg.norm(m.map_from_camera[:3, 3] - at) >= NEAR]
     textures = [agreement(scorer, mode.pose, view, still).texture for mode in far]
