@@ -217,9 +217,9 @@ def _texts(field: str, texts: Iterable[str], count: int) -> tuple[str, ...]:
     column = tuple(texts)
     if len(column) != count:
         raise OptionError(f"{field}: {len(column)} entries are given, expected {count}.")
-    for text in column:
-        if not isinstance(text, str):
-            raise OptionError(f"{field}: {text!r} is not a string.")
+    if any(not issubclass(kind, str) for kind in {*map(type, column)}):
+        text = next(text for text in column if not isinstance(text, str))
+        raise OptionError(f"{field}: {text!r} is not a string.")
     return column
 
 

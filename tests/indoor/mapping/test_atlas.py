@@ -284,7 +284,7 @@ def inner(rng, count=300, low=0.4, high=1.6):
 def see(frames, poses):
     sharpest = SharpestViews(frames, poses)
     for row, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
-        sharpest.add(read_view(frame, row, pose, frames[0].camera))
+        sharpest.add(read_view(frame, row, pose, frames[0].camera, 250.0))
     return sharpest.views
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
@@ -163,7 +164,7 @@ def _unpack_scene(file: MapFile) -> dict[str, Any]:
     return {
         "graph": _graph(file),
         "mesh": _mesh(file, EncodedTextures(blobs, file.header.path)),
-        "attributes": tuple(_attributes(a) for a in file.strings("attributes")),
+        "attributes": _attributes(file.strings("attributes")),
         "floors": np.array(file.meta["floors"], np.float64),
         "scenes": tuple(str(name) for name in file.meta["scenes"]),
         "scene_of": file.array("scene_of", "<i4"),
@@ -197,7 +198,7 @@ def _graph(file: MapFile) -> SceneGraph:
         extents=file.array("extents", "<f8", 2),
         sources=file.array("sources", "<i4").astype(np.int64),
         targets=file.array("targets", "<i4").astype(np.int64),
-        relations=tuple(kinds[i] for i in code.tolist()),
+        relations=tuple(map(kinds.__getitem__, code.tolist())),
         embeddings=_embeddings(file) if "embeddings" in file.arrays else None,
     )
 
@@ -228,5 +229,6 @@ def _json(attributes: dict[str, str]) -> str:
     return json.dumps(attributes, ensure_ascii=False, sort_keys=True) if attributes else ""
 
 
-def _attributes(text: str) -> dict[str, str]:
-    return {str(k): str(v) for k, v in dict(json.loads(text)).items()} if text else {}
+def _attributes(texts: Sequence[str]) -> tuple[dict[str, str], ...]:
+    found = json.loads(f"[{','.join(text or '{}' for text in texts)}]")
+    return tuple({str(k): str(v) for k, v in dict(each).items()} for each in found)

@@ -31,7 +31,6 @@ FARTHEST = 1e4  # Cameras farther from the map's origin than this are damage [m]
 JUMP = 0.5  # A pose that leaves its neighbours by more, while they stay together, is a slip [m]
 AHEAD = 3  # Frames that are read while one is fused
 LONGEST = 960  # Longer images [px] are made smaller: their pixels are finer than texels
-ENOUGH_COLUMNS = 320  # Of depth: wider images are thinned, since their pixels are finer than voxels
 SQUARE = 4  # Edge of the squares in which distortion is checked [px]
 WIDE, WIDEST = 1.5, 2.0  # Undistorted images and depth are at most this much wider and higher
 
@@ -53,16 +52,21 @@ class View:
 
 
 def read_views(
-    frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
+    frames: Sequence[Frame],
+    poses: Floats,
+    good: NDArray[np.bool_],
+    enough: float,
+    left_out: Counter[str],
 ) -> Iterator[View | None]:
     """Read the views of all frames in order, None for those without a `good` pose (T,).
 
-    The next frames are read while the caller works on the last. Raises `InputError` where an image
-    is broken.
+    The next frames are read while the caller works on the last; `enough` as of `read_view`. Raises
+    `InputError` where an image is broken.
     """
 
     def view(row: int) -> View | None:
-        return read_view(frames[row], row, poses[row], frames[0].camera) if good[row] else None
+        first = frames[0].camera
+        return read_view(frames[row], row, poses[row], first, enough) if good[row] else None
 
     with ThreadPoolExecutor(AHEAD) as reader:
         wait([reader.submit(view, row) for row in range(min(1, len(frames)))])  # maps its lens
@@ -78,18 +82,19 @@ def read_views(
             yield found
 
 
-def read_view(frame: Frame, row: int, map_from_camera: Floats, first: Camera) -> View:
-    """Read the view of a frame; its image has the size of the pinhole camera of a `first` camera."""
+def read_view(
+    frame: Frame, row: int, map_from_camera: Floats, first: Camera, enough: float
+) -> View:
+    """Read the view of a frame; its image has the size of that of a `first` camera.
+
+    `enough`: focal length [px] to which depth is made smaller.
+    """
     reading, camera = frame.depth(), frame.depth_camera or frame.camera
     depth, thin = np.zeros((0, 0), np.float32), camera
     if reading is not None and (reading > 0).any():
-        step = max(1, round(camera.width / ENOUGH_COLUMNS))
-        thin = _thin(remove_distortion(camera, WIDEST), step)
-        if camera.is_rectilinear:
-            depth = np.ascontiguousarray(reading[step // 2 :: step, step // 2 :: step])
-        else:
-            table = _find_readings(camera, thin)
-            depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
+        thin = remove_distortion(_shrink(camera, enough / camera.fx), WIDEST)
+        table = _find_readings(camera, thin)
+        depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
     plain, wanted = make_pinhole(frame.camera), make_pinhole(first)
     if (plain.width, plain.height) != (wanted.width, wanted.height):
         plain = wanted
@@ -99,22 +104,16 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats, first: Camera) ->
     return View(row, depth, image, (thin, plain), map_from_camera)
 
 
-def _thin(camera: Camera, step: int) -> Camera:
-    """Return the camera of every `step`-th pixel of every such line, from `step // 2` on."""
-    first = step // 2 + 0.5
-    width, height = (-(-(size - step // 2) // step) for size in (camera.width, camera.height))
-    centre = ((c - first) / step + 0.5 for c in (camera.cx, camera.cy))
-    return Camera(width, height, camera.fx / step, camera.fy / step, *centre)
-
-
 def make_pinhole(camera: Camera) -> Camera:
     """Make the camera without distortion whose images have at most `LONGEST` pixels a side."""
     camera = remove_distortion(camera, WIDE)
-    scale = LONGEST / max(camera.width, camera.height)
-    if scale >= 1.0:
-        return camera
-    width, height = (max(1, round(s * scale)) for s in (camera.width, camera.height))
-    return camera.resize(width, height)
+    return _shrink(camera, LONGEST / max(camera.width, camera.height))
+
+
+def _shrink(camera: Camera, scale: float) -> Camera:
+    """Return the camera with images of this scale, if that is smaller."""
+    width, height = (max(1, round(scale * side)) for side in (camera.width, camera.height))
+    return camera.resize(width, height) if scale < 1.0 else camera
 
 
 def undistort_image(colours: NDArray[np.uint8], camera: Camera, plain: Camera) -> NDArray[np.uint8]:
@@ -482,7 +481,8 @@ class _Run:
         passed_over: Counter[str],
     ) -> None:
         """Take in all frames."""
-        for view in read_views(frames, poses, find_good_poses(poses), passed_over):
+        enough = reach / self.volume.blocks.voxel  # pixels as wide as voxels where depth ends
+        for view in read_views(frames, poses, find_good_poses(poses), enough, passed_over):
             if view is not None and watch is not None:
                 watch(view)
             if view is not None and view.depth.size:
