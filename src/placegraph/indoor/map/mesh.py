@@ -106,9 +106,7 @@ class Mesh(PickleFields):
         """Return (2, 3) float64, lowest and highest corner [m]; NaN of a mesh without vertices."""
         if not len(self.vertices):
             return np.full((2, 3), np.nan)
-        # column by column, which is quicker
-        ends = [(column.min(), column.max()) for column in self.vertices.T]
-        return np.array(ends, np.float64).T
+        return np.array([(column.min(), column.max()) for column in self.vertices.T], np.float64).T
 
     def object_bounds(self, count: int) -> NDArray[np.float64]:
         """Return (count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none.

@@ -234,9 +234,9 @@ def reduce_mesh(
         return coarse, textures.encode_pictures(pictures, detail)
     needed = textures.measure_needed_texels(mesh, detail.texel)
     with ThreadPoolExecutor(1) as pool:
-        blobs = pool.submit(textures.encode_pictures, pictures, detail, needed)
+        encoded = pool.submit(textures.encode_pictures, pictures, detail, needed)
         coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
-        return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs.result()
+        return snap_mesh(coarse, detail.grain, detail.uv_grain), encoded.result()
 
 
 def _vertex_colours(mesh: Mesh, pictures: Sequence[Texture], detail: Detail) -> ColourOf:

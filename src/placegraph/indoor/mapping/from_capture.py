@@ -26,7 +26,7 @@ from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
-    from placegraph.indoor.mapping.fuse import FusedSurface, FuseStats, View
+    from placegraph.indoor.mapping.fuse import FusedSurface, FuseStats
     from placegraph.indoor.mapping.segment import Segments
 
 Progress = Callable[[str, int, int], None]
@@ -86,6 +86,7 @@ def read_capture(
     `InputError` where the capture has no depth.
     """
     from placegraph.indoor.mapping.atlas.colours import SharpestViews, frame_colours
+    from placegraph.indoor.mapping.fuse import fuse
     from placegraph.indoor.mapping.landmarks import map_landmarks
     from placegraph.indoor.mapping.own_agreement import measure_own_agreement
     from placegraph.indoor.mapping.segment import segment
@@ -95,7 +96,14 @@ def read_capture(
     left_out.update(capture.left_out)
     poses = np.array([f.odometry for f in capture.frames])
     sharpest = SharpestViews(capture.frames, poses)
-    fused = _fuse_frames(path, capture, how, sharpest.add, left_out, progress)
+    try:
+        fused = fuse(
+            capture.frames, voxel=how.voxel, reach=how.reach, watch=sharpest.add,
+            progress=_report_stage(progress, "fusing"), left_out=left_out,
+        )  # fmt: skip
+    except InputError as error:
+        where = "" if str(path) in str(error) else f"{path}: "
+        raise InputError(f"{where}{error}") from error
     if how.segmenter is not None:
         from placegraph.indoor.encode.networks import label_capture
 
@@ -108,7 +116,7 @@ def read_capture(
             frames=None if capture.label_camera is None else capture.frames,
             progress=progress, left_out=left_out,
         )  # fmt: skip
-        colour_of = colouring and colouring.result()
+        colour_of = colouring.result() if colouring else None
     floor, guessed = _find_floor(path, fused, segments)
     model = Model(
         path=path, objects=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
@@ -123,12 +131,11 @@ def read_capture(
         looks = np.array([f.odometry for f in coloured])
         landmarks = map_landmarks(coloured, looks, _report_stage(progress, "landmarks"))
     notes = _write_notes(path, has_trajectory, fused.stats, segments.labels)
-    told_of = (*capture.notes, *notes, *guessed)
-    seen_from = thin_points(poses[:, :3, 3])
     measure = partial(measure_own_agreement, frames=capture.frames, poses=poses)
     return Source(
-        model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from, measure=measure
-    )
+        model, colour_of, (*capture.notes, *notes, *guessed), landmarks=landmarks,
+        viewpoints=thin_points(poses[:, :3, 3]), measure=measure,
+    )  # fmt: skip
 
 
 def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -170,27 +177,6 @@ def _open_capture(
             f"{path} has no depth images, which a map needs; record depth, or build from a mesh."
         )
     return capture
-
-
-def _fuse_frames(
-    path: Path,
-    capture: Capture,
-    how: FromCapture,
-    watch: Callable[[View], None],
-    left_out: Counter[str],
-    progress: Progress | None,
-) -> FusedSurface:
-    from placegraph.indoor.mapping.fuse import fuse
-
-    try:
-        return fuse(
-            capture.frames, voxel=how.voxel, reach=how.reach, watch=watch,
-            progress=_report_stage(progress, "fusing"), left_out=left_out,
-        )  # fmt: skip
-    except InputError as error:
-        if str(path) in str(error):
-            raise
-        raise InputError(f"{path}: {error}") from error
 
 
 def make_things(segments: Segments) -> tuple[ModelObject, ...]:

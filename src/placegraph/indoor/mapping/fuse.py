@@ -92,8 +92,8 @@ def read_view(
     reading, camera = frame.depth(), frame.depth_camera or frame.camera
     depth, thin = np.zeros((0, 0), np.float32), camera
     if reading is not None and (reading > 0).any():
-        thin = remove_distortion(_shrink(camera, enough / camera.fx), WIDEST)
-        table = _find_readings(camera, thin)
+        thin = remove_distortion(shrink_camera(camera, enough / camera.fx), WIDEST)
+        table = find_readings(camera, thin)
         depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
     plain, wanted = make_pinhole(frame.camera), make_pinhole(first)
     if (plain.width, plain.height) != (wanted.width, wanted.height):
@@ -107,10 +107,10 @@ def read_view(
 def make_pinhole(camera: Camera) -> Camera:
     """Make the camera without distortion whose images have at most `LONGEST` pixels a side."""
     camera = remove_distortion(camera, WIDE)
-    return _shrink(camera, LONGEST / max(camera.width, camera.height))
+    return shrink_camera(camera, LONGEST / max(camera.width, camera.height))
 
 
-def _shrink(camera: Camera, scale: float) -> Camera:
+def shrink_camera(camera: Camera, scale: float) -> Camera:
     """Return the camera with images of this scale, if that is smaller."""
     width, height = (max(1, round(scale * side)) for side in (camera.width, camera.height))
     return camera.resize(width, height) if scale < 1.0 else camera
@@ -170,7 +170,7 @@ def remove_distortion(camera: Camera, widest: float) -> Camera:
 
 
 @lru_cache(maxsize=8)
-def _find_readings(camera: Camera, plain: Camera) -> NDArray[np.int64]:
+def find_readings(camera: Camera, plain: Camera) -> NDArray[np.int64]:
     """Find the pixel that each pixel (h, w) of camera `plain` sees in a flat image; -1: none."""
     at = np.nan_to_num(_map_pixels(camera, plain), nan=-1.0)
     column, line = np.floor(np.moveaxis(at, -1, 0)).astype(np.int64)

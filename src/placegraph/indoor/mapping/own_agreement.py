@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -70,16 +71,16 @@ def measure_own_agreement(scene: Scene, frames: Sequence[Frame], poses: Floats) 
         elsewhere = [_measure_elsewhere(scorer, frame, view, pose)] if sought else []
         return reach(at, rho), elsewhere, _measure_seen_alone(scene, frames, poses, row)
 
+    first = compare(0)  # makes what the scene derives once
     with ThreadPoolExecutor(count_processors()) as pool:
-        first = compare(0)  # makes what the scene derives once
-        compared = [first, *pool.map(compare, range(1, len(rows)))]
-    found = np.array([numbers for numbers, _, _ in compared])
-    elsewhere = [each for _, sought, _ in compared for each in sought]
-    known = [column[np.isfinite(column)] for column in found.T]
+        compared = pool.map(compare, range(1, len(rows)))
+        numbers, found, shown = zip(first, *compared, strict=True)
+    elsewhere = [*chain(*found)]
+    known = [column[np.isfinite(column)] for column in np.transpose(numbers)]
     means, deviations = (
         np.array([f(k) if len(k) else np.nan for k in known]) for f in (np.mean, np.std)
     )
-    alone = float(np.mean([shown for _, _, shown in compared]))
+    alone = float(np.mean(shown))
     means *= 1.0 - 0.5 * alone
     deviations = np.hypot(deviations, alone * means / np.sqrt(12.0))
     wrong, textures = np.mean(elsewhere, axis=0) if elsewhere else (np.nan, np.nan)

@@ -14,7 +14,7 @@ from placegraph.core.geometry import Camera, Floats
 from placegraph.core.threads import count_processors, run_parallel
 from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas import colour_kernels as kernels
-from placegraph.indoor.mapping.fuse import View
+from placegraph.indoor.mapping.fuse import View, find_readings, shrink_camera
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.nearest_kernels import find_nearest
@@ -83,27 +83,6 @@ class SharpestViews:
         return [view for _, view in self._found.values()]
 
 
-def build_keyframes(views: Sequence[View], caster: RayCaster) -> kernels.Keyframes:
-    """Build keyframes of views with images of one size; gains are 1."""
-
-    def build(view: View) -> tuple[tuple[Bytes, ...], NDArray[np.float32], NDArray[np.float32]]:
-        depth, sure = _read_depth(view, caster)
-        return _build_pyramid(view.image), kernels.bound_depth(depth), sure
-
-    with ThreadPoolExecutor(count_processors()) as pool:  # NumPy and kernels work outside the lock
-        pyramids, depths, trust = zip(*pool.map(build, views), strict=True)
-    map_from_camera = np.array([view.map_from_camera for view in views])
-    return kernels.Keyframes(
-        camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
-        centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
-        pinholes=np.array([view.eyes[1] for view in views]),
-        levels=tuple(np.stack(images) for images in zip(*pyramids, strict=True)),
-        bounds=np.stack(depths),
-        weights=np.stack(trust),
-        gains=np.ones((len(views), 3), np.float32),
-    )
-
-
 def measure_sharpness(colours: Bytes) -> float:
     """Measure the sharpness of an image (H, W, 3): the variance of its Laplacian."""
     grey = colours[:, :, 1].astype(np.float32)
@@ -120,13 +99,12 @@ def _read_depth(view: View, caster: RayCaster) -> tuple[NDArray[np.float32], NDA
     the mesh does not hold: it would be painted on what lies behind.
     """
     (depth_camera, plain), pose = view.cameras, view.map_from_camera
-    scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
-    width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
-    small = plain.resize(width, height)
-    out, trust = (np.full((height, width), value, np.float32) for value in (np.nan, 1.0))
+    small = shrink_camera(plain, DEPTH_LONGEST / max(plain.width, plain.height))
+    shape = small.height, small.width
+    out, trust = (np.full(shape, value, np.float32) for value in (np.nan, 1.0))
     if view.depth.size:
-        row, column, inside = _map_readings(small, depth_camera)
-        out = np.where(inside, view.depth[row, column], np.float32(np.nan))
+        table = find_readings(depth_camera, small)
+        out = np.where(table >= 0, view.depth.ravel()[table], np.float32(np.nan))
         trust[~np.isfinite(out)] = UNREAD
     bare = ~np.isfinite(out)
     rays = _pixel_rays(small)[bare.ravel()] @ pose[:3, :3].T  # z is 1: distance is depth
@@ -139,18 +117,6 @@ def _pixel_rays(camera: Camera) -> Floats:
     """Return rays (h * w, 3) through the centres of a camera's pixels, z = 1."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     return camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
-
-
-@lru_cache(maxsize=2)
-def _map_readings(
-    camera: Camera, depth_camera: Camera
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Find the reading (row, column) that each pixel (h, w) sees, and whether there is one."""
-    at = depth_camera.project(_pixel_rays(camera)).reshape(camera.height, camera.width, 2)
-    x, y = np.moveaxis(at, 2, 0)
-    inside = (x > 0) & (x < depth_camera.width) & (y > 0) & (y < depth_camera.height)
-    row, column = (np.where(inside, p, 0.0).astype(np.int64) for p in (y, x))
-    return row, column, inside
 
 
 def _build_pyramid(image: Bytes) -> tuple[Bytes, ...]:
@@ -186,7 +152,24 @@ def frame_colours(views: Sequence[View], vertices: Floats, triangles: NDArray[An
     none. Of the five best, those that agree are mixed. Before that, each frame's exposure is solved
     for over what frames share.
     """
-    seen = build_keyframes(views, RayCaster(vertices, triangles))
+    caster = RayCaster(vertices, triangles)
+
+    def build(view: View) -> tuple[tuple[Bytes, ...], NDArray[np.float32], NDArray[np.float32]]:
+        depth, sure = _read_depth(view, caster)
+        return _build_pyramid(view.image), kernels.bound_depth(depth), sure
+
+    with ThreadPoolExecutor(count_processors()) as pool:  # NumPy and kernels work outside the lock
+        pyramids, depths, trust = zip(*pool.map(build, views), strict=True)
+    map_from_camera = np.array([view.map_from_camera for view in views])
+    seen = kernels.Keyframes(
+        camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
+        centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
+        pinholes=np.array([view.eyes[1] for view in views]),
+        levels=tuple(np.stack(images) for images in zip(*pyramids, strict=True)),
+        bounds=np.stack(depths),
+        weights=np.stack(trust),
+        gains=np.ones((len(views), 3), np.float32),
+    )
     seen = seen._replace(gains=_solve_gains(seen, np.asarray(vertices, np.float64), triangles))
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
