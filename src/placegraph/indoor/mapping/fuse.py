@@ -85,7 +85,7 @@ def read_views(
 def read_view(
     frame: Frame, row: int, map_from_camera: Floats, first: Camera, enough: float
 ) -> View:
-    """Read the view of a frame; its image has the size of that of a `first` camera.
+    """Read the view of a frame; its image is that of the pinhole camera of a `first` camera.
 
     `enough`: focal length [px] to which depth is made smaller.
     """
@@ -95,9 +95,7 @@ def read_view(
         thin = remove_distortion(shrink_camera(camera, enough / camera.fx), WIDEST)
         table = find_readings(camera, thin)
         depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
-    plain, wanted = make_pinhole(frame.camera), make_pinhole(first)
-    if (plain.width, plain.height) != (wanted.width, wanted.height):
-        plain = wanted
+    plain = make_pinhole(first)
     image = np.zeros((0, 0, 3), np.uint8)
     if frame.has_colour:
         image = np.ascontiguousarray(undistort_image(frame.rgb(), frame.camera, plain))
