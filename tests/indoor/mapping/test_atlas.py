@@ -19,7 +19,7 @@ from placegraph.indoor.mapping.atlas.colours import (
     measure_sharpness,
     mesh_colours,
 )
-from placegraph.indoor.mapping.fuse import read_view
+from placegraph.indoor.mapping.fuse import make_pinhole, read_view
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -284,7 +284,7 @@ def inner(rng, count=300, low=0.4, high=1.6):
 def see(frames, poses):
     sharpest = SharpestViews(frames, poses)
     for row, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
-        sharpest.add(read_view(frame, row, pose, frames[0].camera, 250.0))
+        sharpest.add(read_view(frame, row, pose, make_pinhole(frames[0].camera), 250.0))
     return sharpest.views
 
 

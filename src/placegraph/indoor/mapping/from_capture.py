@@ -21,7 +21,7 @@ from placegraph.indoor.map.floor import find_floor_height
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Landmarks, Scene
 from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS
-from placegraph.io.capture.capture import Capture, load_capture
+from placegraph.io.capture.capture import load_capture
 from placegraph.io.mesh.model import Model, ModelObject, Texture
 
 if TYPE_CHECKING:
@@ -92,7 +92,14 @@ def read_capture(
     from placegraph.indoor.mapping.segment import segment
 
     has_trajectory = how.poses is None and (path / "trajectory.tum").exists()
-    capture = _open_capture(path, how, "trajectory" if has_trajectory else how.poses, reader or {})
+    poses_of = "trajectory" if has_trajectory else how.poses
+    capture = load_capture(path, {"poses": poses_of, **(reader or {})})[how.frames]
+    if not len(capture):
+        raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
+    if capture.depth_camera is None:
+        raise InputError(
+            f"{path} has no depth images, which a map needs; record depth, or build from a mesh."
+        )
     left_out.update(capture.left_out)
     poses = np.array([f.odometry for f in capture.frames])
     sharpest = SharpestViews(capture.frames, poses)
@@ -109,8 +116,8 @@ def read_capture(
 
         capture = label_capture(capture, how.segmenter)
     with ThreadPoolExecutor(1) as pool:  # both need the surface alone
-        given = sharpest.views, fused.vertices, fused.triangles
-        colouring = pool.submit(frame_colours, *given) if given[0] else None
+        seen = sharpest.views, fused.vertices, fused.triangles
+        colouring = pool.submit(frame_colours, *seen) if seen[0] else None
         segments = segment(
             fused.vertices, fused.triangles, fused.colours,
             frames=None if capture.label_camera is None else capture.frames,
@@ -164,19 +171,6 @@ def _find_floor(
         f"{lowest:.2f} m"
     )
     return lowest, (f"{said}; give its height if you know it (floor=0.0, or --floor 0).",)
-
-
-def _open_capture(
-    path: Path, how: FromCapture, poses: str | PathLike[str] | None, reader: Mapping[str, Any]
-) -> Capture:
-    capture = load_capture(path, {"poses": poses, **reader})[how.frames]
-    if not len(capture):
-        raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
-    if capture.depth_camera is None:
-        raise InputError(
-            f"{path} has no depth images, which a map needs; record depth, or build from a mesh."
-        )
-    return capture
 
 
 def make_things(segments: Segments) -> tuple[ModelObject, ...]:

@@ -65,8 +65,8 @@ def read_views(
     """
 
     def view(row: int) -> View | None:
-        first = frames[0].camera
-        return read_view(frames[row], row, poses[row], first, enough) if good[row] else None
+        plain = make_pinhole(frames[0].camera)
+        return read_view(frames[row], row, poses[row], plain, enough) if good[row] else None
 
     with ThreadPoolExecutor(AHEAD) as reader:
         wait([reader.submit(view, row) for row in range(min(1, len(frames)))])  # maps its lens
@@ -83,9 +83,9 @@ def read_views(
 
 
 def read_view(
-    frame: Frame, row: int, map_from_camera: Floats, first: Camera, enough: float
+    frame: Frame, row: int, map_from_camera: Floats, plain: Camera, enough: float
 ) -> View:
-    """Read the view of a frame; its image is that of the pinhole camera of a `first` camera.
+    """Read the view of a frame; its image is that of a pinhole camera `plain`.
 
     `enough`: focal length [px] to which depth is made smaller.
     """
@@ -95,7 +95,6 @@ def read_view(
         thin = remove_distortion(shrink_camera(camera, enough / camera.fx), WIDEST)
         table = find_readings(camera, thin)
         depth = np.where(table >= 0, reading.ravel()[table], np.float32(np.nan))
-    plain = make_pinhole(first)
     image = np.zeros((0, 0, 3), np.uint8)
     if frame.has_colour:
         image = np.ascontiguousarray(undistort_image(frame.rgb(), frame.camera, plain))
