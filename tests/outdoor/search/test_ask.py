@@ -22,6 +22,7 @@ from placegraph.outdoor.search.ask import (
     UNKNOWN,
     YES,
     Answer,
+    Places,
     Question,
     Subject,
     _make_choice_question,
@@ -154,7 +155,8 @@ def test_questions_are_about_what_is_on_the_map(real_city):
 
 def test_nothing_is_around_a_place_far_from_every_viewpoint(harbour):
     with np.errstate(over="raise"):
-        around = _Surroundings.of_positions(harbour, np.array([[1e5, 1e5]]))
+        at = np.array([[1e5, 1e5]])
+        around = _Surroundings.of_places(harbour, Places(np.ones(1), at, harbour.in_sight([0])))
     assert around.expected.max() < 1e-9
 
 
@@ -419,7 +421,8 @@ def test_an_answer_moves_the_posterior_that_the_search_finds(real_city):
         moved.append(0.5 * sum(abs(shares.get(k, 0.0) - after.get(k, 0.0)) for k in places))
     assert np.mean(moved) >= MIN_CHANGE
     ranked = itertools.takewhile(lambda q: q != question, rank_questions(estimate, real_city))
-    assert not any(moves_posterior(estimate, real_city, q) for q in ranked)
+    places = Places.of_estimate(estimate, real_city)
+    assert not any(moves_posterior(places, real_city, q) for q in ranked)
 
 
 def test_plurals_have_no_article():

@@ -230,11 +230,14 @@ class Gazetteer:
 
     def name_place(self, at: Floats) -> dict[str, str]:
         """Return `address` (ground or street, and nearest landmark) and `town` of a point (2,)."""
-        objects, away = self.city.objects, self.measure_distances(at, FAR, self.spoken)
+        objects = self.city.objects
+        for reach, most in ((STREET, None), (FAR, 1)):
+            away = self.measure_distances(at, reach, self.spoken)
+            near = sorted((r for r in away if away[r] < reach), key=away.__getitem__)[:most]
+            if near:
+                break
         if not away:  # of another city
             return {}
-        every = sorted((row for row in away if away[row] < FAR), key=away.__getitem__)
-        near = [row for row in every if away[row] < STREET] or every[:1]
         streets = {objects.name(r): away[r] for r in reversed(near) if self.streets[r]}
         names = sorted(streets, key=streets.__getitem__)
         where = " and ".join(names[: 1 + (len(names) > 1 and streets[names[1]] < CORNER)])
@@ -250,9 +253,11 @@ class Gazetteer:
         return {"address": address} | ({} if town is None else {"town": objects.name(town)})
 
 
-def _cities(dispatcher: Dispatcher) -> Iterator[Gazetteer]:
-    """Yield all cities; `RequestError` where there is none."""
-    names = [e.name for e in dispatcher.places.entries() if e.kind == "city"]
+def _cities(dispatcher: Dispatcher, map_name: str | None = None) -> Iterator[Gazetteer]:
+    """Yield the city of a map's name, or else all; `RequestError` where there is none."""
+    entry = None if map_name is None else dispatcher.places.entry(map_name)
+    entries = (entry,) if entry and entry.kind == "city" else dispatcher.places.entries()
+    names = [e.name for e in entries if e.kind == "city"]
     if not names:
         raise RequestError(
             "This server has no city map; start it with one.", status=404, code="map_unknown"
@@ -272,7 +277,7 @@ def name_places(dispatcher: Dispatcher, answer: dict[str, Any]) -> dict[str, Any
         and (k == 0 or m["probability"] >= LEAST)
     ]  # fmt: skip
     with suppress(RequestError):  # a world in shards holds no city
-        for city, mode in itertools.product(_cities(dispatcher), modes):
+        for city, mode in itertools.product(_cities(dispatcher, answer.get("map")), modes):
             at = city.city.plane.to_plane((mode["longitude"], mode["latitude"]))
             mode.update(city.name_place(at))
     return answer

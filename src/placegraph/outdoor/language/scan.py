@@ -178,7 +178,8 @@ def _evidence(text: str, signs: _Signs, nouns: Collection[str], folder: Path | N
     names = {w.lower() for w in _WORD.findall(text) if w[0].isupper()}
     words = list(_split_words(text, signs))
     for word in words:
-        script = next((name for name, has in _SCRIPT.items() if has.search(word)), "Latin")
+        patterns = {} if word.isascii() else _SCRIPT  # quicker
+        script = next((name for name, has in patterns.items() if has.search(word)), "Latin")
         if script in ("Kana", "Han"):
             # no spaces: letters stand for words; Chinese signs without kana are Chinese
             count += max(1, len(word) // 2)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import cos, sin
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -316,13 +317,19 @@ class Query:
 
     def token_weights(self, n_tokens: int) -> TokenWeights:
         """Return the weight of each token of a map for each mention."""
+        known, fit = self._fit
+        row = np.zeros(n_tokens, np.int32)
+        row[known] = np.arange(1, len(fit))
+        return TokenWeights(row, fit)
+
+    @cached_property
+    def _fit(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Tokens of all mentions (K,), and their weights (K + 1, M), a row of zeros first."""
         starts, tokens, weights = self.mentions
         known, at = np.unique(tokens, return_inverse=True)
-        row = np.zeros(n_tokens, np.int32)
         fit = np.zeros((len(known) + 1, len(starts) - 1), np.float32)
-        row[known] = np.arange(1, len(known) + 1)
         fit[at + 1, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
-        return TokenWeights(row, fit)
+        return known, fit
 
 
 def compile_query(description: Description, city: Lexicon, *, tells_way: bool = False) -> Query:

@@ -279,7 +279,7 @@ class City(PickleFields):
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Return the share of tokens in all objects in sight, over all viewpoints."""
-        return self.views.frequency(tokens, weights)
+        return float(weights @ self.views.share[tokens])
 
     def count_bearers(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the number of objects (K,) that bear each token."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import floor
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -314,8 +315,8 @@ FADE = WIDTH
 """Width of the fall around `SIGHT` [m]."""
 REACH = REACHED
 """Beyond this distance a thing is not listed at a viewpoint [m]."""
-_AROUND = 2
-"""Points of the grid to every side among which the nearest viewpoint within `STRIDE` is."""
+_AROUND = np.array([(x, y) for y in range(-1, 3) for x in range(-1, 3)])
+"""(16, 2) steps to the points of the grid among which the nearest viewpoint within `STRIDE` is."""
 
 
 _DERIVED = {
@@ -420,31 +421,22 @@ class ViewIndex:
         found: NDArray[np.float32] = place_views(self.columns, np.asarray(rows, np.int64))
         return found
 
-    def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
-        """Return the share of tokens in all objects in sight, over all viewpoints."""
-        return float(weights @ self.share[tokens])
-
     def near(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
         """Find viewpoints (K,) within `reach` [m] of a position (2,) in east and in north, nearest first."""
-        found = self.around(position, reach)
-        delta = _farther(self.positions_of(found) - position)
-        inside = delta <= reach
-        found, delta = found[inside], delta[inside]
-        return found[np.argsort(delta, kind="stable")]
-
-    def around(self, position: NDArray[np.floating[Any]], reach: float) -> NDArray[np.int64]:
-        """Find viewpoints (K,) of all tiles that have points within `reach` [m] of a position, ascending."""
         east, north, stride, width = self.columns.grid
-        tile = SIDE * stride
-        low = np.floor((np.asarray(position, np.float64) - reach - (east, north)) / tile)
-        high = np.floor((np.asarray(position, np.float64) + reach - (east, north)) / tile)
-        if high[0] < 0 or low[0] >= width or not len(self.columns.tiles):
+        x, y, tile = float(position[0]), float(position[1]), SIDE * stride
+        left, right = floor((x - reach - east) / tile), floor((x + reach - east) / tile)
+        if right < 0 or left >= width or not len(self.columns.tiles):
             return np.zeros(0, np.int64)
         last = int(self.columns.tiles[-1]) // width
-        lines = np.arange(max(0, int(low[1])), min(last, int(high[1])) + 1)
-        ends = lines[:, None] * width + [max(0, int(low[0])), min(width - 1, int(high[0])) + 1]
-        rows = self.columns.first[np.searchsorted(self.columns.tiles, ends)]
-        return np.concatenate([np.zeros(0, np.int64), *(np.arange(a, b) for a, b in rows)])
+        low, high = floor((y - reach - north) / tile), floor((y + reach - north) / tile)
+        lines = np.arange(max(0, low), min(last, high) + 1)[:, None]
+        ends = lines * width + [max(0, left), min(width - 1, right) + 1]
+        rows = self.columns.first[np.searchsorted(self.columns.tiles, ends)].tolist()
+        found = np.concatenate([np.zeros(0, np.int64), *(np.arange(a, b) for a, b in rows)])
+        delta = _farther(self.positions_of(found) - position)
+        found, delta = found[delta <= reach], delta[delta <= reach]
+        return found[np.argsort(delta, kind="stable")]
 
     def nearest(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
         """Find the viewpoints (K,) nearest to positions (K, 2), within `STRIDE`; -1 where there is none."""
@@ -453,9 +445,7 @@ class ViewIndex:
         points = np.rint(at).astype(np.int64)
         found = self._rows(points[:, 0], points[:, 1])
         off = np.flatnonzero((found < 0) | (_farther(at - points) > 0.01))  # on no viewpoint
-        steps = np.arange(1 - _AROUND, 1 + _AROUND)
-        offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)[:, ::-1]
-        points = np.floor(at[off]).astype(np.int64)[:, None] + offsets
+        points = np.floor(at[off]).astype(np.int64)[:, None] + _AROUND
         rows = self._rows(points[..., 0], points[..., 1])
         places = (points * stride + (east, north)).astype(np.float32)
         delta = np.where(rows >= 0, _farther(places - np.asarray(positions)[off, None]), np.inf)

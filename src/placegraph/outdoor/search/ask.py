@@ -11,7 +11,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.likelihood.match_kernels import score_exact
 from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.map.cells import VisibleObjects
 from placegraph.outdoor.map.city import City
 
 YES, NO, UNKNOWN = "yes", "no", "don't know"
@@ -154,13 +155,30 @@ def next_question(estimate: CityEstimate, city: City) -> Question | None:
     """
     if estimate.status == Status.OK:
         return None
-    found = list(itertools.islice(rank_questions(estimate, city), MAX_TRIED))
+    places = Places.of_estimate(estimate, city)
+    found = list(itertools.islice(rank_questions(estimate, city, places), MAX_TRIED))
     found.sort(key=lambda q: (q.gain, q.text), reverse=True)
     good = itertools.takewhile(lambda q: q.gain > MIN_GAIN, found)
-    return next((q for q in good if moves_posterior(estimate, city, q)), None)
+    return next((q for q in good if moves_posterior(places, city, q)), None)
 
 
-def moves_posterior(estimate: CityEstimate, city: City, question: Question) -> bool:
+class Places(NamedTuple):
+    """Places (K, 2) [m] of an estimate, heaviest first, and what viewpoints nearest to them have in sight."""
+
+    weights: Floats
+    positions: Floats
+    visible: VisibleObjects
+
+    @classmethod
+    def of_estimate(cls, estimate: CityEstimate, city: City) -> Places:
+        """Take the `MAX_PLACES` heaviest places of an estimate."""
+        heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MAX_PLACES]
+        positions = city.plane.to_plane(estimate.support[heaviest, :2])
+        visible = city.in_sight(np.maximum(city.views.nearest(positions), 0))
+        return cls(estimate.support[heaviest, 2], positions, visible)
+
+
+def moves_posterior(places: Places, city: City, question: Question) -> bool:
     """Return whether an answer moves `MIN_CHANGE` of the probability between the likeliest places.
 
     In the mean of the answers, as total variation distance between the posterior and that given the answer,
@@ -168,17 +186,15 @@ def moves_posterior(estimate: CityEstimate, city: City, question: Question) -> b
     """
     from placegraph.outdoor.search.posterior import PRIOR_COHERENT  # which imports answers
 
-    heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MAX_MOVED]
-    weights = estimate.support[heaviest, 2] / estimate.support[heaviest, 2].sum()
-    positions = city.plane.to_plane(estimate.support[heaviest, :2])
-    seen = city.in_sight(np.maximum(city.views.nearest(positions), 0))
+    weights = places.weights[:MAX_MOVED] / places.weights[:MAX_MOVED].sum()
+    positions, starts = places.positions[:MAX_MOVED], places.visible.starts[: MAX_MOVED + 1]
     change = 0.0
     for option in question.options:
         query = compile_query(Answer(question, option).added_to(Description("")), city)
         added = np.zeros((len(positions), 1, len(query.used)), np.float32)
         ratios, _, _ = score_exact(
             query.statements, city.columns, query.token_weights(len(city.views.share)),
-            positions[:, None], (seen.starts, seen.objects), added, PRIOR_COHERENT, False,
+            positions[:, None], (starts, places.visible.objects), added, PRIOR_COHERENT, False,
         )  # fmt: skip
         posterior = weights * np.exp(ratios[:, 0] - ratios.max())
         change += 0.5 * np.abs(posterior / posterior.sum() - weights).sum()
@@ -187,17 +203,17 @@ def moves_posterior(estimate: CityEstimate, city: City, question: Question) -> b
     return False
 
 
-def rank_questions(estimate: CityEstimate, city: City) -> Iterator[Question]:
+def rank_questions(
+    estimate: CityEstimate, city: City, places: Places | None = None
+) -> Iterator[Question]:
     """Rank the questions about objects around an estimate's places that were not asked yet."""
-    heaviest = np.argsort(-estimate.support[:, 2], kind="stable")[:MAX_PLACES]
-    weights = estimate.support[heaviest, 2]
-    if not weights.sum() > 0.0:
+    places = places or Places.of_estimate(estimate, city)
+    if not places.weights.sum() > 0.0:
         return iter(())
-    weights = weights / weights.sum()
+    weights = places.weights / places.weights.sum()
     understood = estimate.understood or Description("")
     text = f" {' '.join(tokens(understood.text))} "
-    positions = city.plane.to_plane(estimate.support[heaviest, :2])
-    around = _Surroundings.of_positions(city, positions)
+    around = _Surroundings.of_places(city, places)
     code = understood.language if understood.language in read_answers() else "en"
     asked = {s.text for s in understood.statements} | {i.text for i in understood.ignored}
     ranked = heapq.merge(
@@ -231,7 +247,7 @@ class _Surroundings:
     labels: list[str]
     """(L,)"""
     pairs: NDArray[np.int64]
-    """(2, M) labels, and the places that have such objects around."""
+    """(2, M) labels, ascending, and the places that have such objects around."""
     expected: Floats
     """(5, M) numbers, in any direction and in each of `COMPASS`."""
     names: list[str]
@@ -240,23 +256,23 @@ class _Surroundings:
     """(N, K)"""
 
     @classmethod
-    def of_positions(cls, city: City, positions: Floats) -> _Surroundings:
-        """Look around positions (K, 2) [m], each from the viewpoint nearest to it."""
-        views, objects = city.views, city.objects
-        nearest = np.maximum(views.nearest(positions), 0)
-        seen = city.in_sight(nearest)
-        shown = ~city.hidden[seen.objects]
-        place = np.repeat(np.arange(len(positions)), np.diff(seen.starts))[shown]
-        rows = seen.objects[shown]
-        delta = (views.positions_of(nearest) - positions)[place] + seen.offsets[shown]
-        distance = np.hypot(*delta.T)
+    def of_places(cls, city: City, places: Places) -> _Surroundings:
+        """Look around places (K), each from the viewpoint nearest to it."""
+        (_, positions, visible), objects = places, city.objects
+        shown = np.flatnonzero(~city.hidden[visible.objects])
+        place = np.repeat(np.arange(len(positions)), np.diff(visible.starts))[shown]
+        rows = visible.objects[shown]
+        delta = (city.views.positions_of(visible.points) - positions)[place] + visible.offsets[
+            shown
+        ]
+        east, north = delta.T
+        distance = np.hypot(east, north)
         # a cell's centre may be kilometres from the nearest viewpoint
         sure = 1.0 / (1.0 + np.exp(np.minimum((distance - SIGHT) / 6.0, 80.0)))
-        shares = [sure]
-        for angle in COMPASS.values():
-            cosine = (delta @ (np.sin(angle), np.cos(angle))) / np.maximum(distance, 1e-3)
-            clear = distance > 5.0  # nearer than that a direction is a guess [m]
-            shares.append(sure * clear / (1.0 + np.exp(-(cosine - np.cos(np.pi / 4)) / 0.1)))
+        clear = sure * (distance > 5.0)  # nearer than that a direction is a guess [m]
+        # in the order of `COMPASS`
+        cosines = np.stack([north, east, -north, -east]) / np.maximum(distance, 1e-3)
+        shares = [sure, *(clear / (1.0 + np.exp((np.cos(np.pi / 4) - cosines) / 0.1)))]
         k = len(positions)
         labels, label = _renumber(objects.label_values[objects.label_starts[rows]])
         pairs, pair = _renumber(label * k + place)
@@ -285,15 +301,13 @@ def _rank_yes_no_questions(weights: Floats, around: _Surroundings, code: str) ->
     """Rank questions whether an object is around, called in the language of a code."""
     vocabulary, tongue = Vocabulary.default(), {"zh": "zh-CN"}.get(code, code)
     label, place = around.pairs
+    first = np.searchsorted(label, np.arange(len(around.labels)))
     yes = ERROR_RATE + (1.0 - 2.0 * ERROR_RATE) * -np.expm1(-2.0 * around.expected)
     # where nothing is expected, yes is answered by mistake alone
-    more = yes - ERROR_RATE, _entropy(yes) - _entropy(ERROR_RATE)
-    answered, known = (
-        [np.bincount(label, weights[place] * m, len(around.labels)) for m in of_wind]
-        for of_wind in more
-    )
-    gains = _entropy(ERROR_RATE + np.stack(answered)) - _entropy(ERROR_RATE) - np.stack(known)
-    there = np.stack([np.bincount(label, e, len(around.labels)) > 0.0 for e in around.expected])
+    more = np.stack([yes - ERROR_RATE, _entropy(yes) - _entropy(ERROR_RATE)]) * weights[place]
+    answered, known = np.add.reduceat(more, first, axis=2)
+    gains = _entropy(ERROR_RATE + answered) - _entropy(ERROR_RATE) - known
+    there = np.add.reduceat(around.expected, first, axis=1) > 0.0
     there &= [UNTOLD.search(name) is None for name in around.labels]
     winds = ("", *COMPASS)
     for j, i in zip(*np.unravel_index(np.argsort(-gains, axis=None), gains.shape), strict=True):

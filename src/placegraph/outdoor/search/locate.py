@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -267,17 +268,15 @@ def _compute_offset(
     o, (east, north) = city.objects, position.tolist()
     if not rows:
         return np.zeros(2), 0.0
-    points = [
-        np.array(nearest_on_parts(
-            o.part_starts, o.point_starts, o.points, o.kind[row], row, east, north
-        )[:2])
+    points = np.array([
+        nearest_on_parts(o.part_starts, o.point_starts, o.points, o.kind[row], row, east, north)[:2]
         for row in rows
-    ]  # fmt: skip
+    ])  # fmt: skip
     if len(rows) == 1:
         delta = points[0] if statement.target == SPEAKER else -points[0]
     else:
         delta = points[0] - points[1]
-    if statement.bearing is None or np.hypot(*delta) < 1.0:
+    if statement.bearing is None or hypot(*delta) < 1.0:
         return delta, 0.0
     return delta, float(angle_between(bearing(delta), statement.bearing))
 
