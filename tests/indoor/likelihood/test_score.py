@@ -179,7 +179,7 @@ def compared(caster, surface, poses, view, model):
     got = score_poses(caster.tracer, surface, poses, view, model)
     used = view.patch >= 0
     alike = [
-        (show_view(caster.tracer, surface, p, view)[0] == cast(caster, p, view).triangle)[
+        (show_view(caster.tracer, surface, p, view, model)[1] == cast(caster, p, view).triangle)[
             used
         ].all()
         for p in poses

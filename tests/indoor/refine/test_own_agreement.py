@@ -16,7 +16,6 @@ from placegraph.core.geometry import split_pose
 from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.likelihood.score_kernels import show_view
 from placegraph.indoor.map.scene_file import KIND, VERSION, pack_scene, save_scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.mapping.own_agreement import measure_own_agreement
@@ -154,8 +153,9 @@ def test_textures_tell_places_of_the_same_shapes_apart(room, exact):
     options = PoseSearchOptions().only(depth=True, colour=True)
     (view,) = view_frames(room, exact.capture.frames[:1], options, stride=4.0)
     at, scorer = split_pose(exact.poses[0])[0], Scorer(room, options.likelihood)
-    triangles, _, shown = show_view(room.caster.tracer, room.surface, at, view)
+    _, triangles, _, shown = scorer.show(at, view)
     objects = np.where(triangles >= 0, room.mesh.object_of[triangles], 0)
+    shown = shown.T
     plain = np.stack([np.bincount(objects, c)[objects] for c in shown.T], axis=1)
     plain /= np.bincount(objects)[objects, None]
     marked = plain + np.random.default_rng(0).normal(0.0, 0.02, plain.shape)

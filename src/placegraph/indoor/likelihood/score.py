@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, compose
+from placegraph.core.threads import multiply_matrices
 from placegraph.indoor.likelihood.observe import Background, Model, Noise, View
 from placegraph.indoor.likelihood.paper import Paper
-from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, score_poses
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, score_poses, show_view
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import Likelihood
 
@@ -62,15 +63,17 @@ class CalibratedLikelihood:
         if not rows.size:
             return out
         reach = np.linalg.norm(directions[rows], axis=1)
-        measured = (depth[rows] * reach)[:, None]
+        measured = (depth[rows] * reach).astype(np.float32)[:, None]
         elevation = np.arcsin(directions[rows, 2] / reach)
         bands = len(background.ranges)
         band = ((elevation / background.highest + 1.0) / 2.0 * bands).astype(int)
         # the floor of the deviation is a bin of the table: finer is not known of the usual
         sd = self.noise.depth_floor + 0.1 + self.noise.depth_slope * measured
-        ratio = np.exp(reading_ratio(background.distances[None, :] - measured, sd, self.noise))
-        share = background.ranges[np.clip(band, 0, bands - 1)]
-        out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
+        error = background.distances[None, :].astype(np.float32) - measured
+        ratio = np.exp(reading_ratio(error, sd, self.noise))
+        means = multiply_matrices(ratio, background.ranges.T.astype(np.float32))
+        mean = means[np.arange(len(rows)), np.clip(band, 0, bands - 1)]
+        out[rows] = np.log(np.maximum(mean, 1e-3))
         return out
 
     def combine_terms(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
@@ -91,7 +94,7 @@ def reading_ratio(
     """Return the log-likelihood of readings whose map lies `error` [m] beyond them, with Cauchy's tails."""
     with np.errstate(invalid="ignore"):
         good = 1.0 / (1.0 + (error / sd) ** 2)
-    cost = np.where(error > 0, noise.near_cost, noise.far_cost)
+    cost = np.where(error > 0, *np.array([noise.near_cost, noise.far_cost], error.dtype))
     return np.asarray(good * noise.depth_gain - (1.0 - good) * cost)
 
 
@@ -120,6 +123,11 @@ class Scorer:
         self.poses += len(poses)
         self.seconds += perf_counter() - start
         return np.asarray(scores)
+
+    def show(self, pose: Floats, view: View) -> tuple[NDArray[Any], ...]:
+        """Return the scores (4,) of a pose (4,), and what the map shows there; see `show_view`."""
+        tracer = self.scene.caster.tracer
+        return show_view(tracer, self.scene.surface, pose, view, self.model.noise)
 
     def stats(self) -> dict[str, Any]:
         """Return the cost so far: poses, rays and seconds."""

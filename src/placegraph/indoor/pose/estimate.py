@@ -71,10 +71,9 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
     """Estimate the pose of the last frame from fits, best first."""
     with time_stage(window.seconds, "verdict"):
         judging, looked = window.judging, window.newest
-        told_apart = [judging.views(FINE)[i] for i in looked]
-        candidates, shares = _probabilities(
-            window, candidates, window.scorer.model.compute_temperature(told_apart)
-        )
+        views = [judging.views(FINE)[i] for i in looked]
+        temperature = window.scorer.model.compute_temperature(views)
+        candidates, shares = _probabilities(window, candidates, temperature)
         count = max(_EXPLAINED, int((shares > RIVAL).sum()))
         agreed = [agreement_at(window, fit.poses) for fit in candidates[:count]]
         if window.options.likelihood.tempered:
@@ -92,15 +91,13 @@ def estimate_pose(window: Window, candidates: list[Fit]) -> PoseEstimate:
             for i, (fit, share) in enumerate(zip(candidates, shares.tolist(), strict=True))
         )
         poses = candidates[0].poses
-        steps = between(poses[-1], poses[looked])
-        told = judging.scorer.together(poses[-1][None], told_apart, steps)[0]
         frames = _agreement_of_frames(judging, poses, agreed[0])
         observations, prior = window.observations, window.log_prior
         searched = searched_odds(agreed[0], _own_agreement(window.scene, poses[-1]))
         found = Diagnostics(
             agreement=agreed[0],
             frames=frames,
-            ratio_per_frame=float(told) / len(looked),
+            ratio_per_frame=agreed[0].ratio,
             image_fault=find_image_fault(judging),
             contradiction=find_contradiction(judging, frames),
             unnamed=any(s.patches is not None and not s.patches.named for s in observations),
