@@ -144,7 +144,9 @@ def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
     """Copy the pixels of an image in one of Pillow's modes, strip by strip."""
     rows = max(1, _STRIP // image.width)
     for top in range(0, image.height, rows):
-        part = image.crop((0, top, image.width, min(top + rows, image.height)))
+        part = image
+        if rows < image.height:
+            part = image.crop((0, top, image.width, min(top + rows, image.height)))
         out[top : top + rows] = np.asarray(part if part.mode == mode else part.convert(mode))
     return out
 
