@@ -166,7 +166,8 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
         samples.append(drawn)
         values.append(scores)
         # tempered so that several samples count, however sharp the likelihood
-        temperature = max(1.0, float(scores.max() - np.partition(scores, -_COUNTED)[-_COUNTED]))
+        counted = min(_COUNTED, 3 * level.samples // 8)
+        temperature = max(1.0, float(scores.max() - np.partition(scores, -counted)[-counted]))
         weights = np.exp((scores - scores.max()) * (1.5 / temperature))
         mean, covariance = moments(drawn, weights)
         sampling = 1.69 * covariance + FINEST
@@ -191,9 +192,9 @@ def fit_window(
     with time_stage(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            fit_level(window, COARSE, rounds=2, samples=32, most=10, frames=5),
-            fit_level(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
-            fit_level(window, FINE, rounds=4, samples=40, most=3, gap=gap),
+            fit_level(window, COARSE, rounds=2, samples=16, most=10, frames=5),
+            fit_level(window, COARSE, rounds=3, samples=16, most=4, gap=800.0),
+            fit_level(window, FINE, rounds=4, samples=32, most=3, gap=gap),
         ]
         fits = fit_modes(window.scorer, starts, levels, rng)
         for pose in () if landmark_poses is None else landmark_poses:

@@ -82,7 +82,7 @@ KEPT = 10
 """Number of keyframes that a search uses."""
 NEWEST = 4
 """Number of newest keyframes that a known pose is fitted to."""
-ROUNDS, SAMPLES = 2, 28
+ROUNDS, SAMPLES = 2, 16
 """Rounds and samples of the fit to a new frame."""
 DOUBT = 2.0
 """Error of an odometry step, in units of the motion noise, that the fit allows for."""
