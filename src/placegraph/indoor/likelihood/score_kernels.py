@@ -148,29 +148,29 @@ def _trace(tracer, surface, poses, view, rays, eyes, hits):
 
 
 @_part
-def _aim(packet, lane, eyes, k, direction):
-    """Set the ray of a lane of a packet to that of a sample from pose `k`."""
+def _aim(packet, ray, eyes, k, direction):
+    """Aim a ray of a packet at a sample from pose `k`."""
     x, y, z = direction
     cos, sin = eyes[3, k], eyes[4, k]
-    packet[ORIGIN, lane] = eyes[0, k]
-    packet[ORIGIN + 1, lane] = eyes[1, k]
-    packet[ORIGIN + 2, lane] = eyes[2, k]
-    packet[DIRECTION, lane] = cos * x - sin * y
-    packet[DIRECTION + 1, lane] = sin * x + cos * y
-    packet[DIRECTION + 2, lane] = z
-    packet[FAR, lane] = np.inf
+    packet[ORIGIN, ray] = eyes[0, k]
+    packet[ORIGIN + 1, ray] = eyes[1, k]
+    packet[ORIGIN + 2, ray] = eyes[2, k]
+    packet[DIRECTION, ray] = cos * x - sin * y
+    packet[DIRECTION + 1, ray] = sin * x + cos * y
+    packet[DIRECTION + 2, ray] = z
+    packet[FAR, ray] = np.inf
 
 
 @_part
-def _keep_hit(packet, ints, lane, surface, view, k, sample, hits):
-    """Keep the hit of a lane as that of a sample from pose `k`."""
-    triangle = ints[TRIANGLE, lane] if view.patch[sample] >= 0 else NONE
+def _keep_hit(packet, ints, ray, surface, view, k, sample, hits):
+    """Keep the hit of a ray of a packet as that of a sample from pose `k`."""
+    triangle = ints[TRIANGLE, ray] if view.patch[sample] >= 0 else NONE
     hits.triangles[k, sample] = triangle
     hits.is_hit[k, sample] = triangle >= 0
-    hits.distances[k, sample] = packet[FAR, lane] if triangle >= 0 else np.float32(0.0)
+    hits.distances[k, sample] = packet[FAR, ray] if triangle >= 0 else np.float32(0.0)
     if triangle >= 0 and view.terms[COLOUR]:
-        width = packet[FAR, lane] * np.float32(view.footprint)
-        shown = sample_colour(surface, triangle, packet[U, lane], packet[V, lane], width)
+        width = packet[FAR, ray] * np.float32(view.footprint)
+        shown = sample_colour(surface, triangle, packet[U, ray], packet[V, ray], width)
         shown = opponent_colour(shown[0], shown[1], shown[2])
         for c in range(3):
             hits.colours[k, c, sample] = shown[c]
