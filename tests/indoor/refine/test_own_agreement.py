@@ -133,9 +133,7 @@ def test_places_without_texture_leave_what_repeats_known(
     ]
     found = iter((0.8, *textures))
     measuring = "placegraph.indoor.mapping.own_agreement"
-    monkeypatch.setattr(
-        f"{measuring}.localize_capture", lambda *_, **__: SimpleNamespace(modes=modes)
-    )
+    monkeypatch.setattr(f"{measuring}.estimate_pose", lambda *_: SimpleNamespace(modes=modes))
     monkeypatch.setattr(f"{measuring}.agreement", lambda *_: seen(texture=next(found)))
     own = measure_own_agreement(room, exact.capture.frames[:1], exact.poses[:1])
     assert own[-1] * own[1] == pytest.approx(repeats)

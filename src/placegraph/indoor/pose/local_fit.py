@@ -176,7 +176,10 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
     best = int(scores.argmax())
     # the mean of many good samples is smoother than the luckiest of them
     pose = mean if scores[best] - at_mean[0] < 1.0 else drawn[best]
-    _, covariance = moments(drawn, np.exp((scores - scores.max()) / SOFT))
+    weights = np.exp((scores - scores.max()) / SOFT)
+    weights /= weights.sum()
+    # few samples have weight: the unbiased covariance of weighted samples
+    covariance = moments(drawn, weights)[1] / max(1.0 - weights @ weights, 0.25)
     covariance = WIDENED * (covariance + FINEST)
     return Fit(compose(pose, steps), float(scores[best]), sampling, covariance)
 
@@ -192,9 +195,9 @@ def fit_window(
     with time_stage(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            fit_level(window, COARSE, rounds=2, samples=16, most=10, frames=5),
-            fit_level(window, COARSE, rounds=3, samples=16, most=4, gap=800.0),
-            fit_level(window, FINE, rounds=4, samples=32, most=3, gap=gap),
+            fit_level(window, COARSE, rounds=2, samples=32, most=10, frames=5),
+            fit_level(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
+            fit_level(window, FINE, rounds=4, samples=48, most=3, gap=gap),
         ]
         fits = fit_modes(window.scorer, starts, levels, rng)
         for pose in () if landmark_poses is None else landmark_poses:
