@@ -78,7 +78,7 @@ class _AlignmentRound(NamedTuple):
 
 _ALIGNMENTS = (
     _AlignmentRound(1, (0.3, 0.2, 0.1), LOOKS, 3, 32),
-    _AlignmentRound(4, (0.2, 0.1, 0.05), SCREENED, 2, 24),
+    _AlignmentRound(8, (0.2, 0.1, 0.05), SCREENED, 2, 24),
 )
 """From wherever in a cell of the table to a few centimetres."""
 
