@@ -39,6 +39,7 @@ _PACKED = 6
 """Least number of poses near each other whose rays are traced together, sample by sample."""
 
 _part = kernel(fastmath=True, error_model="numpy", _nrt=False)
+"""Decorator of parts of `_score`, which allocate nothing."""
 
 
 class Hits(NamedTuple):

@@ -231,4 +231,6 @@ def _json(attributes: dict[str, str]) -> str:
 
 def _attributes(texts: Sequence[str]) -> tuple[dict[str, str], ...]:
     found = json.loads(f"[{','.join(text or '{}' for text in texts)}]")
+    if len(found) != len(texts):
+        raise ValueError(f"attributes are of {len(found)} objects instead of {len(texts)}")
     return tuple({str(k): str(v) for k, v in dict(each).items()} for each in found)

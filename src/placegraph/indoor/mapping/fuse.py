@@ -46,7 +46,7 @@ class View:
     map_from_camera: Floats
 
     @property
-    def eyes(self) -> Floats:
+    def pinholes(self) -> Floats:
         """(2, 4) fx, fy, cx, cy [px] of depth and image."""
         return np.array([[c.fx, c.fy, c.cx, c.cy] for c in self.cameras])
 
@@ -260,7 +260,7 @@ class Volume:
 
         `facets`: (h, w, 6) of `compute_facets`. Raises `FullError` where memory ends.
         """
-        pose, depth_eye = view.map_from_camera, view.eyes[0]
+        pose, depth_eye = view.map_from_camera, view.pinholes[0]
         while True:
             count = kernels.allocate_blocks(self.blocks, self.count, facets, depth_eye, pose, STEP)
             self.count = count if count >= 0 else -1 - count
@@ -272,7 +272,7 @@ class Volume:
         far = find_farthest(facets)
         chosen = find_visible(self.blocks, self.count, far, depth_eye, facets.shape[:2], back)
         run_parallel(
-            kernels.integrate, len(chosen), self.blocks, chosen, facets, view.image, gain, view.eyes,
+            kernels.integrate, len(chosen), self.blocks, chosen, facets, view.image, gain, view.pinholes,
             back,
         )  # fmt: skip
         return gain
@@ -280,7 +280,7 @@ class Volume:
     def measure_gain(self, view: View, facets: NDArray[np.float32]) -> float:
         """Return the factor from an image's brightness to the model's; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
-            self.blocks, facets, view.image, view.eyes, view.map_from_camera, BRIGHTNESS_STEP
+            self.blocks, facets, view.image, view.pinholes, view.map_from_camera, BRIGHTNESS_STEP
         )
         if len(ratios) < ENOUGH:
             return 1.0
@@ -483,7 +483,7 @@ class _Run:
             if view is not None and watch is not None:
                 watch(view)
             if view is not None and view.depth.size:
-                facets = compute_facets(view.depth, view.eyes[0], reach, self.options.edges)
+                facets = compute_facets(view.depth, view.pinholes[0], reach, self.options.edges)
                 self.gains[view.row] = self.volume.integrate(view, facets, gains=self.options.gains)
                 self.readings.append(self._choose_readings(view, facets))
                 self.seen_by.append(view.row)
@@ -497,7 +497,7 @@ class _Run:
         last, count = max(len(used) - 1, 0), min(self.each, len(used))
         chosen = np.unique(np.linspace(0, last, count).astype(np.int64))
         v, u = np.divmod(used[chosen], facets.shape[1])
-        fx, fy, cx, cy = view.eyes[0]
+        fx, fy, cx, cy = view.pinholes[0]
         z = facets[v, u, 4].astype(np.float64)
         points: Floats = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z], axis=1)
         moved: Floats = points @ view.map_from_camera[:3, :3].T + view.map_from_camera[:3, 3]

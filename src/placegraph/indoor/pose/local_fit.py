@@ -165,7 +165,7 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
         scores = scorer.together(drawn, level.views, along)
         samples.append(drawn)
         values.append(scores)
-        # tempered so that several samples count, however sharp the likelihood
+        # tempered so that several samples count, but not most of them, however sharp the likelihood
         counted = min(_COUNTED, 3 * level.samples // 8)
         temperature = max(1.0, float(scores.max() - np.partition(scores, -counted)[-counted]))
         weights = np.exp((scores - scores.max()) * (1.5 / temperature))

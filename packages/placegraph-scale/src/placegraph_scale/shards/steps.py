@@ -278,9 +278,9 @@ class Shard:
     sight: City
     """Its viewpoints, without objects."""
     hashes: NDArray[np.int64]
-    """(T,) hashes of the texts of tokens, as of `WordTable.text`, sorted ..."""
+    """(T,) hashes of the texts of tokens (`WordTable.text`), sorted; they hold in this process alone."""
     tokens: NDArray[np.int32]
-    """(T,) ... and the tokens."""
+    """(T,) tokens, in the order of `hashes`."""
     ids: NDArray[np.uint32]
     """(N,) last 32 bits of the ids of objects."""
     core: NDArray[np.uint8]
@@ -324,7 +324,7 @@ class Shard:
 
     @property
     def size(self) -> float:
-        """Bytes that it takes, about."""
+        """Approximate memory of the shard [bytes]."""
         own = [*self.sight.views.columns, self.hashes, self.tokens, self.ids, self.core]
         objects = [] if self.city_map is None else vars(self.city_map.objects).values()
         return sum(

@@ -76,9 +76,9 @@ class ShardCache:
     _with_objects: OrderedDict[Path, None] = field(default_factory=OrderedDict)
     """Open shards whose objects are open as well."""
     _sizes: dict[Path, float] = field(default_factory=dict)
-    """Bytes of each shard, after its last step ..."""
+    """Memory of each shard after its last step [bytes]."""
     _size: float = 0.0
-    """... and of all."""
+    """Sum of `_sizes` [bytes]."""
     _lock: Lock = field(default_factory=Lock)
 
     def run_tasks(

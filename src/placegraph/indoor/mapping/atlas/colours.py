@@ -93,7 +93,7 @@ def measure_sharpness(colours: Bytes) -> float:
 
 
 def _read_depth(view: View, caster: RayCaster) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Read depth (h, w) of the view, of the mesh where there is none [m]; inf: neither. And its worth.
+    """Read depth (h, w) of a view, or of the mesh, and its weights (h, w) [m]; inf: neither has any.
 
     Where a frame has depth but a pixel has none, there often is something dark, thin or shiny that
     the mesh does not hold: it would be painted on what lies behind.
@@ -164,7 +164,7 @@ def frame_colours(views: Sequence[View], vertices: Floats, triangles: NDArray[An
     seen = kernels.Keyframes(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
-        pinholes=np.array([view.eyes[1] for view in views]),
+        pinholes=np.array([view.pinholes[1] for view in views]),
         levels=tuple(np.stack(images) for images in zip(*pyramids, strict=True)),
         bounds=np.stack(depths),
         weights=np.stack(trust),
