@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.mapfile import write_map
+from placegraph.core.mapfile import pack_strings, write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, LANDMARK_GRAIN, Landmarks
 from placegraph.indoor.map.scene_file import measure_parts, open_scene, pack_scene, save_scene
@@ -51,3 +51,11 @@ def test_damaged_columns_are_refused(room, some, tmp_path):
         open_scene(tmp_path / "a.scene", SceneMap)
     with pytest.raises(OptionError, match="landmarks"):
         Landmarks(np.full((1, 3), np.nan, np.float32), np.zeros((1, DESCRIPTOR_SIZE), np.int8))
+
+
+def test_an_attribute_that_holds_several_is_refused(room, tmp_path):
+    meta, arrays = pack_scene(room)
+    texts = ['{"floor": "1"}, {}', *[""] * (len(room.graph.labels) - 1)]
+    write_map(tmp_path / "a.scene", "scene", 2, meta, arrays | {"attributes": pack_strings(texts)})
+    with pytest.raises(MapError, match="attributes"):
+        open_scene(tmp_path / "a.scene", SceneMap)
