@@ -7,6 +7,7 @@ shards at once: a task by way of the scheduler takes several times as long as th
 from __future__ import annotations
 
 import asyncio
+import gc
 import re
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
@@ -189,6 +190,7 @@ def connect(address: str, timeout: float = TIMEOUT) -> Client:
         raise MissingExtraError(
             "A scheduler needs Dask; run `pip install 'placegraph[scale]'`."
         ) from error
+    gc.collect()  # a dropped client that ends while another one starts waits for its lock forever
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
